@@ -92,7 +92,7 @@ def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
     imported = {PACKAGES.get(name, name) for name in list_imports() - BROUGHT_BY_OTHERS}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    own = extras["fast"] + extras["movie"] + extras["remote"] + extras["report"]
+    own = extras["cluster"] + extras["fast"] + extras["movie"] + extras["remote"] + extras["report"]
     optional = {re.split(r"[<>=]", found)[0] for found in own}
     declared = {re.split(r"[<>=\[;]", requirement)[0] for requirement in project["dependencies"]}
     assert imported - optional == declared

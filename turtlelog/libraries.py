@@ -11,6 +11,7 @@ _PURPOSES: Final = MappingProxyType(
         "bokeh": ("bokeh", "reports"),
         "control": ("control", "these responses and margins"),
         "cv2": ("opencv-python-headless", "movies in .mp4"),
+        "distributed": ("distributed", "work on a Dask cluster"),
         "fsspec": ("turtlelog[remote]", "files behind URLs"),
         "matplotlib": ("matplotlib", "figures"),
         "PIL": ("pillow", "movies in .gif"),

@@ -14,13 +14,15 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
-from turtlelog.errors import ProcessError, RemoteError
+from turtlelog.errors import ProcessError, RemoteError, describe_error
 from turtlelog.remote.urls import RemotePath, make_path
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor, Future
     from multiprocessing.connection import Connection
 
 T = TypeVar("T")
@@ -33,6 +35,9 @@ while the caller prints."""
 _AHEAD: Final = 64
 """Results for each process that may wait for an earlier one: one slow file does not stop the other
 processes, and of ten thousand results no more are in memory."""
+
+_SUBMITTED: Final = 1024
+"""Items that a cluster holds at a time: some for each of a few hundred cores."""
 
 LONG_S: Final = 2.0
 """Work on one core that more processes make shorter [s]: to start one takes 0.5 to 1 s, and two
@@ -102,7 +107,7 @@ def count_bytes(path: Path) -> int:
 def map_in_processes(
     work: Callable[[T], R],
     items: Sequence[T],
-    jobs: int,
+    jobs: "int | Executor",
     *,
     name: Callable[[T], str] = str,
     is_forked: bool = False,
@@ -113,13 +118,17 @@ def map_in_processes(
         work: It can be pickled unless processes are forked, as can items and results. What it
             raises is raised here, where its result would stand.
         items: What to work on.
-        jobs: Processes; with 1, or of one item, the work is done in this one.
+        jobs: Processes; with 1, or of one item, the work is done in this one. Or what takes the
+            work, as `connect_cluster` yields it.
         name: What an item is called in an error.
         is_forked: Whether processes begin with all that this one has loaded; see `CAN_FORK`.
 
     Raises:
         ProcessError: Where a process ends before its work does, as one that runs out of memory.
     """
+    if not isinstance(jobs, int):
+        yield from _map_on(jobs, work, items, name)
+        return
     if jobs == 1 or len(items) < 2:
         yield from map(work, items)
         return
@@ -133,6 +142,40 @@ def map_in_processes(
     finally:
         for worker in workers:
             worker.end()
+
+
+def _map_on(
+    executor: "Executor", work: Callable[[T], R], items: Sequence[T], name: Callable[[T], str]
+) -> Iterator[R]:
+    waiting: deque[tuple[T, Future[R]]] = deque()
+    left = iter(items)
+    try:
+        while True:
+            waiting.extend(
+                (item, executor.submit(work, item))
+                for item in islice(left, _SUBMITTED - len(waiting))
+            )
+            if not waiting:
+                return
+            item, future = waiting.popleft()
+            yield _await_result(future, name(item))
+    finally:
+        for _, future in waiting:
+            future.cancel()
+
+
+def _await_result(future: "Future[R]", name: str) -> R:
+    from concurrent.futures import CancelledError
+
+    try:
+        return future.result()
+    except CancelledError as err:
+        raise ProcessError(f"{name}: expected a result, found that the cluster is gone") from err
+    except Exception as err:
+        if type(err).__module__.startswith("distributed."):
+            found = describe_error(err)
+            raise ProcessError(f"{name}: expected a result of the cluster, found {found}") from err
+        raise
 
 
 class _Worker:

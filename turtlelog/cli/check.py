@@ -93,7 +93,7 @@ def check(
     if first.init is not None:
         return _write_first(first.init, words or [], first.output, topics or ReadingOptions())
     words, expect = words or [], first.expect
-    files = _choose_files(words, first, reference)
+    files = reports.name_files(_choose_files(words, first, reference))
     _require_targets(reports, first.output, words)
     spec = build_spec(expect) if expect else tl.load_spec(words[0], reference=reference)
     topics = topics or ReadingOptions()

@@ -14,10 +14,9 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.folders import Recursive, summarise_table, tabulate
 from turtlelog.cli.options import (
-    Jobs,
     Place,
     ReadingOptions,
-    count_jobs,
+    WorkOptions,
     list_reading_words,
     watch_files,
 )
@@ -26,6 +25,8 @@ from turtlelog.errors import LogError, UsageError
 from turtlelog.processes import map_in_processes
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from turtlelog import CheckResult, Run, Spec
     from turtlelog.check import ArtifactWriter
     from turtlelog.check.junit import CheckedFile
@@ -38,23 +39,21 @@ _FILE_S: Final = 5e-3
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReportOptions:
-    """What to write beside the answer, and in how many processes to find it.
+class ReportOptions(WorkOptions):
+    """What to write beside the answer, and where to find it.
 
     Attributes:
         junit: Write JUnit XML, every metric a property, to this .xml file.
         artifacts: Put a Rerun view, a picture and the cut recording of what fails into this folder.
-        report: Write a report on the recordings and their checks to this .html file.
+        report: Write a report on the recordings and their checks to this .html file. It needs all
+            that is read, which one process then reads.
         recursive: Take every recording below the folders given.
-        jobs: Processes to read and judge in; as many as cores where that is quicker. With
-            --report, which needs all that was read, it is one.
     """
 
     junit: Place | None = None
     artifacts: Place | None = None
     report: Place | None = None
     recursive: Recursive = False
-    jobs: Jobs = None
 
 
 def check_into_table(
@@ -74,7 +73,7 @@ def check_into_table(
             )
     judge = _prepare_judge(spec, topics)
     table = plan_verdict_table(spec, judge.judge_file, judge.choice, is_partial=topics.partial)
-    done = tabulate(found, output, table, jobs=reports.jobs, file_s=_FILE_S)
+    done = tabulate(found, output, table, work=reports, file_s=_FILE_S)
     print_note(summarise_table(done))
     return read_verdicts(output, {one.label: one.path for one in found})
 
@@ -99,10 +98,22 @@ def check_files(
     spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
 ) -> "list[CheckResult]":
     """Return the results of files, and write what is asked for beside them."""
+    if reports.scheduler is not None and reports.report is not None:
+        raise UsageError("--report: expected no --scheduler beside it, found one")
+    with reports.find_place(files, file_s=_FILE_S) as place:
+        return _check_files(spec, files, (reports, place), topics)
+
+
+def _check_files(
+    spec: "Spec",
+    files: Sequence[Path],
+    how: "tuple[ReportOptions, int | Executor]",
+    topics: ReadingOptions,
+) -> "list[CheckResult]":
     from turtlelog.check.junit import CheckedFile, format_junit
 
-    jobs = count_jobs(reports.jobs, files, file_s=_FILE_S)
-    jobs = 1 if reports.report is not None else jobs
+    reports, place = how
+    jobs = 1 if reports.report is not None else place
     keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
     is_described = reports.junit is not None
     judge = _prepare_judge(spec, topics, is_described=is_described, keeps_runs=keeps_runs)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Jobs, Output, count_jobs
+from turtlelog.cli.options import Output, WorkOptions
 from turtlelog.cli.output import print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.processes import FILE_S
@@ -21,27 +21,27 @@ Recursive = Annotated[bool, Parameter(name="--recursive", negative=())]
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FolderOptions:
+class FolderOptions(WorkOptions):
     """Many recordings at once.
 
     Attributes:
         recursive: Take every recording below the folders given.
         output: Write a row for every file to this .parquet table, and print a summary alone. Files
             that have not changed since the table was written are not read again.
-        jobs: Processes to read and measure in; as many as cores where that is quicker.
     """
 
     recursive: Recursive = False
     output: Output = None
-    jobs: Jobs = None
 
     def find(self, paths: Sequence[Path]) -> "list[FoundRecording]":
         """Return what is given, or what is below it."""
-        return find_files(paths, self.output, is_recursive=self.recursive)
+        return find_files(self.name_files(paths), self.output, is_recursive=self.recursive)
 
     def list_files(self, paths: Sequence[Path]) -> list[Path]:
         """Return the files that are given, or those below folders."""
-        return [Path(one.path) for one in self.find(paths)] if self.recursive else [*paths]
+        if self.recursive:
+            return [Path(one.path) for one in self.find(paths)]
+        return self.name_files(paths)
 
 
 def find_files(
@@ -58,7 +58,7 @@ def tabulate(
     output: Path,
     table: "RecordingTable",
     *,
-    jobs: int | None,
+    work: WorkOptions,
     file_s: float = FILE_S,
 ) -> "TabulatedFiles":
     """Write the table of recordings; what is wrong with the place is told before any is read.
@@ -67,7 +67,7 @@ def tabulate(
         found: The recordings.
         output: The table.
         table: What it holds.
-        jobs: As asked.
+        work: Where files are read.
         file_s: As in `tabulate_recordings`.
     """
     from turtlelog.cli.targets import require_new_target
@@ -76,11 +76,11 @@ def tabulate(
     why = tl.sweep.describe_former(output, table)
     if why is not None:
         print_note(f"{output}: every file is read, because {why}")
-    asked = None if jobs is None else count_jobs(jobs, ())
     try:
-        return tl.sweep.tabulate_recordings(
-            found, output, table, jobs=asked, file_s=file_s, watch=_watch
-        )
+        with work.find_any_place() as place:
+            return tl.sweep.tabulate_recordings(
+                found, output, table, jobs=place, file_s=file_s, watch=_watch
+            )
     except KeyboardInterrupt:
         print_note(f"{output}: what was read is kept: the same command goes on from there")
         raise

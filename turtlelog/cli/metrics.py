@@ -20,7 +20,6 @@ from turtlelog.cli.options import (
     Place,
     ReadingOptions,
     Whole,
-    count_jobs,
     require_files,
     watch_summaries,
 )
@@ -137,34 +136,35 @@ def metrics(
             measuring.build_settings(), only=patterns, topics=topics.build_choice()
         )
         found = folders.find(files)
-        return _tell(tabulate(found, folders.output, plan, jobs=folders.jobs), kind)
+        return _tell(tabulate(found, folders.output, plan, work=folders), kind)
     files = folders.list_files(files)
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
     settings = measuring.build_settings()
     essential = _list_with_path if measuring.reference_path else tl.measure.list_essential_metrics
-    summarised = tl.compare.summarise_files(
-        files,
-        settings,
-        only=essential if is_short else patterns,
-        topics=topics.build_choice(),
-        jobs=count_jobs(folders.jobs, files),
-        with_parameters=False,
-    )
     errors: list[TurtlelogError] = []
-    summaries = watch_summaries(summarised, len(files), errors)
-    if kind == "json":
-        print_json_list(map(_describe, summaries))
-    else:
-        held = list(summaries)
-        _require_some(held, patterns)
-        if kind == "csv":
-            _print_csv(held)
-        elif is_short:
-            choice = topics.build_choice()
-            held = list(tl.compare.complete_summaries(held, settings, topics=choice))
-            _print_tables(held, kind, is_short=True)
+    with folders.find_place(files) as place:
+        summarised = tl.compare.summarise_files(
+            files,
+            settings,
+            only=essential if is_short else patterns,
+            topics=topics.build_choice(),
+            jobs=place,
+            with_parameters=False,
+        )
+        summaries = watch_summaries(summarised, len(files), errors)
+        if kind == "json":
+            print_json_list(map(_describe, summaries))
         else:
-            _print_tables(held, kind, is_short=False)
+            held = list(summaries)
+            _require_some(held, patterns)
+            if kind == "csv":
+                _print_csv(held)
+            elif is_short:
+                choice = topics.build_choice()
+                held = list(tl.compare.complete_summaries(held, settings, topics=choice))
+                _print_tables(held, kind, is_short=True)
+            else:
+                _print_tables(held, kind, is_short=False)
     for err in errors:
         print_error(str(err))
     if errors:

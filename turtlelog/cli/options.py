@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
@@ -17,6 +18,8 @@ from turtlelog.processes import FILE_S, choose_jobs
 from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from turtlelog import Declaration, Run, Scenario
     from turtlelog.compare import RunSummary
     from turtlelog.log import ReadChoice
@@ -368,6 +371,54 @@ def _read_run(path: Path, topics: TopicOptions) -> "Run":
     run = tl.log.read_as_chosen(path, topics.build_choice())
     print_run_notes(path, run.notes)
     return run
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkOptions:
+    """Where work is done.
+
+    Attributes:
+        jobs: Processes to work in; as many as cores where that is quicker.
+        scheduler: Work on the Dask cluster of this scheduler, as in tcp://host:8786, whose
+            workers find files at the same places.
+    """
+
+    jobs: Jobs = None
+    scheduler: Annotated[str | None, Parameter(metavar="URL")] = None
+
+    @contextmanager
+    def find_place(
+        self, files: Sequence[Path], *, file_s: float = FILE_S
+    ) -> "Iterator[int | Executor]":
+        """Yield a number of processes, or the cluster.
+
+        Raises:
+            UsageError: Where both are asked for, or a number that is none.
+            ProcessError: Where the cluster is of no use.
+        """
+        if self.scheduler is None:
+            yield count_jobs(self.jobs, files, file_s=file_s)
+            return
+        if self.jobs is not None:
+            raise UsageError(f"--jobs: expected no --scheduler beside it, found {self.scheduler}")
+        from turtlelog.cluster import connect_cluster
+
+        with connect_cluster(self.scheduler) as executor:
+            yield executor
+
+    @contextmanager
+    def find_any_place(self) -> "Iterator[int | Executor | None]":
+        """As `find_place` where the work itself tells what is quickest: None asks it."""
+        if self.scheduler is None and self.jobs is None:
+            yield None
+            return
+        with self.find_place(()) as place:
+            yield place
+
+    def name_files(self, files: Sequence[Path]) -> list[Path]:
+        """Return files as workers find them, which work in other folders."""
+        return [*files] if self.scheduler is None else [path.absolute() for path in files]
 
 
 def watch_summaries(

@@ -12,11 +12,10 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_metrics
 from turtlelog.cli.options import (
-    Jobs,
     Json,
     LawOptions,
     Whole,
-    count_jobs,
+    WorkOptions,
     list_given_keys,
     load_changed_scenario,
 )
@@ -107,27 +106,26 @@ class TableOptions:
             raise UsageError(f"--metrics: expected {expected}, found {self.metrics!r}")
         return patterns
 
-    def build_records(self) -> "RowRecords | None":
-        """Return which runs are to be recorded."""
+    def build_records(self, work: WorkOptions) -> "RowRecords | None":
+        """Return which runs are to be recorded, and where, as those at work find it."""
         if self.record is None:
             if self.record_where is not None:
                 raise UsageError("--record-where: expected --record beside it, found none")
             return None
-        return tl.sweep.RowRecords(folder=str(self.record), where=self.record_where)
+        (folder,) = work.name_files([self.record])
+        return tl.sweep.RowRecords(folder=str(folder), where=self.record_where)
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WorkOptions:
+class SweepOptions(WorkOptions):
     """How it is done.
 
     Attributes:
-        jobs: Processes to simulate in; as many as cores where that is quicker.
         yes: Sweep over more than a million rows without asking.
         trust_law: Run the code of the law that a recording names, where it is not built in.
     """
 
-    jobs: Jobs = None
     yes: bool = False
     trust_law: bool = False
 
@@ -139,7 +137,7 @@ def sweep(
     table: TableOptions,
     plan: PlanOptions | None = None,
     options: LawOptions | None = None,
-    work: WorkOptions | None = None,
+    work: SweepOptions | None = None,
     json: Json = False,
 ) -> int:
     """Vary a scenario, simulate and measure every variant, and write one table.
@@ -161,20 +159,22 @@ def sweep(
             or a recording. Without one paper, and with --law textbook.
         json: Print one JSON object instead of a line.
     """
-    begun, work = time.monotonic(), work or WorkOptions()
-    jobs = None if work.jobs is None else count_jobs(work.jobs, [])
+    begun, work = time.monotonic(), work or SweepOptions()
     plan = plan or PlanOptions()
-    prepared = _prepare(base, table, plan, options, trust_law=work.trust_law)
+    prepared = _prepare(base, table, plan, options, work)
     rows = prepared.plan.row_count
     if rows > _MANY_ROWS and not work.yes:
-        _ask_consent(prepared, table.output, jobs)
-    with show_progress("simulated", rows, "rows", has_rate=True) as progress:
+        _ask_consent(prepared, table.output, work.jobs)
+    with (
+        work.find_any_place() as place,
+        show_progress("simulated", rows, "rows", has_rate=True) as progress,
+    ):
 
         def watch(done: int) -> None:
             progress.done = done
 
         try:
-            found = tl.sweep.run_sweep(prepared, table.output, jobs=jobs, watch=watch)
+            found = tl.sweep.run_sweep(prepared, table.output, jobs=place, watch=watch)
         except KeyboardInterrupt:
             print_note(f"{int(progress.done)} of {rows} rows are done; the same command goes on")
             raise
@@ -187,11 +187,10 @@ def _prepare(
     table: TableOptions,
     plan: PlanOptions,
     options: LawOptions | None,
-    *,
-    trust_law: bool,
+    work: SweepOptions,
 ) -> "Sweep":
     require_new_target(table.output, [] if base is None else [Path(base)], suffix=".parquet")
-    rows, records, patterns = plan.build_plan(), table.build_records(), table.list_patterns()
+    rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
     for key in list_given_keys(options):
         if key in rows.keys:
             raise UsageError(f"--set: expected keys that are not varied, found {key}")
@@ -200,7 +199,7 @@ def _prepare(
         rows,
         metrics=patterns,
         records=records,
-        trust_law=trust_law,
+        trust_law=work.trust_law,
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from turtlelog.compare.run_summary import RunSummary, summarise_measured
 from turtlelog.errors import CompareError, TurtlelogError
@@ -12,6 +13,9 @@ from turtlelog.loops import Declaration
 from turtlelog.measure import MeasureSettings, choose_metrics, measure_run
 from turtlelog.processes import map_in_processes
 from turtlelog.run import Run
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 Choice = Collection[str] | Callable[[Run], Collection[str]] | None
 """Which metrics to compute: ids and patterns, or what says which of a run; all."""
@@ -23,7 +27,7 @@ def summarise_files(
     *,
     only: Choice = None,
     topics: ReadChoice | None = None,
-    jobs: int = 1,
+    jobs: "int | Executor" = 1,
     with_parameters: bool = True,
 ) -> Iterator[RunSummary | TurtlelogError]:
     """Yield the summary of every file in the order given, or the error where one cannot be read.
@@ -36,8 +40,9 @@ def summarise_files(
         only: The same, patterns stand for the metrics that each run has; or a function that says
             which, as `list_essential_metrics` does.
         topics: The same topics for all of them.
-        jobs: Processes to measure in, at least 1. They import the module that runs: a script that
-            asks for more than one keeps its own work under `if __name__ == "__main__":`.
+        jobs: Processes to measure in, at least 1, or what takes the work.
+            Processes import the module that runs: a script that asks for more than one keeps its
+            own work under `if __name__ == "__main__":`.
         with_parameters: Whether to keep all parameters, not the laws' gains alone: half of what a
             summary takes.
 
@@ -45,7 +50,7 @@ def summarise_files(
         MeasureError: Where `only` names no metric.
         CompareError: Where `jobs` is no number of processes.
     """
-    if jobs < 1:
+    if isinstance(jobs, int) and jobs < 1:
         raise CompareError(f"jobs: expected at least 1 process, found {jobs}")
     if only is not None and not callable(only):
         choose_metrics(only, Declaration())  # refuses what names no metric of any law

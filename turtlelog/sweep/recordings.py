@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from turtlelog.sweep.result_table import (
 )
 from turtlelog.sweep.row_columns import GatheredCells, Key, Row, RowColumns, build_columns
 from turtlelog.version import __version__
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 FILE: Final = Key("file")
 SIZE: Final = Key("size", "whole", "B")
@@ -103,7 +106,7 @@ def tabulate_recordings(
     output: Path,
     table: RecordingTable,
     *,
-    jobs: int | None = 1,
+    jobs: "int | Executor | None" = 1,
     file_s: float = FILE_S,
     watch: Callable[[Iterator[Any], int], Iterator[Any]] = lambda results, _: results,
 ) -> TabulatedFiles:
@@ -116,7 +119,7 @@ def tabulate_recordings(
         found: The recordings.
         output: The table, which is replaced when the new one is complete.
         table: What it holds.
-        jobs: Processes to read in; None: as many as are quickest.
+        jobs: Processes to read in, or what takes the work; None: as many as are quickest.
         file_s: What a file takes besides its bytes [s], to choose their number.
         watch: Sees the results of chunks on the way, and learns how many files they are of.
 

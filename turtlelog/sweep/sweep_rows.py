@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial as partial_call
 from pathlib import Path
-from typing import Final, overload
+from typing import TYPE_CHECKING, Final, overload
 
 from turtlelog.errors import ScenarioError, SweepError
 from turtlelog.measure import choose_metrics
@@ -29,6 +29,9 @@ from turtlelog.sweep.simulate_rows import (
     simulate_rows,
 )
 from turtlelog.version import __version__
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 _CHUNK_S: Final = 0.5
 """Work in a chunk, as measured on the first row [s]: what an interruption costs at most."""
@@ -169,7 +172,7 @@ def run_sweep(
     sweep: Sweep,
     output: str | Path,
     *,
-    jobs: int | None = None,
+    jobs: "int | Executor | None" = None,
     watch: Callable[[int], None] | None = None,
 ) -> SweepSummary:
     """Simulate all rows of a sweep, write their table and return what came of it.
@@ -180,7 +183,7 @@ def run_sweep(
     Args:
         sweep: What `prepare_sweep` made.
         output: The Parquet file.
-        jobs: Processes; None: as many as cores where that is quicker.
+        jobs: Processes, or what takes the work; None: as many as cores where that is quicker.
         watch: Called with the number of rows that are done.
 
     Raises:
@@ -232,7 +235,10 @@ def _require_empty(folder: Path) -> None:
 
 
 def _simulate(
-    sweep: Sweep, partial: PartialResults, jobs: int | None, watch: Callable[[int], None]
+    sweep: Sweep,
+    partial: PartialResults,
+    jobs: "int | Executor | None",
+    watch: Callable[[int], None],
 ) -> None:
     """Simulate the rows that are not done, the first of them alone to see how long one takes."""
     done = sum(map(len, partial.done))
@@ -247,14 +253,19 @@ def _simulate(
     partial.add(found)
     watch(done := done + 1)
     rest = sweep.plan.row_count - done
-    jobs = jobs or (count_cores() if rest * row_s > LONG_S else 1)
-    threads = 1
-    if is_batch(first) and BATCH.expect(found.samples * rest, SAVED_S) is not None:
+    if jobs is None:
+        jobs = count_cores() if rest * row_s > LONG_S else 1
+    count, threads = (jobs if isinstance(jobs, int) else 1), 1
+    if (
+        isinstance(jobs, int)
+        and is_batch(first)
+        and BATCH.expect(found.samples * rest, SAVED_S) is not None
+    ):
         # Threads share what is loaded, and processes would take longer to start.
         jobs, threads, size = 1, jobs, _MOST_IN_BATCH
     else:
-        size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // jobs)))
-    cut = partial_call(sweep.cut_chunk, ahead=rest // jobs, threads=threads)
+        size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // count)))
+    cut = partial_call(sweep.cut_chunk, ahead=rest // count, threads=threads)
     chunks = _Chunks(cut, _list_gaps(partial.done, sweep.plan.row_count), size)
     for results in map_in_processes(simulate_rows, chunks, jobs, name=_name_chunk):
         partial.add(results)

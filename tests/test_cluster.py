@@ -1,0 +1,193 @@
+"""A Dask scheduler and workers in processes of their own, on 127.0.0.1."""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import CancelledError, Executor, Future
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import turtlelog as tl
+import turtlelog.cluster
+from turtlelog.cli.app import main
+from turtlelog.cluster import connect_cluster
+from turtlelog.errors import ProcessError
+from turtlelog.processes import map_in_processes
+
+FILES = [f"recordings/paper/kp{gain}.mcap" for gain in (1, 4, 7, 10)]
+
+
+@contextmanager
+def _start(kind: str, *words: str) -> Iterator["subprocess.Popen[bytes]"]:
+    """Start a part of a cluster, which is ended by its own handle."""
+    command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *words, "--no-dashboard"]
+    log = subprocess.DEVNULL
+    with subprocess.Popen([*command, "--host", "127.0.0.1"], stdout=log, stderr=log) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def _start_worker(address: str) -> "ExitStack[bool | None]":
+    started = ExitStack()
+    started.enter_context(_start("worker", address, "--nthreads", "1", "--no-nanny"))
+    return started
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    import json
+
+    file = tmp_path_factory.mktemp("cluster") / "scheduler.json"
+    with _start("scheduler", "--port", "0", "--scheduler-file", str(file)):
+        deadline_s = time.monotonic() + 60
+        while not file.exists() and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        yield json.loads(file.read_text())["address"]
+
+
+@pytest.fixture(scope="module")
+def cluster(scheduler: str) -> Iterator[str]:
+    with _start_worker(scheduler), _start_worker(scheduler):
+        with connect_patiently(scheduler, workers=2):
+            pass
+        yield scheduler
+
+
+@contextmanager
+def connect_patiently(address: str, *, workers: int) -> Iterator[None]:
+    import distributed
+
+    with distributed.Client(address, timeout=60, set_as_default=False) as client:
+        client.wait_for_workers(workers, timeout=60)
+        yield
+
+
+def _square_slowly(number: int) -> tuple[int, int]:
+    """Return a square, and the process that computed it."""
+    time.sleep(0.03)
+    return number**2, os.getpid()
+
+
+def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[object, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    return ended.value.code, *capsys.readouterr()
+
+
+def test_a_scheduler_without_workers_is_one_line(
+    scheduler: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(turtlelog.cluster, "_CONNECT_S", 1.0)
+    with (
+        pytest.raises(ProcessError, match=r"^tcp://\S+ expected a worker, found none in 1 s$"),
+        connect_cluster(scheduler),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "tcp://127.0.0.1", "host:x", "nowhere"])
+def test_a_scheduler_that_is_not_there_is_one_line(
+    address: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert turtlelog.cluster._CONNECT_S < 10
+    monkeypatch.setattr(turtlelog.cluster, "_CONNECT_S", 0.5)
+    began_s = time.monotonic()
+    code, out, err = _run(capsys, "metrics", FILES[0], "--scheduler", address)
+    assert time.monotonic() - began_s < 4
+    assert (code, out) == (2, "")
+    assert err == (
+        f"turtlelog: error: {address}: expected a Dask scheduler, as in tcp://host:8786, found none"
+        " that answers within 0.5 s\n"
+    )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["metrics", "--json"],
+        ["metrics", "--csv"],
+        ["check", "--json", "--expect", "rotate.overshoot < 5"],
+    ],
+    ids=" ".join,
+)
+def test_a_cluster_answers_as_this_computer_does(
+    words: list[str], cluster: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [str(Path(file).absolute()) for file in [*FILES, "recordings/none.mcap"]]
+    here = _run(capsys, *words, *files, "--jobs", "1")
+    assert _run(capsys, *words, *files, "--scheduler", cluster) == here
+    assert len(here[1]) > 300
+
+
+def test_results_stand_in_the_order_of_the_items(cluster: str) -> None:
+    with connect_cluster(cluster) as executor:
+        found = map_in_processes(lambda n: (time.sleep((7 - n) / 50), n)[1], range(8), executor)
+        assert list(found) == list(range(8))
+
+
+def test_an_error_of_the_work_is_raised_here(cluster: str) -> None:
+    with connect_cluster(cluster) as executor, pytest.raises(ZeroDivisionError):
+        list(map_in_processes(lambda n: 1 // (n - 3), range(8), executor))
+
+
+def test_a_worker_that_is_killed_in_the_middle_loses_nothing(cluster: str) -> None:
+    with _start("worker", cluster, "--nthreads", "1", "--no-nanny") as doomed:
+        with connect_patiently(cluster, workers=3):
+            pass
+        with connect_cluster(cluster) as executor:
+            found = map_in_processes(_square_slowly, range(90), executor)
+            first = [next(found) for _ in range(12)]
+            doomed.kill()
+            results = [*first, *found]
+        assert doomed.pid in {process for _, process in first}
+        assert [square for square, _ in results] == [n * n for n in range(90)]
+
+
+def test_another_turtlelog_on_a_worker_is_one_line(
+    cluster: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theirs = tl.__version__
+    monkeypatch.setattr(turtlelog.cluster, "__version__", "99.0")
+    expected = rf"^{cluster}: expected turtlelog 99\.0 on every worker, found {theirs} on tcp://"
+    with pytest.raises(ProcessError, match=expected), connect_cluster(cluster):
+        pass
+
+
+def test_a_cluster_that_gives_up_is_one_line_with_the_item() -> None:
+    from distributed.scheduler import KilledWorker
+
+    class GivesUp(Executor):
+        def submit(self, work: object, item: Any, /) -> "Future[Any]":  # type: ignore[override]
+            future: Future[Any] = Future()
+            future.set_exception(item)
+            return future
+
+    for found in (KilledWorker("task", "worker", 3), CancelledError()):
+        with pytest.raises(ProcessError, match=r"^a\.mcap: expected a result.*found") as caught:
+            list(map_in_processes(str, [found], GivesUp(), name=lambda _: "a.mcap"))
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["metrics", FILES[0], "--jobs", "2"], "--jobs: expected no --scheduler beside it"),
+        (
+            ["check", FILES[0], "--expect", "rotate.overshoot < 5", "--report", "r.html"],
+            "--report: expected no --scheduler beside it",
+        ),
+    ],
+)
+def test_what_has_no_place_beside_a_cluster_is_refused(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = _run(capsys, *words, "--scheduler", "tcp://127.0.0.1:1")
+    assert code == 2
+    assert said in err

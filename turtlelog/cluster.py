@@ -1,0 +1,63 @@
+"""Work on a Dask cluster that is there already, handed out as `concurrent.futures` does."""
+
+import logging
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from typing import Any, Final, cast
+
+from turtlelog.errors import ProcessError, describe_error
+from turtlelog.libraries import load_library
+from turtlelog.version import __version__
+
+_CONNECT_S: Final = 8.0
+"""To reach the scheduler, and a worker [s]: who mistyped an address hears of it within 10 s."""
+
+
+@contextmanager
+def connect_cluster(address: str) -> Iterator[Executor]:
+    """Connect to a Dask scheduler, as in `tcp://host:8786`; yield what takes work.
+
+    What a worker that ends had done or was doing is done again by others.
+
+    Raises:
+        LibraryError: Where dask.distributed is not installed.
+        ProcessError: Where no scheduler or no worker answers, or one has another turtlelog.
+    """
+    distributed = load_library("distributed")
+    # What matters is raised, and said in one line; a client goes on logging after its end.
+    for handler in logging.getLogger("distributed").handlers:
+        handler.setLevel(logging.CRITICAL + 1)
+    client = _connect(distributed, address)
+    try:
+        _require_same_version(client, address)
+        yield cast("Executor", client.get_executor(pure=False))
+    finally:
+        client.close(timeout=2)
+
+
+def _connect(distributed: Any, address: str) -> Any:
+    try:
+        return distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as err:
+        raise ProcessError(
+            f"{address}: expected a Dask scheduler, as in tcp://host:8786, found none that answers"
+            f" within {_CONNECT_S:g} s"
+        ) from err
+
+
+def _require_same_version(client: Any, address: str) -> None:
+    """Refuse a cluster without workers, or with one whose answers may be others."""
+    try:
+        client.wait_for_workers(1, timeout=_CONNECT_S)
+    except TimeoutError as err:
+        raise ProcessError(f"{address}: expected a worker, found none in {_CONNECT_S:g} s") from err
+    # By name, because a worker without turtlelog could not unpickle a function of its.
+    ask = "__import__('turtlelog.version').version.__version__"
+    for worker, found in client.run(eval, ask, on_error="return").items():
+        if found != __version__:
+            told = found if isinstance(found, str) else describe_error(found)
+            raise ProcessError(
+                f"{address}: expected turtlelog {__version__} on every worker,"
+                f" found {told} on {worker}"
+            )
