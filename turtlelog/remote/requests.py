@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, TypeVar
 from urllib.parse import urlsplit
 
 from turtlelog.errors import LibraryError, RemoteError, describe_error
@@ -42,7 +42,7 @@ def open_system(url: str) -> tuple[Any, str]:
     fsspec = load_library("fsspec")
     scheme = urlsplit(url).scheme.lower()
     try:
-        return cast("tuple[Any, str]", fsspec.core.url_to_fs(url, **_choose_options(url)))
+        system, path = fsspec.core.url_to_fs(url, **_choose_options(url))
     except ImportError as err:
         package = _BACKENDS.get(scheme)
         advice = f"`pip install {package}`" if package else hide_secrets(str(err))
@@ -56,6 +56,9 @@ def open_system(url: str) -> tuple[Any, str]:
                 f"expected a URL that fsspec reads ({known}), found {scheme}://"
             ) from err
         raise RemoteError(_describe(err)) from err
+    if hasattr(system, "retries"):
+        system.retries = 1  # of s3fs, which would wait five times for a server that hangs
+    return system, path
 
 
 def require_writable(url: str) -> tuple[Any, str]:
