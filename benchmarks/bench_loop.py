@@ -90,7 +90,7 @@ def measure_compiled(scenario: tl.scenario.Scenario) -> Iterator[Row]:
         job="simulate compiled, a sample",
         value=compiled / samples,
         peer=Cost("interpreted", interpreted / samples),
-        bound=Cost("bare compiled loop", bare / samples),
+        bound=Cost("bare loop", bare / samples),
     )
 
 

@@ -105,7 +105,7 @@ def test_a_scheduler_that_is_not_there_is_one_line(
     monkeypatch.setattr(turtlelog.cluster, "_CONNECT_S", 0.5)
     began_s = time.monotonic()
     code, out, err = _run(capsys, "metrics", FILES[0], "--scheduler", address)
-    assert time.monotonic() - began_s < 4
+    assert time.monotonic() - began_s < 10
     assert (code, out) == (2, "")
     assert err == (
         f"turtlelog: error: {address}: expected a Dask scheduler, as in tcp://host:8786, found none"
@@ -129,6 +129,25 @@ def test_a_cluster_answers_as_this_computer_does(
     here = _run(capsys, *words, *files, "--jobs", "1")
     assert _run(capsys, *words, *files, "--scheduler", cluster) == here
     assert len(here[1]) > 300
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["sweep", "paper-kp4", "--grid", "law.kp_linear=1:12", "--set", "max_duration_s=3"],
+        ["metrics", *FILES[:2], "--only", "final.*"],
+        ["check", *FILES[:2], "--expect", "final.position_error < 0.005"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_cluster_writes_the_same_table(
+    words: list[str], cluster: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(Path(word).absolute()) if word.endswith(".mcap") else word for word in words]
+    here, there = tmp_path / "here.parquet", tmp_path / "there.parquet"
+    code = _run(capsys, *words, "-o", str(here), "--jobs", "1")[0]
+    assert _run(capsys, *words, "-o", str(there), "--scheduler", cluster)[0] == code
+    assert there.read_bytes() == here.read_bytes()
 
 
 def test_results_stand_in_the_order_of_the_items(cluster: str) -> None:
