@@ -1,4 +1,5 @@
 import math
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +15,7 @@ from turtlelog.simulate import simulate_run
 from turtlelog.sweep import batch
 from turtlelog.sweep.batch import MeasuredRows, measure_rows
 from turtlelog.sweep.batch_rows import FREE_KEYS, prepare_rows
-from turtlelog.sweep.batch_table import OF_LOOPS, OF_RUN, STATUSES
+from turtlelog.sweep.batch_table import LOOP_FIGURES, OF_LOOPS, OF_RUN, STATUSES
 from turtlelog.sweep.plan import build_row_scenario
 
 METRICS: Final = (*OF_LOOPS, *OF_RUN)
@@ -157,3 +158,9 @@ def test_every_status_of_the_batch_is_met() -> None:
         met |= {STATUSES[code] for column in rows.statuses.values() for code in column}
     wanted = {Status.OK, Status.NOT_REACHED, Status.NO_STEP, Status.NO_PHASE, Status.TOO_SHORT}
     assert met == wanted | {Status.ABSENT}
+
+
+def test_the_page_says_which_metrics_are_compiled() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "sweep.md").read_text("utf-8")
+    told = page.partition("## How fast")[2].partition("##")[0]
+    assert [name for name in (*LOOP_FIGURES, *OF_RUN) if f"`{name}`" not in told] == []

@@ -9,6 +9,7 @@ from turtlelog.simulate import many
 from turtlelog.sweep import (
     ResultTable,
     RowRecords,
+    batch,
     build_plan,
     load_row_scenario,
     prepare_sweep,
@@ -16,6 +17,7 @@ from turtlelog.sweep import (
     run_sweep,
 )
 from turtlelog.sweep.assemble import find_key_unit
+from turtlelog.sweep.simulate_rows import is_batch
 
 NOISY = {"sensing.noise_position_m": 0.01, "loop.loss_probability": 0.05, "seed": 3}
 
@@ -81,6 +83,46 @@ def test_table_is_the_same_on_two_cores_and_in_the_compiled_loop(
     tables = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert len(tables) == 2 + (loaded is not None)
     assert len(set(tables.values())) == 1
+
+
+COVERED = ["translate.overshoot", "rotate.settling_time", "final.position_error"]
+
+
+def test_table_is_the_same_from_the_compiled_batch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernel = batch.BATCH.load()
+    if kernel is None:
+        pytest.skip("numba is not installed")
+    base = tl.override_scenario(tl.load_scenario("paper-kp4"), NOISY)
+    grid = ("law.kp_linear=-1:4:0.5", "loop.transport_delay_ticks=0:8:4", "seed=0:1")
+    for name, found in (("alone", None), ("batch", kernel)):
+        monkeypatch.setattr(batch.BATCH, "find", lambda found=found: found)
+        monkeypatch.setattr(batch.BATCH, "expect", lambda *_, found=found: found)
+        sweep_scenario(base, tmp_path / f"{name}.parquet", *grid, metrics=COVERED, jobs=2)
+    alone = (tmp_path / "alone.parquet").read_bytes()
+    assert (tmp_path / "batch.parquet").read_bytes() == alone
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "metrics", "compiled"),
+    [
+        ("paper-kp4", "law.kp_linear", COVERED, True),
+        ("paper-kp4", "law.kp_linear", ["run.iae", *COVERED], False),
+        ("paper-kp4", "law.kp_linear", None, False),
+        ("paper-kp4", "law.reorient", COVERED, False),
+        ("lagged", "law.kp_linear", COVERED, False),
+        ("posture", "law.gamma", ["run.duration"], False),
+    ],
+)
+def test_only_what_is_compiled_as_a_whole_is_a_batch(
+    name: str, key: str, metrics: list[str] | None, *, compiled: bool
+) -> None:
+    heading = {} if name == "posture" else {"goal.heading_rad": 1.0}
+    base = tl.override_scenario(tl.load_scenario(name), heading)
+    values = "false,true" if key == "law.reorient" else "1:2"
+    sweep = prepare_sweep(base, build_plan([f"{key}={values}"]), metrics=metrics)
+    assert is_batch(sweep.cut_chunk(0, 1)) is compiled
 
 
 def test_seed_is_the_bases_unless_it_is_varied(tmp_path: Path) -> None:

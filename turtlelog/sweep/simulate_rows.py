@@ -28,6 +28,7 @@ from turtlelog.scenario import (
     resolve_scenario,
 )
 from turtlelog.simulate import declare_scenario, simulate_many
+from turtlelog.simulate.kernel_fields import is_compiled
 from turtlelog.sweep.batch import measure_rows
 from turtlelog.sweep.batch_table import OK, STATUSES, is_covered
 from turtlelog.sweep.plan import build_row_scenario
@@ -149,8 +150,8 @@ def simulate_rows(chunk: RowChunk) -> RowResults:
     return results
 
 
-_DECLARING: Final = ("law.kind", "law.reorient", "path.")
-"""Beginnings of keys with which the metrics that a row has may change."""
+_DECIDING: Final = ("law.kind", "law.reorient", "law.schedule", "path.", "plant.")
+"""Beginnings of keys that decide which metrics a row has, and whether it is compiled."""
 
 
 def is_batch(chunk: RowChunk) -> bool:
@@ -160,12 +161,15 @@ def is_batch(chunk: RowChunk) -> bool:
 
 def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricKind]:
     """Return the metrics of a chunk by id where the batch covers all of them, otherwise none."""
-    if chunk.records or chunk.metrics is None or any(k.startswith(_DECLARING) for k in chunk.keys):
+    if chunk.records or chunk.metrics is None or any(k.startswith(_DECIDING) for k in chunk.keys):
         return {}
     try:
-        declaration = declare_scenario(resolve_scenario(base))
+        scenario = resolve_scenario(base)
     except TurtlelogError:  # of its own it lacks what the rows give it
         return {}
+    if not is_compiled(scenario, scenario.plant.facts):
+        return {}
+    declaration = declare_scenario(scenario)
     names, known = choose_metrics(chunk.metrics, declaration), list_metrics(declaration)
     if not all(name in known and is_covered(name) for name in names):
         return {}
