@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
@@ -11,10 +11,14 @@ import turtlelog as tl
 from turtlelog.cli.options import Output, WorkOptions
 from turtlelog.cli.output import print_note
 from turtlelog.cli.progress import show_progress
+from turtlelog.errors import TurtlelogError
 from turtlelog.processes import FILE_S
 
 if TYPE_CHECKING:
     from turtlelog.sweep import FoundRecording, RecordingTable, TabulatedFiles
+
+_NO_BAG: Final = "expected a bag, found a folder without"
+"""What is said of a folder that is no bag."""
 
 Recursive = Annotated[bool, Parameter(name="--recursive", negative=())]
 
@@ -111,7 +115,7 @@ def describe_table(done: "TabulatedFiles") -> dict[str, Any]:
     }
 
 
-def suggest_recursive(files: Sequence[Path], *, is_recursive: bool) -> None:
-    """Say what takes the recordings below a folder, where one is given."""
-    if not is_recursive and any(path.is_dir() for path in files):
-        print_note("--recursive takes the recordings below a folder")
+def describe_unread(err: TurtlelogError, *, is_recursive: bool) -> str:
+    """Return why a file was not read; of a folder that is no bag, how its recordings are."""
+    hint = "" if is_recursive or _NO_BAG not in str(err) else "; --recursive takes what is below it"
+    return f"{err}{hint}"

@@ -10,7 +10,7 @@ import turtlelog as tl
 from turtlelog.cli.folders import (
     FolderOptions,
     describe_table,
-    suggest_recursive,
+    describe_unread,
     summarise_table,
     tabulate,
 )
@@ -166,9 +166,7 @@ def metrics(
             else:
                 _print_tables(held, kind, is_short=False)
     for err in errors:
-        print_error(str(err))
-    if errors:
-        suggest_recursive(files, is_recursive=folders.recursive)
+        print_error(describe_unread(err, is_recursive=folders.recursive))
     return EXIT_BAD_INPUT if errors else EXIT_FINE
 
 
