@@ -1,6 +1,7 @@
 """A Dask scheduler and workers in processes of their own, on 127.0.0.1."""
 
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -129,6 +130,15 @@ def test_a_cluster_answers_as_this_computer_does(
     here = _run(capsys, *words, *files, "--jobs", "1")
     assert _run(capsys, *words, *files, "--scheduler", cluster) == here
     assert len(here[1]) > 300
+
+
+def test_who_says_nothing_is_no_scheduler(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        code, _, err = _run(capsys, "metrics", FILES[0], "--scheduler", address)
+    assert code == 2
+    assert f"{address}: expected a Dask scheduler" in err
+    assert err.count("\n") == 1
 
 
 @pytest.mark.parametrize(

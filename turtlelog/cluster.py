@@ -1,6 +1,7 @@
 """Work on a Dask cluster that is there already, handed out as `concurrent.futures` does."""
 
 import logging
+import socket
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -10,8 +11,9 @@ from turtlelog.errors import ProcessError, describe_error
 from turtlelog.libraries import load_library
 from turtlelog.version import __version__
 
-_CONNECT_S: Final = 8.0
-"""To reach the scheduler, and a worker [s]: who mistyped an address hears of it within 10 s."""
+_CONNECT_S: Final = 3.0
+"""To hear of a scheduler, to connect to it, and for a worker [s]: who mistyped an address is told
+within 10 s."""
 
 
 @contextmanager
@@ -38,12 +40,28 @@ def connect_cluster(address: str) -> Iterator[Executor]:
 
 def _connect(distributed: Any, address: str) -> Any:
     try:
+        _hear(address)
         return distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as err:
+    except (OSError, ValueError) as err:
         raise ProcessError(
             f"{address}: expected a Dask scheduler, as in tcp://host:8786, found none that answers"
             f" within {_CONNECT_S:g} s"
         ) from err
+
+
+def _hear(address: str) -> None:
+    """Wait until a scheduler speaks, as it does first; a client waits without end for who does not.
+
+    Raises:
+        OSError: Where nobody is there, or is silent, as the port of a web page is.
+    """
+    scheme, mark, place = address.rpartition("://")
+    host, colon, port = place.rpartition(":")
+    if not colon or (mark and scheme != "tcp"):
+        return
+    with socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S) as line:
+        if not line.recv(1):
+            raise ConnectionError("nobody speaks")
 
 
 def _require_same_version(client: Any, address: str) -> None:

@@ -71,3 +71,22 @@ def test_a_topic_stands_behind_a_url() -> None:
     assert (str(path), topic) == ("https://host:8080/bag.mcap", "/odom")
     path, topic = tl.log.split_topic("https://host:8080/bag.mcap")
     assert (str(path), topic) == ("https://host:8080/bag.mcap", None)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["metrics", "recordings/paper/kp1.mcap", "-o", "memory://a/t.parquet"], "on a disk"),
+        (["sweep", "--grid", "seed=0:1", "-o", "memory://a/t.parquet"], "on a disk"),
+        (["metrics", "memory://a/run.mcap", "-o", "t.parquet"], "on a disk, found a URL"),
+        (["metrics", "memory://a", "--recursive"], "on a disk, found a URL"),
+    ],
+)
+def test_tables_that_grow_are_refused_in_one_line(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    told = capsys.readouterr()
+    assert (ended.value.code, told.out, told.err.count("\n")) == (2, "", 1)
+    assert said in told.err

@@ -14,6 +14,7 @@ from turtlelog.cli.list_names import complete_keys, complete_metrics
 from turtlelog.cli.options import (
     Json,
     LawOptions,
+    Place,
     Whole,
     WorkOptions,
     list_given_keys,
@@ -22,7 +23,7 @@ from turtlelog.cli.options import (
 from turtlelog.cli.output import EXIT_FINE, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.targets import require_grown_table
 from turtlelog.display import describe_count
 from turtlelog.errors import UsageError
 
@@ -91,7 +92,7 @@ class TableOptions:
         record_where: Only of rows for which this holds, as in "translate.settling_time > 5".
     """
 
-    output: Annotated[Path, Parameter(name=("--output", "-o"))]
+    output: Annotated[Place, Parameter(name=("--output", "-o"))]
     metrics: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
     record: Annotated[Path | None, Parameter(metavar="DIR")] = None
     record_where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
@@ -189,7 +190,7 @@ def _prepare(
     options: LawOptions | None,
     work: SweepOptions,
 ) -> "Sweep":
-    require_new_target(table.output, [] if base is None else [Path(base)], suffix=".parquet")
+    require_grown_table(table.output, [] if base is None else [Path(base)])
     rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
     for key in list_given_keys(options):
         if key in rows.keys:

@@ -11,6 +11,7 @@ from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.error_boundary import open_file
 from turtlelog.log.importers.exported_tables import list_table_files
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE
+from turtlelog.remote.urls import RemotePath, is_url
 
 ENDINGS: Final = (*BAG_SUFFIXES, ".csv", ".json", ".parquet", ".tsv", ".tum")
 """How files end that count as recordings. Not .txt, which may be read where it is named: most are
@@ -62,12 +63,16 @@ def find_recordings(
         without: Files that are no recordings, such as the table that is to be written.
 
     Raises:
-        LogError: Where a folder holds no recording.
+        LogError: Where a folder holds no recording, or one is a URL: of it no time tells whether it
+            has changed.
     """
     walk = _Walk(paths, without)
     is_one = len({os.path.realpath(path) for path in paths}) == 1
     found: dict[str, FoundRecording] = {}
     labels: set[str] = set()
+    for path in paths:
+        if isinstance(path, RemotePath) or is_url(str(path)):
+            raise LogError(f"{path}: expected a file or folder on a disk, found a URL")
     for path in map(Path, paths):
         count = 0
         for one in walk.list_below(path) if is_recursive else (path,):
