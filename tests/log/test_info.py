@@ -113,6 +113,10 @@ def test_info_agrees_with_the_messages(tmp_path: Path) -> None:
             "text: logs and tables are read where the name ends in .csv, .json, .tsv, .tum, .txt",
         ),
         (b"RRF2", "a Rerun recording: turtlelog view shows it"),
+        (
+            b"rosbag2_bagfile_information:\n  version: 5\n",
+            "the metadata.yaml of a bag: the folder that it stands in is the bag",
+        ),
         (b"\x89PNG", "0x89504e47"),
     ],
 )

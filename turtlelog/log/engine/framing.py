@@ -39,6 +39,7 @@ found.
 
 _SQLITE: Final = b"SQLite format 3\0"
 _RERUN: Final = b"RRF2"
+_BAG_DESCRIPTION: Final = b"rosbag2_bagfile_"
 _BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
 START_SIZE: Final = len(_SQLITE)
 """Bytes at the start of a file that tell what it is."""
@@ -101,6 +102,8 @@ def find_wrong_start(start: bytes) -> str | None:
         found = "a bag in SQLite"
     elif start.startswith(_RERUN):
         found = "a Rerun recording: turtlelog view shows it"
+    elif start.startswith(_BAG_DESCRIPTION):
+        found = "the metadata.yaml of a bag: the folder that it stands in is the bag"
     elif start and _is_text(start.removeprefix(_BYTE_ORDER_MARK)):
         found = (
             "text: logs and tables are read where the name ends in .csv, .json, .tsv, .tum, .txt"
