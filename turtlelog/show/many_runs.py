@@ -1,7 +1,7 @@
 """What keeps many runs readable: equal ones once, restless ones dimmed, short names, a bar."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,8 +9,9 @@ import numpy as np
 
 from turtlelog.compare.run_names import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
-from turtlelog.run import Parameter, Run
+from turtlelog.run import Run
 from turtlelog.show.palette import FEW
+from turtlelog.show.shared_curves import is_limit
 
 MANY: Final = len(FEW)
 """More runs have no hues of their own: their colours follow their order, and a bar tells it."""
@@ -29,10 +30,6 @@ _BETWEEN_WORDS: Final = re.compile(r"(?<=\w)([-_ ])(?=[A-Za-z])")
 
 _MOST_KEYS: Final = 3
 """Keys that a name tells; with more it would be as long as the name that it stands for."""
-
-_NO_LIMIT: Final = 1e9
-"""In the unit of the key: no robot drives at this speed [m/s] or turns so fast [rad/s]; scenarios
-without a limit have such a value."""
 
 _WORDS: Final[Mapping[str, str]] = {
     "loop.transport_delay_ticks": "delay",
@@ -141,24 +138,30 @@ def shorten_names(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, ...]:
     if gains and gains <= {*keys} and all(map(has_one_gain, runs)):
         keys = [min(gains), *(key for key in keys if key not in gains)]
     if 0 < len(keys) <= _MOST_KEYS:
-        told = [", ".join(_tell(complete_parameters(run), keys, gains)) for run in runs]
+        told = [", ".join(_tell(run, keys, gains)) for run in runs]
         if len({*told}) == len(told):
             return tuple(told)
     return cut_alike(names)
 
 
-def _tell(known: Mapping[str, Parameter], keys: Sequence[str], gains: set[str]) -> Iterator[str]:
+def _tell(run: Run, keys: Sequence[str], gains: Collection[str]) -> Iterator[str]:
+    known = complete_parameters(run)
     for key in keys:
         value = known.get(key)
         word = "Kp" if key in gains else _WORDS.get(key, key.rpartition(".")[2].replace("_", " "))
-        if isinstance(value, bool):
-            yield word if value else f"no {word}"
-        elif value is None or (isinstance(value, int | float) and value >= _NO_LIMIT):
+        if value is None and not run.scenario_is_complete:
+            yield f"{word} unknown"
+        elif value is None or value is False:
             yield f"no {word}"
-        elif isinstance(value, int | float):
-            yield f"{word} {value:g}{' ticks' if key.endswith('_ticks') else ''}"
-        else:
+        elif value is True:
+            yield word
+        elif not isinstance(value, int | float):
             yield f"{word} {value}"
+        elif key.startswith("limits.") and not is_limit(value):
+            yield f"no {word}"
+        else:
+            number = f"{value:g}" if isinstance(value, float) else str(value)
+            yield f"{word} {number}{' ticks' if key.endswith('_ticks') else ''}"
 
 
 def cut_alike(names: Sequence[str]) -> tuple[str, ...]:

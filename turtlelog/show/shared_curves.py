@@ -241,7 +241,15 @@ def find_parameters(runs: Sequence[Run], key: str) -> list[float]:
     """Return the values that runs have of a parameter, rising; what is boundless is none."""
     found = {run.parameters.get(key) for run in runs}
     numbers = [value for value in found if isinstance(value, int | float)]
-    return sorted(float(value) for value in numbers if value < _NO_LIMIT)
+    return sorted(float(value) for value in numbers if is_limit(value))
+
+
+def is_limit(value: float) -> bool:
+    """Return whether a robot can meet a limit of its speed [m/s] or rate [rad/s], or a tolerance.
+
+    Scenarios without a limit have infinity there, or a value that none reaches.
+    """
+    return value < _NO_LIMIT
 
 
 def list_aims(run: Run, signal: str) -> list[Curve]:

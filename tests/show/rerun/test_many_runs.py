@@ -1,5 +1,6 @@
 """Many runs in one view: what they share is seen, and what is left out is named."""
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -167,6 +168,27 @@ def test_long_names_become_what_differs() -> None:
         names = shorten_names([run, other], [f"{long}-a", f"{long}-b"])
         assert names[1].count(",") == (2 if count == 3 else 0)
     assert shorten_names([run, run], [f"{long}-a-z", f"{long}-b-z"]) == ("a", "b")
+
+
+def test_no_limit_is_said_of_limits_alone() -> None:
+    run = replace(set_gain(simulate_preset("paper-kp4"), 4.0), scenario_is_complete=True)
+    names = [f"{'x' * LONGEST_NAME}-a", f"{'x' * LONGEST_NAME}-b"]
+    seeds = [
+        replace(run, parameters={**run.parameters, "seed": seed}) for seed in (3, 2_000_000_000)
+    ]
+    assert shorten_names(seeds, names) == ("seed 3", "seed 2000000000")
+    endless = set_gain(run, 4.0, **{"limits.speed_m_s": math.inf})
+    assert shorten_names([run, endless], names) == ("speed limit 1", "no speed limit")
+
+
+@pytest.mark.parametrize(
+    ("is_complete", "told"), [(True, "no jitter s"), (False, "jitter s unknown")]
+)
+def test_what_a_recording_does_not_hold_is_unknown(*, is_complete: bool, told: str) -> None:
+    run = replace(simulate_preset("paper-kp4"), scenario_is_complete=is_complete)
+    shaken = replace(run, parameters={**run.parameters, "loop.jitter_s": 0.02})
+    names = [f"{'x' * LONGEST_NAME}-a", f"{'x' * LONGEST_NAME}-b"]
+    assert shorten_names([shaken, run], names) == ("jitter s 0.02", told)
 
 
 def test_names_lose_the_words_that_all_of_them_share_and_keep_their_numbers() -> None:
