@@ -4,7 +4,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -52,9 +52,28 @@ def test_one_slow_item_leaves_few_results_in_memory() -> None:
 @pytest.mark.parametrize("before", [0, 1, 20])
 def test_a_process_that_is_killed_is_one_line_with_its_item(before: int) -> None:
     wanted = [signal.SIGCONT] * before + [signal.SIGKILL] + [signal.SIGCONT] * 20
-    line = "SIGKILL: expected a result, found that the process at work on it was ended by SIGKILL"
-    with pytest.raises(ProcessError, match=line):
+    found = "expected a result, found that the process at work on it was ended by SIGKILL"
+    line = f"SIGKILL: {found}; fewer --jobs take less memory"
+    with pytest.raises(ProcessError, match=f"^{line}$"):
         list(map_in_processes(signal.raise_signal, wanted, 2, name=lambda one: one.name))
+
+
+@pytest.mark.parametrize(
+    ("work", "item", "end"),
+    [
+        pytest.param(
+            signal.raise_signal, signal.SIGTERM, "was ended by SIGTERM", marks=needs_signals
+        ),
+        (os._exit, 3, "ended with 3"),
+    ],
+    ids=["terminated", "left"],
+)
+def test_of_memory_nothing_is_said_where_it_was_not_the_reason(
+    work: Callable[[int], None], item: int, end: str
+) -> None:
+    line = f"{item:d}: expected a result, found that the process at work on it {end}"
+    with pytest.raises(ProcessError, match=f"^{line}$"):
+        list(map_in_processes(work, [item, item], 2, name=lambda one: f"{one:d}"))
 
 
 _SLEEP = """

@@ -47,8 +47,7 @@ FILE_S: Final = 3e-3
 """To read and measure a usual file [s], besides its bytes."""
 
 _BYTES_PER_S: Final = 100e6
-"""That are read, decompressed and measured on one core [bytes/s]."""
-
+"""How fast one core reads, decompresses and measures files [bytes/s]."""
 
 _REMOTE_S: Final = 0.2
 """To read a file behind a URL [s]: a few requests. Its size is not asked for."""
@@ -223,9 +222,11 @@ class _Worker:
         self._process.join()
         code, (_, item) = self._process.exitcode or 0, self.held[0]
         how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
+        # A system that is out of memory kills by this signal.
+        advice = "; fewer --jobs take less memory" if how.endswith("SIGKILL") else ""
         return ProcessError(
-            f"{self._name(item)}: expected a result, found that the process at work on it {how};"
-            " fewer --jobs take less memory"
+            f"{self._name(item)}: expected a result, found that the process at work on it {how}"
+            f"{advice}"
         )
 
 
