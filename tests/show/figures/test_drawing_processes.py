@@ -2,16 +2,22 @@
 
 import multiprocessing
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
+from threading import Event
 
+import matplotlib
 import pytest
+from fontTools import subset
 
 import turtlelog as tl
 from tests.log.runs import simulate_preset
 from turtlelog.errors import ProcessError, ShowError
 from turtlelog.processes import CAN_FORK
-from turtlelog.show.figures import writing
+from turtlelog.show.figures import page, writing
 
 Draw = Callable[[str], list[bytes]]
 NAMES = [f"figure {number}" for number in range(7)]
@@ -94,6 +100,36 @@ def test_figures_are_the_same_bytes_from_one_process_and_from_several(tmp_path: 
     ]
     assert found[0] == found[1]
     assert len(found[0]) == len(only) * 3
+
+
+def test_figures_are_the_same_bytes_from_several_threads() -> None:
+    run, only = simulate_preset("paper-kp10"), ["heading", "plane", "speed", "turn-rate"] * 2
+    work = partial(writing._draw_files, runs=[run], formats=["pdf"], page=page.Page(), kinds=None)
+    settings, load_font = dict(matplotlib.rcParams), subset.load_font
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(work, only))
+    assert found == list(map(work, only))
+    assert (dict(matplotlib.rcParams), subset.load_font) == (settings, load_font)
+
+
+@FORKED
+def test_a_process_that_is_forked_while_a_thread_draws_does_not_wait_for_it() -> None:
+    def take_turn(name: str) -> list[bytes]:
+        assert page._DRAWING.acquire(timeout=10.0)
+        page._DRAWING.release()
+        return tell(name)
+
+    is_drawing = Event()
+
+    def draw_slowly() -> None:
+        with page.use_looks():
+            is_drawing.set()
+            time.sleep(0.2)
+
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(draw_slowly)
+        is_drawing.wait()
+        assert [name for name, _ in draw(NAMES, 2, take_turn)] == NAMES
 
 
 def test_a_number_of_processes_below_one_is_refused(tmp_path: Path) -> None:

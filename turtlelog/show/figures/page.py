@@ -1,12 +1,15 @@
 """The printed page: how wide a figure is, fonts and lines, how runs are told apart."""
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import isfinite
+from threading import RLock
 from types import MappingProxyType
 from typing import Any, Final, Literal, get_args
 
-from matplotlib import rcParams
+from matplotlib import rc_context, rcParams
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 
@@ -63,6 +66,24 @@ LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
     }
 )
 """Settings of matplotlib under which every figure is drawn and written."""
+
+_DRAWING: Final = RLock()
+"""Held by the thread that draws: matplotlib's settings belong to the whole process."""
+if hasattr(os, "register_at_fork"):
+    # A process that is forked while another thread draws would wait for that thread for ever.
+    os.register_at_fork(
+        before=_DRAWING.acquire,
+        after_in_parent=_DRAWING.release,
+        after_in_child=_DRAWING.release,
+    )
+
+
+@contextmanager
+def use_looks(looks: Mapping[str, Any] = LOOKS) -> Iterator[None]:
+    """Draw under settings of matplotlib; other threads wait until it has its own again."""
+    with _DRAWING, rc_context(dict(looks)):
+        yield
+
 
 _MOST_DASHED: Final = 12
 """Lines that dashes help to tell apart; of more, four patterns are three lines and more each, and

@@ -6,7 +6,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,7 +17,7 @@ from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
 from turtlelog.remote.urls import make_path
 from turtlelog.show.figures.figure_curves import draw_thinned
 from turtlelog.show.figures.legend import add_legend
-from turtlelog.show.figures.page import LOOKS, REFERENCE, Page, choose_lines
+from turtlelog.show.figures.page import REFERENCE, Page, choose_lines, use_looks
 from turtlelog.show.figures.writing import FIGURE_FORMATS, save_figure
 from turtlelog.show.output_files import replace_file
 
@@ -58,7 +57,7 @@ def write_prediction_figure(
         raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")
     data = io.BytesIO()
     page = page or Page(kind="page")
-    with mpl.rc_context(dict(LOOKS)):
+    with use_looks():
         is_wide = page.width_inch >= _SIDE_BY_SIDE_INCH
         height = _HEIGHT if is_wide else _STACKED_HEIGHT
         size = (page.width_inch, page.width_inch * height)

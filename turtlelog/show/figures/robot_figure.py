@@ -3,7 +3,6 @@
 import io
 from pathlib import Path
 
-import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from turtlelog.errors import ShowError
@@ -11,7 +10,7 @@ from turtlelog.identify import AxisModel, RobotModel
 from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 from turtlelog.show.figures.legend import add_legend
-from turtlelog.show.figures.page import LOOKS, Page
+from turtlelog.show.figures.page import Page, use_looks
 from turtlelog.show.figures.rates_figure import draw_rates
 from turtlelog.show.figures.writing import FIGURE_FORMATS, save_figure
 from turtlelog.show.output_files import replace_file
@@ -39,7 +38,7 @@ def write_robot_figure(
         raise ShowError(f"{path}: expected an axis that is known, found none: {_tell(model.axes)}")
     data = io.BytesIO()
     page = page or Page(kind="page")
-    with mpl.rc_context(dict(LOOKS)):
+    with use_looks():
         figure = Figure(figsize=(page.width_inch, page.width_inch), layout="constrained")
         draw_rates(figure, [run], model=model)
         add_legend(figure)

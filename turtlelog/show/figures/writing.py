@@ -7,9 +7,9 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from threading import get_ident
 from typing import Any, Final
 
-import matplotlib as mpl
 from fontTools import subset
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
@@ -39,7 +39,7 @@ from turtlelog.show.figures.gain_bar import add_gain_bar
 from turtlelog.show.figures.left_out import has_table1
 from turtlelog.show.figures.legend import add_legend
 from turtlelog.show.figures.marked_panels import mark_panels
-from turtlelog.show.figures.page import LOOKS, Page
+from turtlelog.show.figures.page import Page, use_looks
 from turtlelog.show.figures.plane_panels import has_one_plane, stress_window
 from turtlelog.show.figures.time_window import cut_time_axes, find_window, require_window
 from turtlelog.show.output_files import replace_together
@@ -96,7 +96,7 @@ def draw_figure(
     require_window(runs, page)
     if (name in _WIDE and not is_alone) or (runs and name in _WIDE_OF_RUNS):
         page = page.widen()
-    with mpl.rc_context(dict(LOOKS)):
+    with use_looks():
         size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))
         figure = Figure(figsize=size, layout="constrained")
         kind.draw_on(figure, order_by_gain(runs))
@@ -225,7 +225,7 @@ def _draw_files(
 
 def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None = None) -> None:
     """Write a figure in one of `FIGURE_FORMATS`; the same figure gives the same bytes."""
-    with mpl.rc_context(dict(LOOKS)):
+    with use_looks():
         # `savefig` draws everything once more beforehand, to lay it out.
         figure.dpi = (page or Page()).pixels_per_inch
         if (engine := figure.get_layout_engine()) is not None:
@@ -244,13 +244,15 @@ def _drop_unused_tables() -> Iterator[None]:
     """Leave out what no PDF uses of a font: cutting it to the letters takes most of the writing.
 
     matplotlib offers no choice of these tables. It opens fonts by a public function of fontTools,
-    which leaves them out meanwhile; should it open them otherwise, writing takes longer, and the
-    figures look the same.
+    which leaves them out meanwhile, in this thread; should it open them otherwise, writing takes
+    longer, and the figures look the same.
     """
-    usual = subset.load_font
+    usual, ours = subset.load_font, get_ident()
 
     def load(*arguments: Any, **named: Any) -> Any:
         font = usual(*arguments, **named)
+        if get_ident() != ours:
+            return font
         font.setGlyphOrder([f"glyph{number}" for number in range(font["maxp"].numGlyphs)])
         for table in _UNUSED_TABLES:
             if table in font:
@@ -266,7 +268,7 @@ def _drop_unused_tables() -> Iterator[None]:
 
 def _settle_layout(figure: Figure) -> None:
     """Lay a figure out once for all of its formats."""
-    with mpl.rc_context(dict(LOOKS)):
+    with use_looks():
         if (engine := figure.get_layout_engine()) is not None:
             engine.execute(figure)
     figure.set_layout_engine("none")

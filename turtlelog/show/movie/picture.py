@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -23,7 +22,7 @@ from turtlelog.show.close_up import (
     format_length,
     list_miss_labels,
 )
-from turtlelog.show.figures.page import LOOKS, choose_lines
+from turtlelog.show.figures.page import LOOKS, choose_lines, use_looks
 from turtlelog.show.movie.encoding import Picture
 from turtlelog.show.movie.film import Film, Values
 from turtlelog.show.movie.head_line import HEIGHT, name_runs_above
@@ -136,19 +135,20 @@ def draw_pictures(
     on_picture: Callable[[int, int], None] | None = None,
 ) -> Iterator[Picture]:
     """Yield the pictures of a film, each of a size of width and height [pixels]."""
-    with mpl.rc_context(_LOOKS):
+    with use_looks(_LOOKS):
         figure = Figure(figsize=_INCH, dpi=size[0] / _INCH[0])
         canvas = FigureCanvasAgg(figure)
         stage = _set_stage(figure, runs, film)
         canvas.draw()
         still = canvas.copy_from_bbox(figure.bbox)
-        for number, time_s in enumerate(film.time_s.tolist()):
+    for number, time_s in enumerate(film.time_s.tolist()):
+        with use_looks(_LOOKS):
             canvas.restore_region(still)
             for artist in _move(stage, number, time_s):
                 figure.draw_artist(artist)
-            yield np.asarray(canvas.buffer_rgba())[: size[1], :, :3].copy()
-            if on_picture is not None:
-                on_picture(number + 1, len(film.time_s))
+        yield np.asarray(canvas.buffer_rgba())[: size[1], :, :3].copy()
+        if on_picture is not None:
+            on_picture(number + 1, len(film.time_s))
 
 
 Look = dict[str, Any]
