@@ -103,23 +103,35 @@ def quantise(values: Values, quantum: float) -> Values:
 
 
 def respond(truth: Truth, time_s: Values, changes: tuple[Values, Values]) -> tuple[Values, Values]:
-    """Return rate and way at some times: of each change of the command the response to a step."""
-    at_s, by = changes
-    since_s = time_s[:, None] - (at_s + truth.dead_time_s)
-    acts = since_s > 0.0
-    since_s = np.where(acts, since_s, 0.0)
-    if truth.second_lag_s > 0.0:
-        one, other = truth.lag_s, truth.second_lag_s
-        faded = np.exp(-since_s / one), np.exp(-since_s / other)
-        risen = 1.0 - (one * faded[0] - other * faded[1]) / (one - other)
-        way = since_s - (one + other) + (one**2 * faded[0] - other**2 * faded[1]) / (one - other)
-        risen, way = np.where(acts, risen, 0.0), np.where(acts, way, 0.0)
-    elif truth.lag_s > 0.0:
-        risen = -np.expm1(-since_s / truth.lag_s)
-        way = since_s - truth.lag_s * risen
-    else:
-        risen, way = acts.astype(float), since_s
-    return truth.gain * risen @ by, truth.gain * way @ by
+    """Return rate and way at some times: of each change of the command the response to a step.
+
+    What is left of earlier changes, which are in order, fades by one factor for all of them.
+    """
+    acts_s, by = changes[0] + truth.dead_time_s, changes[1]
+    if not len(by):
+        return np.zeros(len(time_s)), np.zeros(len(time_s))
+    count = np.searchsorted(acts_s, time_s)
+    since_s = np.maximum(time_s - acts_s[np.maximum(count - 1, 0)], 0.0)
+    asked = np.append(0.0, np.cumsum(by))[count]
+    moment = np.append(0.0, np.cumsum(by * (acts_s - acts_s[0])))[count]
+    rate, way = asked, asked * (time_s - acts_s[0]) - moment
+    one, other = truth.lag_s, truth.second_lag_s
+    for lag_s, less_s in ((one, other), (other, one)):
+        if lag_s > 0.0:
+            part = lag_s / (lag_s - less_s)
+            faded = sum_faded(lag_s, acts_s, by)[count] * np.exp(-since_s / lag_s)
+            rate = rate - part * faded
+            way = way - lag_s * (asked - part * faded)
+    return truth.gain * rate, truth.gain * way
+
+
+def sum_faded(lag_s: float, at_s: Values, by: Values) -> Values:
+    """Return the sum of all changes before the first, and at each one of those so far, faded."""
+    fading = np.exp(-np.diff(at_s, prepend=at_s[0]) / lag_s).tolist()
+    left = [0.0]
+    for factor, change in zip(fading, by.tolist(), strict=True):
+        left.append(left[-1] * factor + change)
+    return np.array(left)
 
 
 def find_changes(time_s: Values, value: Values) -> tuple[Values, Values]:

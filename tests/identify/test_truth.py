@@ -14,6 +14,7 @@ from tests.identify.robots import (
     Truth,
     draw_log,
     make_run,
+    respond,
     turn_with_limit,
 )
 from tests.identify.scores import (
@@ -33,6 +34,31 @@ from turtlelog.run import CommandColumns
 ROBOTS = 200
 NOISE_M = 2e-4
 """The noise at which the error of the dead time is claimed [m]."""
+
+
+def step_up(truth: Truth, since_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rate and way after a step of the command by 1, shape (2, n)."""
+    one, other = truth.lag_s, truth.second_lag_s
+    since_s = np.maximum(since_s - truth.dead_time_s, 0.0)
+    if not one:
+        return truth.gain * np.array([since_s > 0.0, since_s])
+    kept = [lag * np.exp(-since_s / lag) if lag else 0.0 * since_s for lag in (one, other)]
+    rate = 1.0 - (kept[0] - kept[1]) / (one - other)
+    way = since_s - one - other + (one * kept[0] - other * kept[1]) / (one - other)
+    return truth.gain * np.array([rate, way])
+
+
+@pytest.mark.parametrize("lags_s", [(0.0, 0.0), (0.2, 0.0), (1e-4, 0.0), (0.3, 0.15)])
+def test_the_robots_answer_the_sum_of_the_responses_to_single_steps(
+    lags_s: tuple[float, float],
+) -> None:
+    truth = Truth(gain=0.9, dead_time_s=0.1, lag_s=lags_s[0], second_lag_s=lags_s[1])
+    at_s, by = np.array([1.0, 1.05, 1.7, 4.0]), np.array([0.5, -1.2, 0.9, 0.3])
+    time_s = np.linspace(0.013, 6.0, 333)
+    alone = [
+        step_up(truth, time_s - begin_s) * size for begin_s, size in zip(at_s, by, strict=True)
+    ]
+    np.testing.assert_allclose(respond(truth, time_s, (at_s, by)), sum(alone), atol=1e-13)
 
 
 @cache
