@@ -198,6 +198,38 @@ def test_what_was_kept_for_other_settings_is_not_used(folder: Path, opened: list
     assert len(opened) == 8
 
 
+def test_two_tables_into_one_file_at_once_are_refused(folder: Path) -> None:
+    def begin_another(chunks: Iterator[Any], _: int) -> Iterator[Any]:
+        with pytest.raises(
+            tl.SweepError, match=r"table\.parquet: .* another command at work on it"
+        ):
+            tabulate(folder)
+        return chunks
+
+    assert tabulate(folder, watch=begin_another).read == 8
+
+
+@pytest.mark.parametrize("cells", [1, 150])
+def test_a_table_of_many_groups_is_that_of_one(
+    folder: Path, cells: int, monkeypatch: pytest.MonkeyPatch, runs: list[Path]
+) -> None:
+    before = read_columns(tabulate(folder).output)
+    monkeypatch.setattr("turtlelog.sweep.result_table._CELLS_GROUPED", cells)
+    monkeypatch.setattr("turtlelog.sweep.file_rows._COLUMNS_LOOKED", 1)
+    assert tabulate(folder).read == 0
+    assert read_columns(folder / "table.parquet") == before
+    shutil.copy(runs[0], folder / "deep" / "3.mcap")
+    (folder / "deep" / "1.mcap").unlink()
+    done = tabulate(folder)
+    assert (done.read, done.failed, len(done.errors)) == (1, 2, 2)
+    assert [label for label, _ in done.errors] == ["cut.mcap", "empty.mcap"]
+    after = read_columns(done.output)
+    assert after["file"] == [*before["file"][:2], *before["file"][3:]]
+    durations = {name: before["run.duration"][number] for number, name in enumerate(before["file"])}
+    durations["deep/3.mcap"] = durations["deep/0.mcap"]  # whose content it has now
+    assert after["run.duration"] == [durations[name] for name in after["file"]]
+
+
 @pytest.mark.parametrize("kind", ["sweep", "text", "cut"])
 def test_a_file_that_is_no_such_table_is_not_replaced(folder: Path, kind: str) -> None:
     output = tabulate(folder).output

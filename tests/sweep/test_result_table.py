@@ -59,7 +59,7 @@ def test_columns_are_read_by_name(tmp_path: Path) -> None:
 def test_same_table_gives_same_bytes_over_several_row_groups(tmp_path: Path) -> None:
     from pyarrow import parquet
 
-    rows = result_table._ROW_GROUP + 1
+    rows = result_table._MOST_GROUPED + 1
     for name in ("a", "b"):
         write_result_table(make_table(rows), tmp_path / name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()

@@ -16,7 +16,7 @@ from turtlelog.sweep import (
     hash_recording,
     read_result_table,
 )
-from turtlelog.sweep.recordings import ERROR, FILE
+from turtlelog.sweep.file_rows import ERROR, FILE
 from turtlelog.sweep.row_columns import Cell, Key, Row
 
 _KEYS: Final = (

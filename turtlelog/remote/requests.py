@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, TypeVar
 from urllib.parse import urlsplit
@@ -73,6 +74,31 @@ def require_writable(url: str) -> tuple[Any, str]:
     if urlsplit(url).scheme.lower() in {"http", "https"}:
         raise RemoteError("expected a URL of an object storage to write to, found one of http")
     return system, path
+
+
+def find_object(url: str) -> bool:
+    """Return whether there is an object; the bucket that it would be in must be there.
+
+    Raises:
+        RemoteError: Where it cannot be told, or there is no such bucket.
+    """
+    system, path = open_system(url)
+
+    def look() -> bool:
+        system.invalidate_cache()
+        try:
+            system.info(path)
+        except FileNotFoundError:
+            if urlsplit(url).scheme.lower() in _WITH_BUCKETS:
+                with suppress(PermissionError):  # who may write need not be allowed to look
+                    system.info(path.partition("/")[0])
+            return False
+        return True
+
+    return try_thrice(look)
+
+
+_WITH_BUCKETS: Final = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss"})
 
 
 def put_file(source: Path, url: str) -> None:

@@ -224,6 +224,19 @@ def make_path(path: "str | os.PathLike[str]") -> Path:
     return RemotePath(text) if is_url(text) else Path(path)
 
 
+def is_there(path: Path) -> bool:
+    """Return whether a file is there; behind a URL, whether an object is.
+
+    Raises:
+        RemoteError: Where that cannot be told, or the bucket is not there.
+    """
+    if not isinstance(path, RemotePath):
+        return path.exists()
+    from turtlelog.remote.requests import find_object
+
+    return find_object(path.url)
+
+
 def expect_reads(stream: BinaryIO, ranges: Iterable[tuple[int, int]]) -> None:
     """Tell a stream what will be read; one of a local file needs no telling."""
     expect = getattr(stream, "expect", None)

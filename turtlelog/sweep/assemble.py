@@ -2,53 +2,145 @@
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from turtlelog.errors import LogError, SweepError
 from turtlelog.scenario import Scenario, build_scenario
-from turtlelog.sweep.plan import SweepPlan, build_row_scenario
+from turtlelog.sweep.kept_parts import KeptParts
+from turtlelog.sweep.plan import PlannedCells, SweepPlan, build_row_scenario
 from turtlelog.sweep.result_table import (
     ResultColumn,
     ResultTable,
-    choose_type,
-    read_result_table,
+    StoredTable,
+    open_result_table,
 )
-from turtlelog.sweep.simulate_rows import MetricCells, RowResults
+from turtlelog.sweep.row_columns import (
+    Cells,
+    Columns,
+    Key,
+    OrderedRows,
+    StoredRows,
+    build_columns,
+)
+from turtlelog.sweep.simulate_rows import RowResults
 from turtlelog.text_files import parse_toml
 
 STATUS: Final = ".status"
 """Ends the name of the column beside a metric that says why it has no value."""
 
 
-def assemble_table(
-    plan: SweepPlan, facts: Mapping[str, str], parts: Sequence[RowResults]
-) -> ResultTable:
-    """Return the table of a sweep.
+_STOP_REASON: Final = Key("stop_reason")
+_FAILED: Final = Key("failed")
+
+
+class SweptRows:
+    """What is known of the rows that are done, without them: they stand in the partial file."""
+
+    def __init__(self, kept: KeptParts[RowResults]) -> None:
+        """Take what an interrupted sweep has done."""
+        self._kept = kept
+        self._parts: list[tuple[int, int, int]] = []  # first row, how many, and where they are
+        self._metrics: dict[str, tuple[int, int]] = {}  # the first row and place of each
+        self._units: dict[tuple[str, str], tuple[int, int]] = {}
+        self.count = self.samples = self.recorded = 0
+        for place in kept.places:
+            self._enter(kept.read(place), place)
+
+    def add(self, results: RowResults) -> None:
+        """Keep the results of a chunk."""
+        self._enter(results, self._kept.add(results))
+
+    def _enter(self, results: RowResults, place: int) -> None:
+        self._parts.append((results.first, len(results), place))
+        self.count += len(results)
+        self.samples += results.samples
+        self.recorded += results.recorded
+        for number, (name, cells) in enumerate(results.metrics.items()):
+            found = results.first, number
+            self._metrics[name] = min(self._metrics.get(name, found), found)
+            for order, unit in enumerate(cells.units):
+                first = results.first, order
+                self._units[name, unit] = min(self._units.get((name, unit), first), first)
+
+    def list_gaps(self, count: int) -> list[tuple[int, int]]:
+        """Return the stretches of rows not done: the first row and the one after the last."""
+        gaps, row = [], 0
+        for first, size, _ in sorted(self._parts):
+            if first > row:
+                gaps.append((row, first))
+            row = first + size
+        return [*gaps, (row, count)] if row < count else gaps
+
+    def list_metrics(self) -> dict[str, str]:
+        """Return the metrics in the order in which rows have them, and their units."""
+        units = sorted(self._units, key=self._units.__getitem__)
+        return {
+            name: " or ".join(unit for other, unit in units if other == name)
+            for name in sorted(self._metrics, key=self._metrics.__getitem__)
+        }
+
+    def order(self, count: int) -> OrderedRows:
+        """Return the rows in their order.
+
+        Raises:
+            SweepError: Where rows are missing or there twice.
+        """
+        stored, row = StoredRows(), 0
+        for first, size, place in sorted(self._parts):
+            if first != row:
+                raise SweepError(f"row {row}: expected every row once, found row {first} instead")
+            row += size
+            stored.add(size, partial(self._load, place))
+        if row != count:
+            raise SweepError(f"row {row}: expected {count} rows, found {row}")
+        return OrderedRows(stored, range(count))
+
+    def _load(self, place: int) -> Columns:
+        results = self._kept.read(place)
+        texts = {_STOP_REASON: results.stop_reasons, _FAILED: results.failed}
+        cells = {key: Cells.pack("text", found) for key, found in texts.items()}
+        for name, metric in results.metrics.items():
+            cells[Key(name, "real")] = Cells.pack("real", metric.values)
+            cells[Key(f"{name}{STATUS}")] = Cells.pack("text", metric.statuses)
+        return Columns(len(results), cells)
+
+
+def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -> ResultTable:
+    """Return the table of a sweep, whose rows are loaded where they are needed.
 
     Args:
         plan: Its rows.
         facts: What the sweep is of.
-        parts: The results of all rows, in any order.
+        rows: Their results.
 
     Raises:
         SweepError: Where rows are missing or there twice.
     """
-    parts = sorted(parts, key=lambda part: part.first)
-    _require_whole(plan, parts)
-    count = plan.row_count
-    varied = zip(*map(plan.find_values, range(count)), strict=True)
+    ordered, units = rows.order(plan.row_count), rows.list_metrics()
+    keys = [
+        *(key for name in units for key in (Key(name, "real"), Key(f"{name}{STATUS}"))),
+        *(_STOP_REASON, _FAILED),
+    ]
     columns = [
-        ResultColumn(name="row", type="whole", cells=range(count)),
+        ResultColumn(name="row", type="whole", cells=range(plan.row_count)),
         *(
-            ResultColumn(name=key, type=choose_type(cells), cells=cells, unit=find_key_unit(key))
-            for key, cells in zip(plan.keys, varied, strict=True)
+            ResultColumn(
+                name=key,
+                type=plan.find_type(key),
+                cells=PlannedCells(plan, key),
+                unit=find_key_unit(key),
+            )
+            for key in plan.keys
         ),
-        *_list_metrics(parts),
-        _join_texts("stop_reason", [part.stop_reasons for part in parts]),
-        _join_texts("failed", [part.failed for part in parts]),
+        *(
+            replace(column, unit=units.get(column.name, column.unit))
+            for column in build_columns(ordered, keys)
+        ),
     ]
     names = [column.name for column in columns]
     twice = next((name for number, name in enumerate(names) if name in names[:number]), None)
@@ -56,8 +148,8 @@ def assemble_table(
         raise SweepError(f"{twice}: expected one column of a name, found a key and a metric of it")
     own = {
         "varied": json.dumps(plan.keys),
-        "samples": str(sum(part.samples for part in parts)),
-        "recorded": str(sum(part.recorded for part in parts)),
+        "samples": str(rows.samples),
+        "recorded": str(rows.recorded),
     }
     return ResultTable(kind="sweep", columns=tuple(columns), facts={**facts, **own})
 
@@ -75,49 +167,26 @@ _UNIT: Final = re.compile(r"_((?:m|rad)(?:_s[23]?)?|s|ticks)$")
 _POWER: Final = re.compile(r"(\d)$")
 
 
-def _require_whole(plan: SweepPlan, parts: Sequence[RowResults]) -> None:
-    row = 0
-    for part in parts:
-        if part.first != row:
-            raise SweepError(f"row {row}: expected every row once, found row {part.first} instead")
-        row += len(part)
-    if row != plan.row_count:
-        raise SweepError(f"row {row}: expected {plan.row_count} rows, found {row}")
-
-
-def _join_texts(name: str, parts: Sequence[Sequence[str | None]]) -> ResultColumn:
-    return ResultColumn(name=name, type="text", cells=[cell for part in parts for cell in part])
-
-
-def _list_metrics(parts: Sequence[RowResults]) -> Iterator[ResultColumn]:
-    names = dict.fromkeys(name for part in parts for name in part.metrics)
-    for name in names:
-        values: list[float | None] = []
-        statuses: list[str | None] = []
-        units: dict[str, None] = {}
-        for part in parts:
-            none: list[Any] = [None] * len(part)
-            cells = part.metrics.get(name, MetricCells(units=[], values=none, statuses=none))
-            values += cells.values
-            statuses += cells.statuses
-            units |= dict.fromkeys(cells.units)
-        yield ResultColumn(name=name, type="real", cells=values, unit=" or ".join(units))
-        yield ResultColumn(name=f"{name}{STATUS}", type="text", cells=statuses)
-
-
-def list_valueless(table: ResultTable, patterns: Sequence[str]) -> dict[str, str]:
+def list_valueless(table: StoredTable, patterns: Sequence[str]) -> dict[str, str]:
     """Return the metrics of which no row has a value, and what they have instead, in words."""
     found: dict[str, str] = {}
-    for column in table.columns:
-        statuses = table.find(f"{column.name}{STATUS}")
-        if statuses is not None and all(cell is None for cell in column.cells):
-            had = dict.fromkeys(cell for cell in statuses.cells if cell is not None)
-            found[column.name] = " or ".join(had) or "every such row failed"
-    names = [column.name for column in table.columns]
+    for name in table.names:
+        status = f"{name}{STATUS}"
+        if status in table.names and table.count_values(name) == 0:
+            had = dict.fromkeys(
+                text for cells in table.iterate(status) for text in cells.unique().to_pylist()
+            )
+            found[name] = " or ".join(text for text in had if text) or "every such row failed"
     for pattern in patterns:
-        if not any(name == pattern or fnmatchcase(name, pattern) for name in names):
+        if not any(name == pattern or fnmatchcase(name, pattern) for name in table.names):
             found[pattern] = "no loop has that name"
     return found
+
+
+def find_failure(table: StoredTable) -> str:
+    """Return the first row that failed, and why."""
+    texts = (text for cells in table.iterate("failed") for text in cells.to_pylist())
+    return next(f"row {row}: {text}" for row, text in enumerate(texts) if text is not None)
 
 
 def load_row_scenario(path: str | Path, row: int) -> Scenario:
@@ -128,16 +197,14 @@ def load_row_scenario(path: str | Path, row: int) -> Scenario:
         SweepError: Where it has no such row.
         ScenarioError: Where the row makes no scenario, which is why it failed.
     """
-    whole = read_result_table(path, kind="sweep", columns=["row"])
-    if not 0 <= row < whole.row_count:
-        last = whole.row_count - 1
+    table = open_result_table(path, kind="sweep")
+    if not 0 <= row < table.row_count:
+        last = table.row_count - 1
         raise SweepError(f"{path}: expected a row from 0 to {last}, found {row}")
     try:
-        keys, text = json.loads(whole.facts["varied"]), whole.facts["base"]
-        columns = read_result_table(path, kind="sweep", columns=keys).columns
-        tables = parse_toml(text)
+        keys, tables = json.loads(table.facts["varied"]), parse_toml(table.facts["base"])
+        values = table.read_row(row, keys)
     except (KeyError, ValueError) as err:
         raise LogError(f"{path}: expected the base scenario of a sweep, found none") from err
     base = build_scenario(tables, source=f"{path}")
-    values = [column.cells[row] for column in columns]
     return build_row_scenario(base, keys, values, row, source=f"{path}", trust_law=False)

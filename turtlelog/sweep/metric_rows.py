@@ -10,7 +10,8 @@ from turtlelog.compare import order_ids
 from turtlelog.errors import LibraryError, TurtlelogError
 from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.measure import MeasureSettings, measure_run
-from turtlelog.sweep.recordings import ERROR, RecordingTable
+from turtlelog.sweep.file_rows import ERROR
+from turtlelog.sweep.recordings import RecordingTable
 from turtlelog.sweep.row_columns import Cell, Key, Row
 
 _TEXTS = (Key("name"), Key("source"), Key("stop_reason"), Key("notes"))

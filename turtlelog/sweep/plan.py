@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import SweepError
 from turtlelog.scenario import Scenario, override_scenario
 from turtlelog.sweep.grid import MOST_ROWS, KeyValues, Steps, parse_key_values
+from turtlelog.sweep.result_table import ColumnType, choose_type
 
 MOST_DRAWN: Final = 10_000_000
 """Rows of a sample, which is drawn at once: 80 MB for each key."""
@@ -61,6 +62,7 @@ class SweepPlan:
     sampling: Sampling | None = None
     _axes: tuple[tuple[KeyValues, ...], ...] = field(init=False, compare=False, repr=False)
     _drawn: NDArray[np.float64] | None = field(init=False, compare=False, repr=False)
+    _strides: tuple[int, ...] = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         axes = (*((one,) for one in self.grid), *((self.zipped,) if self.zipped else ()))
@@ -68,6 +70,9 @@ class SweepPlan:
         _require_sound(self)
         drawn = None if self.sampling is None else _draw(self.sampling, len(axes))
         object.__setattr__(self, "_drawn", drawn)
+        lengths = [len(axis[0].values) for axis in axes]
+        strides = tuple(math.prod(lengths[place + 1 :]) for place in range(len(axes)))
+        object.__setattr__(self, "_strides", strides)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -83,17 +88,31 @@ class SweepPlan:
 
     def find_values(self, row: int) -> tuple[Any, ...]:
         """Return the values of a row, in the order of `keys`."""
+        return tuple(self.list_values(range(row, row + 1), key)[0] for key in self.keys)
+
+    def list_values(self, rows: range, key: str) -> list[Any]:
+        """Return the values of a key in a stretch of rows."""
+        number, axis, one = self._find(key)
         if self._drawn is not None:
-            shares = self._drawn[row].tolist()
-            return tuple(_pick(self._axes, shares))
-        places: list[int] = []
-        for axis in reversed(self._axes):
-            row, place = divmod(row, len(axis[0].values))
-            places.insert(0, place)
-        return tuple(
-            one.values[place]
-            for axis, place in zip(self._axes, places, strict=True)
+            shares = self._drawn[rows.start : rows.stop, number].tolist()
+            return [_pick(one, share) for share in shares]
+        places = np.arange(rows.start, rows.stop) // self._strides[number] % len(axis[0].values)
+        different, which = np.unique(places, return_inverse=True)
+        values = [one.values[place] for place in different.tolist()]
+        return [values[place] for place in which.tolist()]
+
+    def find_type(self, key: str) -> ColumnType:
+        """Return the type of the values of a key."""
+        values = self._find(key)[2].values
+        return choose_type((values[0], values[-1]) if isinstance(values, Steps) else values)
+
+    def _find(self, key: str) -> tuple[int, tuple[KeyValues, ...], KeyValues]:
+        """Return the number of a key's axis, the axis, and its values."""
+        return next(
+            (number, axis, one)
+            for number, axis in enumerate(self._axes)
             for one in axis
+            if one.key == key
         )
 
     def list_probes(self) -> tuple[int, ...]:
@@ -169,15 +188,29 @@ def _draw(sampling: Sampling, width: int) -> NDArray[np.float64]:
     return shares
 
 
-def _pick(axes: Sequence[Sequence[KeyValues]], shares: Sequence[float]) -> Iterator[Any]:
-    """Yield the values at shares of their ranges."""
-    for axis, share in zip(axes, shares, strict=True):
-        for one in axis:
-            values = one.values
-            if one.is_open and isinstance(values, Steps) and not values.is_whole:
-                yield min(values[0] + (values[-1] - values[0]) * share, values[-1])
-            else:
-                yield values[min(int(share * len(values)), len(values) - 1)]
+def _pick(one: KeyValues, share: float) -> Any:
+    """Return the value at a share of its range."""
+    values = one.values
+    if one.is_open and isinstance(values, Steps) and not values.is_whole:
+        return min(values[0] + (values[-1] - values[0]) * share, values[-1])
+    return values[min(int(share * len(values)), len(values) - 1)]
+
+
+class PlannedCells(Sequence[Any]):
+    """The values of a key in all rows, of which none is kept in memory."""
+
+    def __init__(self, plan: SweepPlan, key: str) -> None:
+        """Take both."""
+        self._plan, self._key = plan, key
+
+    def __len__(self) -> int:
+        return self._plan.row_count
+
+    def __getitem__(self, place: Any) -> Any:
+        if not isinstance(place, slice):
+            return self[place : place + 1][0]
+        begin, end, _ = place.indices(len(self))
+        return self._plan.list_values(range(begin, end), self._key)
 
 
 def build_row_scenario(

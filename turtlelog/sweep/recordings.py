@@ -1,47 +1,33 @@
 """Many recordings to one table: what has not changed since the table was written is not read."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from turtlelog.errors import LibraryError, LogError
-from turtlelog.libraries import load_library
 from turtlelog.log.error_boundary import open_file
 from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
+from turtlelog.remote.urls import is_there, make_path
+from turtlelog.sweep.file_rows import ERROR, FileRows, FileState, Order, ReadFiles
 from turtlelog.sweep.find_recordings import FoundRecording, list_contents
-from turtlelog.sweep.kept_rows import FileRows, KeptRows
+from turtlelog.sweep.kept_parts import KeptParts
 from turtlelog.sweep.result_table import (
-    ResultTable,
+    open_result_table,
     read_result_facts,
-    read_result_table,
     write_result_table,
 )
-from turtlelog.sweep.row_columns import GatheredCells, Key, Row, RowColumns, build_columns
+from turtlelog.sweep.row_columns import Row, gather_rows
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-FILE: Final = Key("file")
-SIZE: Final = Key("size", "whole", "B")
-CHANGED: Final = Key("mtime_ns", "whole", "ns")
-HASH: Final = Key("sha256")
-ERROR: Final = Key("error")
-HEAD: Final = (FILE, SIZE, CHANGED, HASH, ERROR)
-"""Columns of every table of recordings."""
-
 _CHUNK_FILES: Final = 16
 _CHUNK_BYTES: Final = 2**24
 """Of a chunk: as much as is read in a tenth of a second or so, which an interruption costs."""
-
-_COLUMNS_AT_ONCE: Final = 16
-"""Columns of the former table that are in memory as Python's values."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +46,7 @@ class RecordingTable:
     kind: str
     facts: Mapping[str, str]
     work: Callable[[str], Sequence[Row]]
-    order: Callable[[Set[Key], Set[Key]], Sequence[Key]]
+    order: Order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +75,7 @@ def describe_former(output: Path, table: RecordingTable) -> str | None:
         LogError: Where the file is no such table, and is not to be replaced.
         LibraryError: Where pyarrow is not installed.
     """
-    if not output.exists():
+    if not is_there(output):
         return None
     found = read_result_facts(output)
     if found is None or found["kind"] != table.kind:
@@ -125,110 +111,47 @@ def tabulate_recordings(
 
     Raises:
         LogError: Where the file there is no such table, or nothing can be written.
+        SweepError: Where another command works on it, or there is no room for what is read.
         LibraryError: Where pyarrow is not installed.
     """
-    assembly = _Assembly(output, table)
-    chunks = list(_cut(found, assembly.list_states(found)))
-    if jobs is None:
-        jobs = choose_jobs([one.path for chunk in chunks for one, _ in chunk], file_s=file_s)
-    work = partial(_read_chunk, work=table.work)
-    results = map_in_processes(work, chunks, jobs, name=_name_chunk)
-    for chunk in watch(results, sum(map(len, chunks))):
-        assembly.add(chunk)
-    assembly.write(found)
-    return assembly.summarise(found)
+    output = make_path(output)
+    former = None
+    if describe_former(output, table) is None and is_there(output):
+        former = open_result_table(output, kind=table.kind)
+    facts = {**table.facts, "kind": table.kind, "version": __version__}
+    kept = KeptParts(output, facts, ReadFiles)
+    is_complete = False
+    try:
+        rows = FileRows(kept, former)
+        chunks = list(_cut(found, _list_tasks(found, rows)))
+        if jobs is None:
+            jobs = choose_jobs([one.path for chunk in chunks for one, _ in chunk], file_s=file_s)
+        work = partial(_read_chunk, work=table.work)
+        results = map_in_processes(work, chunks, jobs, name=_name_chunk)
+        for chunk in watch(results, sum(map(len, chunks))):
+            rows.add(chunk)
+        made = rows.assemble([one.label for one in found], table.kind, table.facts, table.order)
+        write_result_table(made.table, output)
+        is_complete = True
+    finally:
+        kept.close(is_complete=is_complete or not kept.places)
+    return TabulatedFiles(
+        output=output, files=len(found), read=rows.read, failed=made.failed, errors=made.errors
+    )
 
 
-_State = tuple[int, int, str | None]
 _Task = tuple[FoundRecording, str | None]
 """A recording, and the hash of what is known of it."""
-_ERRORS_KEPT: Final = 10
 
 
-class _Assembly:
-    """Rows of the former table, those kept of an interrupted call, and new ones."""
-
-    def __init__(self, output: Path, table: RecordingTable) -> None:
-        self._output, self._table = output, table
-        self._kept = KeptRows(output, {**table.facts, "kind": table.kind, "version": __version__})
-        self._former, self._fresh = RowColumns(), RowColumns()
-        self._places: dict[str, tuple[int, int]] = {}  # of a label, its rows: first and count
-        self._states: dict[str, _State] = {}
-        self._read = 0
-        if describe_former(output, table) is None and output.exists():
-            self._load_former()
-        for one in self._kept.read():
-            self._put(one)
-
-    def _load_former(self) -> None:
-        names = load_library("pyarrow.parquet").read_schema(self._output).names
-        for first in range(0, len(names), _COLUMNS_AT_ONCE):
-            some = names[first : first + _COLUMNS_AT_ONCE]
-            self._former.add_table(
-                read_result_table(self._output, kind=self._table.kind, columns=some)
-            )
-        states = zip(*(self._former.iterate(key) for key in HEAD[:4]), strict=True)
-        for row, (label, size, changed, sha256) in enumerate(states):
-            first, count = self._places.get(label, (row, 0))
-            is_next = first + count == row  # in a table that somebody has put in another order not
-            self._places[label] = (first, count + 1)
-            self._states[label] = (size, changed, sha256 if is_next else None)
-
-    def list_states(self, found: Sequence[FoundRecording]) -> Iterator[_Task]:
-        """Yield the recordings that must be looked at, with the hash of what is known."""
-        for one in found:
-            size, changed, sha256 = self._states.get(one.label, (-1, -1, None))
-            if sha256 is None or (size, changed) != (one.size, one.mtime_ns):
-                yield one, sha256
-
-    def add(self, chunk: Sequence[FileRows]) -> None:
-        """Take what was found of some recordings, and keep it for the case of an interruption."""
-        self._kept.add(chunk)
-        for one in chunk:
-            self._read += bool(one.rows)
-            self._put(one)
-
-    def _put(self, one: FileRows) -> None:
-        self._states[one.label] = (one.size, one.mtime_ns, one.sha256)
-        if one.rows:
-            self._places[one.label] = (self._former.count + self._fresh.count, len(one.rows))
-            for row in one.iterate_rows():
-                self._fresh.add(row)
-
-    def write(self, found: Sequence[FoundRecording]) -> None:
-        """Write the table; then what was kept is not needed any more."""
-        spans = [self._places[one.label] for one in found]
-        order = np.array(list(chain.from_iterable(range(a, a + n) for a, n in spans)), np.intp)
-        head = RowColumns()
-        for one, (_, count) in zip(found, spans, strict=True):
-            size, changed, sha256 = self._states[one.label]
-            for _ in range(count):
-                head.add({FILE: one.label, SIZE: size, CHANGED: changed, HASH: sha256})
-        stores = (self._former, self._fresh)
-        others = {key for store in stores for key in store.cells} - {*HEAD}
-        used = {key for key in others if GatheredCells(stores, key, order).has_some}
-        columns = (
-            *build_columns([head], HEAD[:4], np.arange(len(order))),
-            *build_columns(stores, (ERROR, *self._table.order(others, used)), order),
-        )
-        write_result_table(
-            ResultTable(kind=self._table.kind, columns=columns, facts=self._table.facts),
-            self._output,
-        )
-        self._kept.drop()
-
-    def summarise(self, found: Sequence[FoundRecording]) -> TabulatedFiles:
-        """Return how many were read, and what is wrong with those that cannot be."""
-        firsts = np.array([self._places[one.label][0] for one in found], np.intp)
-        errors = GatheredCells((self._former, self._fresh), ERROR, firsts)
-        failed = [(one.label, text) for one, text in zip(found, errors[:], strict=True) if text]
-        return TabulatedFiles(
-            output=self._output,
-            files=len(found),
-            read=self._read,
-            failed=len(failed),
-            errors=tuple(failed[:_ERRORS_KEPT]),
-        )
+def _list_tasks(found: Sequence[FoundRecording], rows: FileRows) -> Iterator[_Task]:
+    """Yield the recordings that must be looked at, with the hash of what is known."""
+    for one in found:
+        known = rows.find(one.label)
+        if known is None or known.sha256 is None:
+            yield one, None
+        elif (known.size, known.mtime_ns) != (one.size, one.mtime_ns):
+            yield one, known.sha256
 
 
 def _cut(found: Sequence[FoundRecording], tasks: Iterator[_Task]) -> Iterator[list[_Task]]:
@@ -249,27 +172,34 @@ def _name_chunk(chunk: Sequence[_Task]) -> str:
     return f"{chunk[0][0].label}{more}"
 
 
-def _read_chunk(chunk: Sequence[_Task], *, work: Callable[[str], Sequence[Row]]) -> list[FileRows]:
-    return [_read_one(one, known, work) for one, known in chunk]
+def _read_chunk(chunk: Sequence[_Task], *, work: Callable[[str], Sequence[Row]]) -> ReadFiles:
+    files: dict[str, FileState] = {}
+    rows: list[Row] = []
+    for one, known in chunk:
+        sha256, found = _read_one(one, known, work)
+        files[one.label] = FileState(one.size, one.mtime_ns, sha256, len(rows), len(found))
+        rows += found
+    columns = [(*key, cells) for key, cells in gather_rows(rows).items()]
+    return ReadFiles(files, len(rows), columns)
 
 
 def _read_one(
     one: FoundRecording, known: str | None, work: Callable[[str], Sequence[Row]]
-) -> FileRows:
+) -> tuple[str | None, Sequence[Row]]:
+    """Return hash and rows of a file; no rows where its content is known."""
     # The hash comes first: of a file that changes meanwhile it is that of the former content, and
     # the next call finds another.
     try:
         sha256 = hash_recording(Path(one.path))
     except (OSError, LogError):
         sha256 = None  # what cannot be opened now may be later, unchanged
-    state = (one.size, one.mtime_ns, sha256)
     if sha256 is not None and sha256 == known:
-        return FileRows.pack(one.label, state, [])
+        return sha256, []
     try:
         rows = work(one.path)
     except LibraryError as err:
-        rows, state = [{ERROR: str(err)}], (*state[:2], None)  # it may be installed meanwhile
-    return FileRows.pack(one.label, state, rows or [{}])
+        return None, [{ERROR: str(err)}]  # it may be installed meanwhile
+    return sha256, rows or [{}]
 
 
 _HASHED_BYTES: Final = 2**20

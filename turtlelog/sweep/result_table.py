@@ -3,9 +3,9 @@
 The same table gives the same bytes, with the same pyarrow.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -23,9 +23,11 @@ FORMAT: Final = "1"
 
 _PREFIX: Final = "turtlelog."
 
-_ROW_GROUP: Final = 131_072
-"""Rows in a group: 1 MB of a column of numbers, and whoever reads one group needs no more memory.
-However rows come to the writer, groups are cut here, so that bytes do not depend on it."""
+_MOST_GROUPED: Final = 131_072
+_CELLS_GROUPED: Final = 2**21
+"""Of a group of rows: 1 MB of a column of numbers and some 16 MB of all columns, which is what
+writing and reading need of memory. However rows come to the writer, groups are cut here, so that
+bytes do not depend on it."""
 
 _WHOLE: Final = range(-(2**63), 2**63)
 
@@ -102,13 +104,19 @@ def write_result_table(table: ResultTable, path: str | Path) -> None:
         temporary.open("wb") as stream,
         parquet.ParquetWriter(stream, schema, compression="zstd") as writer,
     ):
-        for first in range(0, table.row_count, _ROW_GROUP):
-            rows = slice(first, first + _ROW_GROUP)
+        for rows in cut_groups(table.row_count, len(table.columns)):
             arrays = [
                 _build_array(column, rows, kind)
                 for column, kind in zip(table.columns, schema.types, strict=True)
             ]
             writer.write_table(load_library("pyarrow").table(arrays, schema=schema))
+
+
+def cut_groups(row_count: int, column_count: int) -> Iterator[slice]:
+    """Yield the groups in which the rows of a table are written, and best made."""
+    size = min(_MOST_GROUPED, max(1, _CELLS_GROUPED // max(1, column_count)))
+    for first in range(0, row_count, size):
+        yield slice(first, min(first + size, row_count))
 
 
 def _build_schema(table: ResultTable) -> Any:
@@ -129,6 +137,8 @@ def _build_schema(table: ResultTable) -> Any:
 
 def _build_array(column: ResultColumn, rows: slice, kind: Any) -> Any:
     cells = column.cells[rows]
+    if hasattr(cells, "__arrow_array__"):
+        return load_library("pyarrow").array(cells, kind)
     if column.type == "text":
         cells = [cell if cell is None or isinstance(cell, str) else str(cell) for cell in cells]
     elif column.type == "real" and isinstance(cells, list | tuple):
@@ -164,17 +174,105 @@ def read_result_table(
         LogError: Where it cannot be read, is no Parquet file, is cut, or holds another table.
         LibraryError: Where pyarrow is not installed.
     """
-    parquet = load_library("pyarrow.parquet")
-    with _name_table(path), open_file(path) as stream:
-        file = parquet.ParquetFile(stream)
-        facts = dict(_read_facts(file.schema_arrow.metadata) or {})
-        found, version = facts.pop("kind", None), facts.pop("version", "")
+    stored = open_result_table(path, kind=kind)
+    found = [replace(one, cells=list_values(one)) for one in stored.read(columns)]
+    return ResultTable(kind=kind, columns=tuple(found), facts=stored.facts, version=stored.version)
+
+
+def list_values(column: ResultColumn) -> list[Any]:
+    """Return cells of Arrow as values of Python."""
+    cells: Any = column.cells
+    found: list[Any] = cells.to_pylist()
+    return found
+
+
+def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
+    """Return a table whose groups of rows are read one by one.
+
+    Raises:
+        LogError: As `read_result_table` does.
+        LibraryError: Likewise.
+    """
+    stored = StoredTable(path)
+    if stored.kind != kind:
+        other = f"a table of {stored.kind}" if stored.kind else "another Parquet file"
+        raise LogError(f"{path}: expected a table of {kind}, found {other}")
+    return stored
+
+
+class StoredTable:
+    """A table in a file, which is open only while it is read: it may be replaced meanwhile.
+
+    Attributes:
+        kind: As in `ResultTable`; empty where it is none.
+        facts: Likewise.
+        version: Likewise.
+        names: Of the columns.
+        group_rows: How many rows there are in each group.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Read what the file says about itself; what goes wrong is as in `read_result_table`."""
+        parquet = load_library("pyarrow.parquet")
+        self._path = path
+        with _name_table(path), open_file(path) as stream:
+            self._metadata = parquet.read_metadata(stream)
+            schema = self._metadata.schema.to_arrow_schema()
+            facts = dict(_read_facts(schema.metadata) or {})
+        self.kind, self.version = facts.pop("kind", ""), facts.pop("version", "")
         facts.pop("format", None)
-        if found != kind:
-            other = "another Parquet file" if found is None else f"a table of {found}"
-            raise LogError(f"expected a table of {kind}, found {other}")
-        table = file.read(None if columns is None else list(columns))
-    return ResultTable(kind=kind, columns=tuple(_list_columns(table)), facts=facts, version=version)
+        self.facts: Mapping[str, str] = facts
+        self.names: Sequence[str] = schema.names
+        groups = range(self._metadata.num_row_groups)
+        self.group_rows = [self._metadata.row_group(group).num_rows for group in groups]
+
+    @property
+    def row_count(self) -> int:
+        """How many rows it has."""
+        return sum(self.group_rows)
+
+    def read(
+        self, columns: Sequence[str] | None = None, group: int | None = None
+    ) -> list[ResultColumn]:
+        """Return columns whose cells are an array of Arrow.
+
+        Args:
+            columns: Names of those to read; None: all.
+            group: Of rows; None: all.
+
+        Raises:
+            LogError: As `read_result_table` does.
+        """
+        parquet, names = load_library("pyarrow.parquet"), None if columns is None else [*columns]
+        with _name_table(self._path), open_file(self._path) as stream:
+            file = parquet.ParquetFile(stream, metadata=self._metadata)
+            table = file.read(names) if group is None else file.read_row_group(group, names)
+            return list(_iterate_columns(table))
+
+    def read_row(self, row: int, names: Sequence[str]) -> list[Any]:
+        """Return the cells of columns in a row, as values of Python.
+
+        Raises:
+            KeyError: Where a column is not there.
+            LogError: As `read` does.
+        """
+        group = 0
+        while row >= self.group_rows[group]:
+            row, group = row - self.group_rows[group], group + 1
+        found = {one.name: list_values(one)[row] for one in self.read(names, group)}
+        return [found[name] for name in names]
+
+    def iterate(self, name: str) -> Iterator[Any]:
+        """Yield the cells of a column group by group, each an array of Arrow."""
+        for group in range(len(self.group_rows)):
+            for column in self.read([name], group):
+                yield column.cells
+
+    def count_values(self, name: str) -> int:
+        """Return how many cells of a column have a value; none of them is read."""
+        place, groups = self.names.index(name), range(len(self.group_rows))
+        chunks = (self._metadata.row_group(group).column(place) for group in groups)
+        return sum(chunk.statistics.num_values for chunk in chunks)
 
 
 def _name_table(path: str | Path) -> AbstractContextManager[None]:
@@ -196,7 +294,7 @@ def _read_facts(metadata: Mapping[bytes, bytes] | None) -> Mapping[str, str] | N
     return facts
 
 
-def _list_columns(table: Any) -> Iterable[ResultColumn]:
+def _iterate_columns(table: Any) -> Iterator[ResultColumn]:
     pa = load_library("pyarrow")
     types: dict[Any, ColumnType] = {
         pa.int64(): "whole",
@@ -211,6 +309,6 @@ def _list_columns(table: Any) -> Iterable[ResultColumn]:
         yield ResultColumn(
             name=one.name,
             type=types[one.type],
-            cells=cells.to_pylist(),
+            cells=cells,
             unit=None if unit is None else unit.decode(),
         )

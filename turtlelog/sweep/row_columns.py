@@ -1,16 +1,14 @@
-"""Rows of texts and numbers in columns: those of a hundred thousand files fit into memory."""
+"""Rows of texts and numbers in columns: in parts on a disk, of which a few are in memory."""
 
-import math
-from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.sweep.result_table import ResultColumn, ResultTable
+from turtlelog.libraries import load_library
+from turtlelog.sweep.result_table import ResultColumn
 
 Cell = str | int | float | None
 CellType = Literal["text", "real", "whole"]
@@ -31,111 +29,165 @@ class Key(NamedTuple):
 
 
 Row = Mapping[Key, Cell]
-_NO_WHOLE: Final = -(2**63)
-_CODES: Final = {"text": "i", "real": "d", "whole": "q"}
+_NONES: Final[Mapping[str, Any]] = {"text": -1, "real": np.nan, "whole": -(2**63)}
+_NUMBERS: Final = {"text": np.int32, "real": np.float64, "whole": np.int64}
 
 
-class _Cells:
-    """The cells of one column: 8 bytes for each number, 4 for a text, and each text once."""
+class Cells(Sequence[Any]):
+    """The cells of one column: 8 bytes for each number, 4 for a text, and each text once or so."""
 
-    def __init__(self, kind: str, count: int) -> None:
-        self.texts: list[str] = []
-        self._codes: dict[str, int] = {}
-        self._kind = kind
-        self._none = {"text": -1, "real": np.nan, "whole": _NO_WHOLE}[kind]
-        self.numbers = array(_CODES[kind], [self._none]) * count
+    def __init__(self, kind: CellType, numbers: NDArray[Any], texts: Sequence[str] = ()) -> None:
+        """Take numbers as they are stored; of a text its place among the texts."""
+        self._kind, self._numbers, self._texts = kind, numbers, list(texts)
 
-    def add(self, cell: Any) -> None:
-        if cell is None:
-            self.numbers.append(self._none)
-        elif self._kind == "text":
-            code = self._codes.setdefault(cell, len(self.texts))
-            if code == len(self.texts):
-                self.texts.append(cell)
-            self.numbers.append(code)
-        else:
-            self.numbers.append(cell)
+    @classmethod
+    def pack(cls, kind: CellType, cells: Iterable[Any]) -> "Cells":
+        """Return cells of their values."""
+        none = _NONES[kind]
+        if kind != "text":
+            numbers = [none if cell is None else cell for cell in cells]
+            return cls(kind, np.array(numbers, _NUMBERS[kind]))
+        codes: dict[str, int] = {}
+        found = [none if cell is None else codes.setdefault(cell, len(codes)) for cell in cells]
+        return cls(kind, np.array(found, _NUMBERS[kind]), list(codes))
+
+    @classmethod
+    def pack_arrow(cls, kind: CellType, cells: Any) -> "Cells":
+        """Return cells of those of an array of Arrow."""
+        texts: Sequence[str] = ()
+        if kind == "text":
+            encoded = cells.combine_chunks().dictionary_encode()
+            cells, texts = encoded.indices, encoded.dictionary.to_pylist()
+        if kind != "real":
+            cells = load_library("pyarrow.compute").fill_null(cells, _NONES[kind])
+        return cls(kind, cells.to_numpy(zero_copy_only=False).astype(_NUMBERS[kind]), texts)
+
+    @classmethod
+    def fill(cls, kind: CellType, count: int) -> "Cells":
+        """Return so many cells without a value."""
+        return cls(kind, np.full(count, _NONES[kind], _NUMBERS[kind]))
+
+    def take(self, rows: NDArray[np.intp]) -> "Cells":
+        """Return the cells of some rows."""
+        return Cells(self._kind, self._numbers[rows], self._texts)
+
+    def put(self, places: NDArray[np.intp], other: "Cells", rows: NDArray[np.intp]) -> None:
+        """Put cells of another column of the same kind at places of this one."""
+        numbers = other._numbers[rows]
+        if other._texts:
+            numbers = np.where(numbers < 0, -1, numbers + len(self._texts))
+            self._texts += other._texts
+        self._numbers[places] = numbers
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def __getitem__(self, place: Any) -> Any:
+        if isinstance(place, slice):
+            return Cells(self._kind, self._numbers[place], self._texts)
+        number = self._numbers[place].item()
+        if number == _NONES[self._kind] or number != number:  # noqa: PLR0124 - of a NaN it is
+            return None
+        return self._texts[number] if self._kind == "text" else number
+
+    @property
+    def has_value(self) -> NDArray[np.bool_]:
+        """Of which rows a cell is not None."""
+        has: NDArray[np.bool_] = self._numbers != _NONES[self._kind]
+        return has & ~np.isnan(self._numbers) if self._kind == "real" else has
+
+    def __arrow_array__(self, type: Any = None) -> Any:  # noqa: A002 - as Arrow calls it
+        pa, lacks = load_library("pyarrow"), ~self.has_value
+        if self._kind != "text":
+            return pa.array(self._numbers, type, mask=lacks)
+        used, places = np.unique(self._numbers, return_inverse=True)
+        texts = [None if number < 0 else self._texts[number] for number in used.tolist()]
+        return pa.array(texts, type).take(pa.array(places))
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Some rows; a cell of a key that they lack is None."""
+
+    count: int
+    cells: Mapping[Key, Cells]
+
+
+def gather_rows(rows: Sequence[Row]) -> dict[Key, list[Cell]]:
+    """Return rows as columns."""
+    keys = dict.fromkeys(key for row in rows for key in row)
+    return {key: [row.get(key) for row in rows] for key in keys}
 
 
 @dataclass(slots=True)
-class RowColumns:
-    """Rows that grow at their end; a cell of a key that a row lacks is None."""
+class StoredRows:
+    """Rows in parts, each of which is loaded where it is needed."""
 
-    count: int = 0
-    cells: dict[Key, _Cells] = field(default_factory=dict)
+    _ends: list[int] = field(default_factory=lambda: [0])
+    _loads: list[Callable[[], Columns]] = field(default_factory=list)
 
-    def add(self, row: Row) -> None:
-        """Add a row."""
-        for key in row.keys() - self.cells.keys():
-            self.cells[key] = _Cells(key.type, self.count)
-        for key, cells in self.cells.items():
-            cells.add(row.get(key))
-        self.count += 1
+    def add(self, count: int, load: Callable[[], Columns]) -> int:
+        """Add a part, and return the number of its first row."""
+        self._loads.append(load)
+        self._ends.append(self._ends[-1] + count)
+        return self._ends[-2]
 
-    def add_table(self, table: ResultTable) -> None:
-        """Add the columns of a table as new columns: those without rows, or of as many."""
-        for column in table.columns:
-            key = _parse_key(column)
-            cells = self.cells[key] = _Cells(key.type, 0)
-            for cell in column.cells:
-                cells.add(cell)
-            self.count = len(column.cells)
-
-    def iterate(self, key: Key) -> Iterator[Any]:
-        """Yield the cells of a column, of one that is not there None."""
-        return iter(GatheredCells([self], key, np.arange(self.count))[:])
+    def gather(self, rows: NDArray[np.intp]) -> Columns:
+        """Return some rows, by their numbers; each part of them is loaded once."""
+        ends = np.array(self._ends)
+        parts = np.searchsorted(ends, rows, "right") - 1
+        found: dict[Key, Cells] = {}
+        for part in np.unique(parts).tolist():
+            places = np.flatnonzero(parts == part)
+            for key, cells in self._loads[part]().cells.items():
+                if key not in found:
+                    found[key] = Cells.fill(key.type, len(rows))
+                found[key].put(places, cells, rows[places] - ends[part])
+        return Columns(len(rows), found)
 
 
-def _parse_key(column: ResultColumn) -> Key:
-    unit = column.unit or ""
-    name = column.name.removesuffix(f" [{unit}]") if unit else column.name
-    return Key(name, "text" if column.type == "truth" else column.type, unit)
+class OrderedRows:
+    """Stored rows in an order, a stretch of which is in memory."""
 
+    def __init__(self, stored: StoredRows, order: NDArray[np.intp] | range) -> None:
+        """Take both as they are.
 
-class GatheredCells(Sequence[Any]):
-    """Cells of a key from several stores in an order; taken from there when they are asked for."""
-
-    def __init__(self, stores: Sequence[RowColumns], key: Key, order: NDArray[np.intp]) -> None:
-        self._key, self._order = key, order
-        self._cells = [store.cells.get(key) or _Cells(key.type, store.count) for store in stores]
+        Args:
+            stored: The rows.
+            order: Their numbers.
+        """
+        self._stored, self._order = stored, order
+        self._stretch, self._held = (0, 0), Columns(0, {})
 
     def __len__(self) -> int:
         return len(self._order)
 
+    def load(self, rows: slice) -> Columns:
+        """Return a stretch of the rows."""
+        begin, end, _ = rows.indices(len(self))
+        if (begin, end) != self._stretch:
+            self._held = self._stored.gather(np.asarray(self._order[begin:end], np.intp))
+            self._stretch = begin, end
+        return self._held
+
+
+class _Column(Sequence[Any]):
+    """The cells of a key in ordered rows."""
+
+    def __init__(self, rows: OrderedRows, key: Key) -> None:
+        self._rows, self._key = rows, key
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
     def __getitem__(self, place: Any) -> Any:
         if not isinstance(place, slice):
             return self[place : place + 1][0]
-        texts = list(chain.from_iterable(cells.texts for cells in self._cells))
-        return [self._make(number, texts) for number in self._gather()[place]]
-
-    def _gather(self) -> NDArray[Any]:
-        parts, count = [], 0
-        for cells in self._cells:
-            numbers = np.array(cells.numbers)
-            parts.append(np.where(numbers < 0, -1, numbers + count) if cells.texts else numbers)
-            count += len(cells.texts)
-        found: NDArray[Any] = np.concatenate(parts)[self._order]
-        return found
-
-    def _make(self, number: Any, texts: Sequence[str]) -> Cell:
-        if self._key.type == "text":
-            return None if number < 0 else texts[number]
-        if self._key.type == "real":
-            return None if math.isnan(number) else float(number)
-        return None if number == _NO_WHOLE else int(number)
-
-    @property
-    def has_some(self) -> bool:
-        """Whether any cell is not None."""
-        numbers = self._gather()
-        if self._key.type == "real":
-            return bool((~np.isnan(numbers)).any())
-        return bool((numbers != (-1 if self._key.type == "text" else _NO_WHOLE)).any())
+        found = self._rows.load(place)
+        return found.cells.get(self._key) or Cells.fill(self._key.type, found.count)
 
 
-def build_columns(
-    stores: Sequence[RowColumns], keys: Sequence[Key], order: NDArray[np.intp]
-) -> Iterator[ResultColumn]:
+def build_columns(rows: OrderedRows, keys: Sequence[Key]) -> Iterator[ResultColumn]:
     """Yield the columns of keys; the name of one that has several units ends in the unit."""
     names = [key.name for key in keys]
     for key in keys:
@@ -143,6 +195,13 @@ def build_columns(
         yield ResultColumn(
             name=key.name if is_alone else f"{key.name} [{key.unit}]",
             type=key.type,
-            cells=GatheredCells(stores, key, order),
+            cells=_Column(rows, key),
             unit=key.unit or None,
         )
+
+
+def parse_key(column: ResultColumn) -> Key:
+    """Return the key of a column that `build_columns` made."""
+    unit = column.unit or ""
+    name = column.name.removesuffix(f" [{unit}]") if unit else column.name
+    return Key(name, "text" if column.type == "truth" else column.type, unit)

@@ -12,14 +12,18 @@ from typing import TYPE_CHECKING, Final, overload
 from turtlelog.errors import ScenarioError, SweepError
 from turtlelog.measure import choose_metrics
 from turtlelog.processes import LONG_S, count_cores, map_in_processes
+from turtlelog.remote.urls import make_path
 from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.many import SAVED_S
-from turtlelog.sweep.assemble import assemble_table, list_valueless
+from turtlelog.sweep.assemble import SweptRows, assemble_table, find_failure, list_valueless
 from turtlelog.sweep.batch import BATCH
+from turtlelog.sweep.kept_parts import KeptParts, has_results, name_partial, require_same
 from turtlelog.sweep.plan import SweepPlan, build_row_scenario
-from turtlelog.sweep.result_table import ResultTable, read_result_table, write_result_table
-from turtlelog.sweep.resume import PartialResults, name_partial, require_same_sweep
+from turtlelog.sweep.result_table import (
+    open_result_table,
+    write_result_table,
+)
 from turtlelog.sweep.simulate_rows import (
     RowChunk,
     RowRecords,
@@ -74,11 +78,13 @@ class Sweep:
 
     def cut_chunk(self, first: int, count: int, *, ahead: int = 0, threads: int = 1) -> RowChunk:
         """Return the work on some rows."""
+        rows = range(first, first + count)
+        columns = [self.plan.list_values(rows, key) for key in self.plan.keys]
         return RowChunk(
             base=self.base,
             keys=self.plan.keys,
             first=first,
-            values=tuple(map(self.plan.find_values, range(first, first + count))),
+            values=tuple(zip(*columns, strict=True)),
             metrics=self.metrics,
             records=self.records,
             ahead=ahead,
@@ -191,35 +197,35 @@ def run_sweep(
             disk is full.
         LogError: Where the results cannot be written.
     """
-    output, facts = Path(output), sweep.list_facts()
-    if require_same_sweep(output, facts):
+    output, facts = make_path(output), sweep.list_facts()
+    if has_results(output, facts):
         name_partial(output).unlink(missing_ok=True)
-        return _summarise(read_result_table(output, kind="sweep"), sweep, output)
-    partial = PartialResults(output, facts)
+        return _summarise(output, sweep)
+    kept = KeptParts(output, facts, RowResults, require=partial_call(require_same, facts))
     is_complete = False
     try:
-        _begin_records(sweep, partial)
-        _simulate(sweep, partial, jobs, watch or _ignore)
-        table = assemble_table(sweep.plan, facts, partial.done)
-        write_result_table(table, output)
+        _begin_records(sweep, kept)
+        rows = SweptRows(kept)
+        _simulate(sweep, rows, jobs, watch or _ignore)
+        write_result_table(assemble_table(sweep.plan, facts, rows), output)
         is_complete = True
     finally:
-        partial.close(is_complete=is_complete)
-    return _summarise(table, sweep, output)
+        kept.close(is_complete=is_complete)
+    return _summarise(output, sweep)
 
 
 def _ignore(_: int) -> None:
     """Do nothing."""
 
 
-def _begin_records(sweep: Sweep, partial: PartialResults) -> None:
+def _begin_records(sweep: Sweep, kept: KeptParts[RowResults]) -> None:
     """Make the folder of recordings; one with files is refused but where the sweep goes on."""
-    if sweep.records is None or partial.was_begun:
+    if sweep.records is None or kept.was_begun:
         return
     try:
         _require_empty(Path(sweep.records.folder))
     except SweepError:
-        partial.close(is_complete=True)  # nothing was begun
+        kept.close(is_complete=True)  # nothing was begun
         raise
 
 
@@ -236,23 +242,22 @@ def _require_empty(folder: Path) -> None:
 
 def _simulate(
     sweep: Sweep,
-    partial: PartialResults,
+    rows: SweptRows,
     jobs: "int | Executor | None",
     watch: Callable[[int], None],
 ) -> None:
     """Simulate the rows that are not done, the first of them alone to see how long one takes."""
-    done = sum(map(len, partial.done))
-    watch(done)
-    gaps = _list_gaps(partial.done, sweep.plan.row_count)
+    watch(rows.count)
+    gaps = rows.list_gaps(sweep.plan.row_count)
     if not gaps:
         return
     first = sweep.cut_chunk(gaps[0][0], 1)
     begun = time.perf_counter()
     found = simulate_rows(first)
     row_s = time.perf_counter() - begun
-    partial.add(found)
-    watch(done := done + 1)
-    rest = sweep.plan.row_count - done
+    rows.add(found)
+    watch(rows.count)
+    rest = sweep.plan.row_count - rows.count
     if jobs is None:
         jobs = count_cores() if rest * row_s > LONG_S else 1
     count, threads = (jobs if isinstance(jobs, int) else 1), 1
@@ -266,20 +271,10 @@ def _simulate(
     else:
         size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // count)))
     cut = partial_call(sweep.cut_chunk, ahead=rest // count, threads=threads)
-    chunks = _Chunks(cut, _list_gaps(partial.done, sweep.plan.row_count), size)
+    chunks = _Chunks(cut, rows.list_gaps(sweep.plan.row_count), size)
     for results in map_in_processes(simulate_rows, chunks, jobs, name=_name_chunk):
-        partial.add(results)
-        watch(done := done + len(results))
-
-
-def _list_gaps(done: Sequence[RowResults], count: int) -> list[tuple[int, int]]:
-    """Return the stretches of rows that are not done: the first row and the one after the last."""
-    gaps, row = [], 0
-    for part in sorted(done, key=lambda part: part.first):
-        if part.first > row:
-            gaps.append((row, part.first))
-        row = part.first + len(part)
-    return [*gaps, (row, count)] if row < count else gaps
+        rows.add(results)
+        watch(rows.count)
 
 
 class _Chunks(Sequence[RowChunk]):
@@ -312,18 +307,17 @@ def _name_chunk(chunk: RowChunk) -> str:
     return f"rows {chunk.first} to {chunk.first + len(chunk.values) - 1}"
 
 
-def _summarise(table: ResultTable, sweep: Sweep, output: Path) -> SweepSummary:
-    reasons = table.find("failed")
-    failed = [
-        (row, text) for row, text in enumerate(reasons.cells if reasons else ()) if text is not None
-    ]
+def _summarise(output: Path, sweep: Sweep) -> SweepSummary:
+    """Return what a table holds; of its rows no more than a group is in memory."""
+    table = open_result_table(output, kind="sweep")
+    failed = table.count_values("failed")
     return SweepSummary(
         output=output,
         rows=table.row_count,
-        failed=len(failed),
+        failed=failed,
         samples=int(table.facts["samples"]),
         recorded=int(table.facts["recorded"]),
-        first_failure=f"row {failed[0][0]}: {failed[0][1]}" if failed else "",
+        first_failure=find_failure(table) if failed else "",
         valueless=list_valueless(table, sweep.metrics or ()),
     )
 

@@ -12,12 +12,15 @@ from turtlelog.sweep import (
     RowRecords,
     Sweep,
     build_plan,
+    load_row_scenario,
     prepare_sweep,
+    read_result_table,
+    result_table,
     run_sweep,
     simulate_rows,
     sweep_rows,
 )
-from turtlelog.sweep.resume import PartialResults, name_partial
+from turtlelog.sweep.kept_parts import KeptParts, name_partial
 
 GRID = ("law.kp_linear=0.5:4:0.5", "loop.transport_delay_ticks=0:4")
 WORDS = (*("--grid", GRID[0]), *("--grid", GRID[1]), "--metrics", "final.*")
@@ -230,9 +233,9 @@ class Own:
 def test_two_sweeps_into_one_file_at_once_are_refused(tmp_path: Path) -> None:
     output = tmp_path / "t.parquet"
     sweep = prepare("law.kp_linear=1:2")
-    partial = PartialResults(output, sweep.list_facts())
+    partial = KeptParts(output, sweep.list_facts(), simulate_rows.RowResults)
     try:
-        with pytest.raises(tl.SweepError, match="found another sweep at work on it"):
+        with pytest.raises(tl.SweepError, match="found another command at work on it"):
             run_sweep(sweep, output)
     finally:
         partial.close()
@@ -251,3 +254,74 @@ def test_folder_of_recordings_must_be_new_but_where_a_sweep_goes_on(tmp_path: Pa
     with pytest.raises(tl.SweepError, match="expected a new folder for recordings, found one with"):
         run_sweep(sweep, tmp_path / "other.parquet")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs", "t.parquet"]
+
+
+def test_parts_are_whole_wherever_the_file_was_cut(tmp_path: Path) -> None:
+    output, facts, parts = tmp_path / "t.parquet", {"plan": "x"}, ["a", "bb" * 40, "c"]
+    kept = KeptParts(output, facts, str)
+    ends = [kept.path.stat().st_size]
+    for part in parts:
+        kept.add(part)
+        ends.append(kept.path.stat().st_size)
+    kept.close()
+    content = kept.path.read_bytes()
+    for size in range(len(content) + 1):
+        kept.path.write_bytes(content[:size])
+        again = KeptParts(output, facts, str)
+        whole = max(0, sum(end <= size for end in ends) - 1)
+        assert [again.read(place) for place in again.places] == parts[:whole]
+        assert again.was_begun == (size >= ends[0])
+        again.add("new")
+        again.close()
+        third = KeptParts(output, facts, str)
+        assert [third.read(place) for place in third.places] == [*parts[:whole], "new"]
+        third.close()
+
+
+def test_what_is_kept_of_other_facts_is_refused_or_begun_anew(tmp_path: Path) -> None:
+    def refuse(path: Path, found: object) -> None:
+        raise tl.SweepError(f"{path.name}: {found}")
+
+    output = tmp_path / "t.parquet"
+    kept = KeptParts(output, {"plan": "x"}, str)
+    kept.add("a")
+    kept.close()
+    with pytest.raises(tl.SweepError, match=r"t\.parquet\.partial: {'plan': 'x'}"):
+        KeptParts(output, {"plan": "y"}, str, require=refuse)
+    same = KeptParts(output, {"plan": "x"}, str, require=refuse)
+    assert same.places
+    same.close()
+    other = KeptParts(output, {"plan": "y"}, str)
+    assert not other.places
+    assert not other.was_begun
+    other.close()
+
+
+def test_part_that_is_damaged_ends_what_was_kept(tmp_path: Path) -> None:
+    kept = KeptParts(tmp_path / "t.parquet", {}, str)
+    places = [kept.add(part) for part in "abc"]
+    kept.close()
+    content = bytearray(kept.path.read_bytes())
+    content[places[1] + 9] ^= 0xFF
+    kept.path.write_bytes(content)
+    again = KeptParts(tmp_path / "t.parquet", {}, str)
+    assert again.places == places[:1]
+    again.close()
+
+
+@pytest.mark.parametrize("cells", [1, 40, 200])
+def test_table_of_many_groups_holds_what_one_group_does(
+    cells: int, whole: bytes, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    output = tmp_path / "t.parquet"
+    with monkeypatch.context() as patched:
+        patched.setattr(result_table, "_CELLS_GROUPED", cells)
+        found = run_sweep(prepare(), output, jobs=1)
+        assert run_sweep(prepare(), output, jobs=1) == found  # now as the table tells
+    (tmp_path / "whole.parquet").write_bytes(whole)
+    one, many = (
+        read_result_table(tmp_path / name, kind="sweep") for name in ("whole.parquet", "t.parquet")
+    )
+    assert many == one
+    assert many.columns[0].cells == list(range(40))
+    assert load_row_scenario(output, 39) == load_row_scenario(tmp_path / "whole.parquet", 39)

@@ -1,22 +1,25 @@
-"""What an interrupted sweep has done: a partial file beside its results, that one sweep writes.
+"""What an interrupted command has done: a partial file beside its table, which one command writes.
 
-It begins with what the sweep is of, and grows by the results of a chunk at a time. Each part has
-its length and checksum: what was cut off while it was written is left out.
+It begins with what the table is of, and grows by a part at a time. Each part has its length and
+checksum: what was cut off while it was written is left out.
 """
 
+import hashlib
 import os
 import struct
 import sys
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, Generic, TypeVar
 
 import msgspec
 
 from turtlelog.errors import SweepError
+from turtlelog.remote.urls import RemotePath, is_there
 from turtlelog.sweep.result_table import read_result_facts
-from turtlelog.sweep.simulate_rows import RowResults
+
+T = TypeVar("T")
 
 _MAGIC: Final = b"turtlelog sweep 1\n"
 _FRAME: Final = struct.Struct("<II")
@@ -27,29 +30,46 @@ _MOST_BYTES: Final = 2**30
 
 
 def name_partial(output: Path) -> Path:
-    """Return the file that holds what a sweep has done so far."""
-    return output.with_name(f"{output.name}.partial")
+    """Return the file that holds what was done so far: beside a table, or in the working folder.
+
+    There is none beside an object, which cannot grow; its name then tells tables of one name apart.
+    """
+    if not isinstance(output, RemotePath):
+        return output.with_name(f"{output.name}.partial")
+    told = hashlib.sha256(output.url.encode()).hexdigest()[:8]
+    return Path(f"{output.name}.{told}.partial")
 
 
-def require_same_sweep(output: Path, facts: Mapping[str, str]) -> bool:
+def has_results(output: Path, facts: Mapping[str, str]) -> bool:
     """Return whether the results of this sweep are there already.
 
     Raises:
         SweepError: Where the file holds something else.
         LogError: Where it cannot be read.
     """
-    if not output.exists():
+    if not is_there(output):
         return False
     found = read_result_facts(output)
     if found is None or found["kind"] != "sweep":
         raise SweepError(f"{output}: expected a new name, found a file that no sweep wrote")
-    _require_same(output, "the results", found, facts)
+    require_same(facts, output, found, what="the results")
     return True
 
 
-def _require_same(
-    path: Path, what: str, found: Mapping[str, str], facts: Mapping[str, str]
+def require_same(
+    facts: Mapping[str, str], path: Path, found: Mapping[str, str], *, what: str = "what is done"
 ) -> None:
+    """Refuse what stands in a file of another sweep.
+
+    Args:
+        facts: What this sweep is of.
+        path: The file.
+        found: What it is of.
+        what: Stands in it.
+
+    Raises:
+        SweepError: Where they differ.
+    """
     others = [name for name, text in facts.items() if found.get(name) != text]
     if others:
         named = " and ".join(_NAMES.get(name, name) for name in others)
@@ -68,27 +88,42 @@ _NAMES: Final = {
 }
 
 
-class PartialResults:
-    """The partial file of a sweep, locked while it is open."""
+class KeptParts(Generic[T]):
+    """The partial file of a table, locked while it is open.
 
-    def __init__(self, output: Path, facts: Mapping[str, str]) -> None:
+    Attributes:
+        path: Of the file.
+        places: Where its parts begin.
+        was_begun: Whether it was there, of the same table.
+    """
+
+    def __init__(
+        self,
+        output: Path,
+        facts: Mapping[str, str],
+        kind: type[T],
+        *,
+        require: Callable[[Path, Mapping[str, str]], None] | None = None,
+    ) -> None:
         """Open the file, or begin it.
 
         Args:
-            output: Where the results are to be.
-            facts: What the sweep is of.
+            output: Where the table is to be.
+            facts: What the table is of.
+            kind: Of a part.
+            require: Raises where the file is of other facts; None: then it is begun anew.
 
         Raises:
-            SweepError: Where it is that of another sweep, another process writes to it, or it
-                cannot be written.
+            SweepError: Where another process writes to it, or it cannot be written.
         """
         self.path, self._output = name_partial(output), output
-        self.done: list[RowResults] = []
+        self.places: list[int] = []
         self.was_begun = False
+        self._decoder = msgspec.msgpack.Decoder(kind)
         try:
             self._stream = self._open()
             try:
-                self._begin(facts)
+                self._begin(dict(facts), require)
             except BaseException:
                 self._stream.close()
                 raise
@@ -96,46 +131,50 @@ class PartialResults:
             raise self._describe(err) from err
 
     def _open(self) -> BinaryIO:
-        """Return the file, locked; not one that another sweep finished and removed meanwhile."""
+        """Return the file, locked; not one that another command finished and removed meanwhile."""
         while True:
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | _BINARY, 0o666)
             stream = os.fdopen(descriptor, "r+b", buffering=0)
             if not _lock(stream):
                 stream.close()
                 raise SweepError(
-                    f"{self._output}: expected a file of its own, found another sweep at work on it"
+                    f"{self._output}: expected a file of its own,"
+                    " found another command at work on it"
                 )
             if self.path.exists() and os.path.samestat(os.fstat(descriptor), self.path.stat()):
                 return stream
             stream.close()
 
-    def _begin(self, facts: Mapping[str, str]) -> None:
-        size = os.fstat(self._stream.fileno()).st_size
+    def _begin(
+        self, facts: dict[str, str], require: Callable[[Path, Mapping[str, str]], None] | None
+    ) -> None:
         head = self._stream.read(len(_MAGIC))
+        # A head that was cut holds nothing of anybody; anything else is not ours to replace.
+        if not _MAGIC.startswith(head):
+            raise SweepError(
+                f"{self.path}: expected what an interrupted command left, found another file"
+            )
         parts = self._iterate_parts() if head == _MAGIC else iter(())
-        found = next(parts, None)
-        if found is None:
-            # A head that was cut holds nothing of anybody; anything else is not ours to replace.
-            if size and not (_MAGIC.startswith(head) or head == _MAGIC):
-                raise SweepError(f"{self.path}: expected what a sweep left, found another file")
-            self._stream.seek(0)
-            self._stream.truncate()
-            self._write(_MAGIC + _frame(msgspec.msgpack.encode(dict(facts))))
-            return
-        self.was_begun = True
-        _require_same(
-            self.path, "what is done", msgspec.msgpack.decode(found, type=dict[str, str]), facts
-        )
-        end = self._stream.tell()
-        for part in parts:
-            self.done.append(msgspec.msgpack.decode(part, type=RowResults))
+        packed = next(parts, (0, b""))[1]
+        if packed:
+            found = msgspec.msgpack.decode(zlib.decompress(packed), type=dict[str, str])
+            if found != facts and require is not None:
+                require(self.path, found)
+            self.was_begun = found == facts
+        if self.was_begun:
             end = self._stream.tell()
-        self._stream.seek(end)
-        self._stream.truncate()
+            for place, packed in parts:
+                self.places.append(place)
+                end = place + _FRAME.size + len(packed)
+            self._stream.truncate(end)
+        else:
+            self._stream.truncate(0)
+            self._append(_MAGIC + _frame(msgspec.msgpack.encode(facts)))
 
-    def _iterate_parts(self) -> Iterator[bytes]:
-        """Yield whole parts up to one that was cut or damaged."""
+    def _iterate_parts(self) -> Iterator[tuple[int, bytes]]:
+        """Yield whole parts, packed, up to one that was cut or damaged."""
         while True:
+            place = self._stream.tell()
             frame = self._stream.read(_FRAME.size)
             if len(frame) < _FRAME.size:
                 return
@@ -143,24 +182,40 @@ class PartialResults:
             packed = self._stream.read(length) if length < _MOST_BYTES else b""
             if len(packed) < length or zlib.crc32(packed) != checksum:
                 return
-            yield zlib.decompress(packed)
+            yield place, packed
 
-    def add(self, results: RowResults) -> None:
-        """Keep the results of a chunk.
+    def read(self, place: int) -> T:
+        """Return the part that begins at a place.
+
+        Raises:
+            SweepError: Where the disk is gone, or lost it meanwhile.
+        """
+        try:
+            self._stream.seek(place)
+            packed = next(self._iterate_parts())[1]
+        except OSError as err:
+            raise self._describe(err) from err
+        except StopIteration as err:
+            raise SweepError(f"{self.path}: expected what was kept, found it damaged") from err
+        return self._decoder.decode(zlib.decompress(packed))
+
+    def add(self, part: T) -> int:
+        """Keep a part, and return where it begins.
 
         Raises:
             SweepError: Where the disk is full, or gone.
         """
         try:
-            self._write(_frame(msgspec.msgpack.encode(results)))
+            self.places.append(self._append(_frame(msgspec.msgpack.encode(part))))
         except OSError as err:
             raise self._describe(err) from err
-        self.done.append(results)
+        return self.places[-1]
 
-    def _write(self, data: bytes) -> None:
-        rest = memoryview(data)
+    def _append(self, data: bytes) -> int:
+        place, rest = self._stream.seek(0, os.SEEK_END), memoryview(data)
         while rest:
             rest = rest[self._stream.write(rest) :]
+        return place
 
     def _describe(self, err: OSError) -> SweepError:
         return SweepError(
