@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from turtlelog.measure import swings
 from turtlelog.measure.step_response import SHORTEST_HOLD_S, SWING
 from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
 from turtlelog.simulate import loop_kernel
@@ -29,10 +30,11 @@ from turtlelog.sweep.batch_table import (
     OK,
     TOO_LARGE,
     TOO_SHORT,
+    UNDETERMINED,
 )
 
 _DURATION, _DELAY, _RISE, _PEAK, _PEAK_TIME, _OVERSHOOT, _UNDERSHOOT, _SETTLING = range(8)
-_CROSSINGS, _FINAL, _STEADY, _LARGEST = range(8, 12)
+_CROSSINGS, _FINAL, _STEADY, _LARGEST, _STABLE = range(8, 13)
 _COUNT = len(LOOP_FIGURES)
 _IS_ANGLE = np.array([name in DEGREES for name in LOOP_FIGURES])
 _IS_TIME = np.array([place in {_DELAY, _RISE, _SETTLING} for place in range(_COUNT)])
@@ -224,6 +226,114 @@ def _enter_curve(values: Any, stretch: Any, step: Any, found: Any) -> None:
     found[_LARGEST] = _find_largest(values, stretch, reference)
 
 
+class _Swings(NamedTuple):
+    """Where a response swings: whole swings, its size at the start and at most, its reference."""
+
+    whole: int
+    size: float
+    largest: float
+    reference: float
+
+
+@_compile
+def _judge_approach(values: Any, stretch: Any, found: Any, decays: bool) -> tuple[float, int]:  # noqa: FBT001
+    """Return what `swings` says of a response that swings less than twice."""
+    end = abs(found.reference - values[stretch.after - 1])
+    if end > swings.NEAR * found.largest:
+        if end == found.largest and end > found.size:
+            return 0.0, OK
+        return np.nan, NOT_REACHED
+    step = most = 0.0
+    for row in range(stretch.first + 1, stretch.after):
+        before, now = found.reference - values[row - 1], found.reference - values[row]
+        step = abs(abs(now) - abs(before))
+        most = max(most, step)
+    if decays and step <= swings.SLOWED * most:
+        return 1.0, OK
+    return np.nan, UNDETERMINED
+
+
+@_compile
+def _find_peak(
+    values: Any, stretch: Any, reference: float, swing: int, after: int
+) -> tuple[float, int]:
+    """Return the largest of the swings from one to that before another, and where they begin."""
+    crossings, side, peak, begin = -1, 0, 0.0, 0
+    for row in range(stretch.first, stretch.after):
+        error = reference - values[row]
+        now = 1 if error > 0.0 else -1 if error < 0.0 else 0
+        if now:
+            crossings += side == -now
+            side = now
+        if crossings >= after:
+            break
+        if crossings >= swing:
+            begin = row if begin == 0 else begin
+            peak = max(peak, abs(error))
+    return peak, begin
+
+
+@_compile
+def _judge_swings(
+    values: Any, stretch: Any, reference: float, clipped: int, most: float
+) -> tuple[float, int]:
+    """Return the verdict of `swings` as a value and a status; a clipped row -1 is none."""
+    largest, size = 0.0, abs(reference - values[stretch.first])
+    for row in range(stretch.first, stretch.after):
+        largest = max(largest, abs(reference - values[row]))
+    count = int(_count_crossings(values, stretch, reference)) - 1
+    decays = largest <= min(swings.BEYOND * size, most)
+    found = _Swings(count, size, largest, reference)
+    if count < 2:
+        return _judge_approach(values, stretch, found, decays)  # type: ignore[no-any-return]
+    is_long = count >= swings.FEWEST
+    third = count // 3 if is_long else 1
+    begun = count - 2 * third if is_long else 0
+    last = count - third
+    beginning, _ = _find_peak(values, stretch, reference, 0, third)
+    before, begin = _find_peak(values, stretch, reference, begun, begun + third)
+    after, _ = _find_peak(values, stretch, reference, last, count)
+    first_before, _ = _find_peak(values, stretch, reference, begun, begun + min(third, 2))
+    first_after, _ = _find_peak(values, stretch, reference, last, last + min(third, 2))
+    dying = swings.DYING if is_long else swings.HALVED
+    share = after / before
+    falls = first_before >= swings.FALLING * before and first_after >= swings.FALLING * after
+    if decays and share < dying and falls:
+        return 1.0, OK
+    if clipped >= begin or after >= swings.LARGE * largest:
+        going_on = swings.GOING_ON if is_long else swings.GROWN
+        return (0.0, OK) if share >= going_on else (np.nan, UNDETERMINED)
+    grew = not is_long or before > beginning
+    is_small = decays and not (grew and share > 1.0 / dying)
+    return (1.0, OK) if is_small else (np.nan, UNDETERMINED)
+
+
+@_compile
+def _find_stable(row: Any, values: Any, stretch: Any, step: Any, phase: int) -> tuple[float, int]:
+    """Return whether the swings die out, at the poses up to the last that was answered."""
+    if abs(step.reference - step.initial) <= SMALLEST_STEP:
+        return np.nan, NO_STEP
+    samples, turns = row.memory.samples, phase != TRANSLATE
+    after = _find_sample(samples, row.state.samples, phase + 1)
+    answered_ns = samples[after - 1].time_ns
+    end = min(answered_ns // stretch.period_ns + 1, stretch.after)
+    if end - stretch.first < 2:
+        return np.nan, TOO_SHORT
+    limit = row.memory.axes[1 if turns else 0].limit
+    sample = after - 1
+    while sample >= 0 and samples[sample].phase == phase:
+        command = samples[sample].turn_rate if turns else samples[sample].speed
+        if abs(command) >= limit:
+            break
+        sample -= 1
+    clipped = -1
+    if sample >= 0 and samples[sample].phase == phase:
+        clipped = min(samples[sample].time_ns // stretch.period_ns, end - 1)
+    answered = _Stretch(stretch.first, end, 0, stretch.period_ns, False, False)  # noqa: FBT003
+    most = swings.TURN_RAD if turns else math.inf
+    return _judge_swings(values, answered, step.reference, clipped, most)  # type: ignore[no-any-return]
+
+
 @_compile
 def _measure_response(values: Any, stretch: Any, step: Any, entry: Any) -> None:
     """Enter the figures of a loop in the order of `LOOP_FIGURES`."""
@@ -303,6 +413,8 @@ def _measure_loop(row: Any, values: Any, end_ns: int, phase: int, entry: Any) ->
         reference += turns * 2.0 * math.pi
     step = _Step(values[stretch.first], reference, line.band)
     _measure_response(values, stretch, step, entry)
+    found, status = _find_stable(row, values, stretch, step, phase)
+    entry.figures[_STABLE], entry.status[_STABLE] = found, status
     if phase != TRANSLATE:
         for place in range(_COUNT):
             if _IS_ANGLE[place]:

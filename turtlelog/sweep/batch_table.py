@@ -12,6 +12,7 @@ LOOPS: Final = ("rotate", "translate", "reorient")
 LOOP_FIGURES: Final = (
     *("duration", "delay_time", "rise_time", "peak", "peak_time", "overshoot", "undershoot"),
     *("settling_time", "crossings", "final_error", "steady_state_error", "largest_error"),
+    "stable",
 )
 """What it computes of each loop."""
 
@@ -27,11 +28,11 @@ END: Final = (
 STATUSES: Final = tuple(Status)
 """Statuses by number."""
 
-OK, NOT_REACHED, NO_STEP, NO_PHASE, TOO_SHORT, TOO_LARGE, ABSENT = (
+OK, NOT_REACHED, NO_STEP, NO_PHASE, TOO_SHORT, TOO_LARGE, ABSENT, UNDETERMINED = (
     STATUSES.index(status)
     for status in (
         *(Status.OK, Status.NOT_REACHED, Status.NO_STEP, Status.NO_PHASE),
-        *(Status.TOO_SHORT, Status.TOO_LARGE, Status.ABSENT),
+        *(Status.TOO_SHORT, Status.TOO_LARGE, Status.ABSENT, Status.UNDETERMINED),
     )
 )
 CUT: Final = TOO_SHORT

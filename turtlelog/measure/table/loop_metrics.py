@@ -1,14 +1,18 @@
 """Step and error metrics of a loop: from its response to a value or the reason for none."""
 
+import math
 from collections.abc import Callable
 from typing import Any, Final
+
+import numpy as np
 
 from turtlelog.measure import step_response
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import has_sides, has_step, loop_metric
-from turtlelog.measure.response import Response, Values
+from turtlelog.measure.response import Response, Values, find_loop_samples
 from turtlelog.measure.step_response import find_largest
+from turtlelog.measure.swings import TURN_RAD, judge_swings
 
 SMALLEST_STEP: Final = 1e-6
 """What counts as a step [rad or m]: poses are published with 32 bits, so less is their rounding."""
@@ -183,6 +187,62 @@ def _compute_decay_ratio(response: Response) -> Result:
         reason = "the response does not overshoot twice"
         return Missing(status=Status.NOT_REACHED, reason=reason)
     return Found(found[0], _tell_time(response, found[1]))
+
+
+@loop_metric(
+    "stable",
+    "1",
+    "1 where swings of the {signal} around the {goal} die out, 0 where they go on or grow.",
+    better="higher",
+    needs_whole=False,
+    applies=has_sides,
+)
+def _compute_stable(context: RunContext, response: Response) -> Result:
+    error, clipped = _take_answered(context, response)
+    if abs(response.reference - response.initial) <= SMALLEST_STEP:
+        return _NO_STEP
+    if len(error) < 2:
+        return Missing(status=Status.TOO_SHORT, reason="one pose was answered in this phase")
+    crossings = step_response.find_crossing_rows(error, 0.0)
+    most = TURN_RAD if response.loop.signal == "heading" else math.inf
+    verdict = judge_swings(error, crossings, clipped, most=most)
+    if verdict in _UNTOLD:
+        return _UNTOLD[verdict]
+    return Found(float(verdict == "rests"), _tell_time(response))
+
+
+_UNTOLD: Final = {
+    "passing": Missing(
+        status=Status.UNDETERMINED, reason="the phase ends as the response passes its reference"
+    ),
+    "slow": Missing(
+        status=Status.NOT_REACHED, reason="the phase ends before the response is near its reference"
+    ),
+    "unknown": Missing(
+        status=Status.UNDETERMINED,
+        reason="the swings are too few, or change too little, to say whether they die out",
+    ),
+}
+
+
+def _take_answered(context: RunContext, response: Response) -> tuple[Values, int | None]:
+    """Return the error at the poses up to the last that was answered, and where it was clipped.
+
+    That is the last row, from which on no command was at its limit; -1 where none was, None where
+    the limit is not known. The way that a robot rolls on in a pause is not the loop's doing.
+    """
+    run = context.run
+    rows = find_loop_samples(run, response.loop)
+    answered_ns = run.samples.time_ns[rows]
+    poses_ns = run.poses.time_ns[response.rows]
+    error = response.error[: int(np.searchsorted(poses_ns, answered_ns[-1], side="right"))]
+    saturated = response.commands.is_saturated
+    if saturated is None:
+        return error, None
+    if not saturated.any():
+        return error, -1
+    last_ns = answered_ns[len(saturated) - 1 - int(saturated[::-1].argmax())]
+    return error, int(np.searchsorted(poses_ns, last_ns, side="right")) - 1
 
 
 def _find_peak_row(response: Response) -> int:
