@@ -24,6 +24,7 @@ from . import (
     simulate as simulate,
     sweep as sweep,
     theory as theory,
+    tune as tune,
 )
 from .check import (
     CheckResult as CheckResult,
@@ -66,6 +67,7 @@ from .errors import (
     SimulationError as SimulationError,
     SweepError as SweepError,
     TheoryError as TheoryError,
+    TuneError as TuneError,
     TurtlelogError as TurtlelogError,
     UsageError as UsageError,
 )

@@ -134,6 +134,10 @@ class SweepError(TurtlelogError):
     """A sweep that cannot be planned, or not go on."""
 
 
+class TuneError(TurtlelogError):
+    """A scenario that cannot be tuned as was asked."""
+
+
 class ShowError(TurtlelogError):
     """A picture, table or viewer that cannot be made."""
 

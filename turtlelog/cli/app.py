@@ -43,6 +43,11 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
             "[SCENARIO] -o OUT",
             "Vary a scenario, simulate and measure every variant, and write one table.",
         ),
+        "tune": (
+            "[SCENARIO]",
+            "Look for the values of a scenario's keys that are best, and say how far they can be"
+            " trusted.",
+        ),
         "theory": (
             "",
             "Say what theory expects of an integrator under P, PI, PD or PID control.",

@@ -1,0 +1,160 @@
+"""`turtlelog tune`: what it answers, what it refuses, and that it can be stopped."""
+
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import turtlelog as tl
+
+Run = Callable[..., Any]
+
+VARY = ("--vary", "law.kp_linear=0.5:12")
+SETTLING = ("--minimise", "translate.settling_time")
+
+
+def test_best_values_as_json_and_file(
+    run_cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run_cli(
+        "tune",
+        "textbook",
+        *VARY,
+        *SETTLING,
+        "--subject-to",
+        "translate.overshoot <= 1",
+        "--subject-to",
+        "law.kp_linear <= 4",
+        "--evaluations",
+        "60",
+        "--monte-carlo",
+        "8",
+        "-o",
+        "best.toml",
+        "--json",
+    )
+    assert (code, err) == (0, "")
+    found = json.loads(out)
+    assert 3.9 < found["best"]["law.kp_linear"] <= 4.0
+    assert found["is_feasible"] is True
+    assert [one["holds"] for one in found["constraints"]] == [True, True]
+    assert found["constraints"][1]["value"] == found["best"]["law.kp_linear"]
+    assert found["unit"] == "s"
+    assert found["neighbourhood"][0]["high_end"] == "law.kp_linear <= 4"
+    assert found["spread"]["runs"] == 8
+    assert found["spread"]["varied"] == {"loop.transport_delay_ticks": [0, 1]}
+    kept = tomllib.loads(Path("best.toml").read_text("utf-8"))
+    assert kept["law"]["kp_linear"] == found["best"]["law.kp_linear"]
+    run = tl.simulate_run(tl.load_scenario("best.toml"))
+    metric = tl.measure_run(run, only=["translate.settling_time"])["translate.settling_time"]
+    assert metric.value == found["objective"]
+
+
+def test_text_tells_bounds_constraints_and_variants(run_cli: Run) -> None:
+    code, out, err = run_cli(
+        "tune",
+        "textbook",
+        *VARY,
+        *SETTLING,
+        "--subject-to",
+        "translate.stable == 1",
+        "--evaluations",
+        "40",
+        "--monte-carlo",
+        "4",
+        "--spread",
+        "start.heading_rad=0:0.5",
+        "--set",
+        "sensing.noise_position_m=0.001",
+    )
+    assert (code, err) == (0, "")
+    assert "translate.settling_time, to minimise: " in out
+    assert "translate.stable == 1      1  yes" in out
+    assert "4 variants of the best" in out
+    assert "start.heading_rad from 0 to 0.5" in out
+    assert "seed from 0 to 3" in out
+    assert "its seed changes nothing" not in out
+
+
+def test_nothing_that_fulfils_the_constraints_is_exit_code_1(run_cli: Run) -> None:
+    code, out, err = run_cli(
+        "tune",
+        "textbook",
+        *VARY,
+        *SETTLING,
+        "--subject-to",
+        "translate.settling_time < 2",
+        "--evaluations",
+        "40",
+        "--monte-carlo",
+        "4",
+    )
+    assert (code, err) == (1, "")
+    assert "No candidate fulfils the constraints; this one comes nearest." in out
+    assert "variants" not in out
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ((*VARY,), "--minimise: expected it or --maximise, found none"),
+        ((*VARY, *SETTLING, "--maximise", "run.duration"), "found both"),
+        ((*SETTLING,), "--vary: expected a key and its bounds"),
+        (("--vary", "law.kp=1:2", *SETTLING), "law.kp: expected kp_linear or kp_angular"),
+        (("--vary", "law.kp_linear=-2:-1", *SETTLING), "expected a number > 0"),
+        ((*VARY, "--minimise", "nothing"), "unknown name 'nothing'"),
+        ((*VARY, "--minimise", "along.overshoot"), "which has no such loop"),
+        ((*VARY, "--minimise", "rotate."), "rotate."),
+        ((*VARY, *SETTLING, "--subject-to", "translate.overshoot"), "expected a condition"),
+        ((*VARY, *SETTLING, "--subject-to", "translate.overshoot <"), "--subject-to"),
+        ((*VARY, *SETTLING, "--set", "law.kp_linear=2"), "keys that are not tuned"),
+        ((*VARY, *SETTLING, "--evaluations", "3"), "expected at least 8, found 3"),
+        ((*VARY, *SETTLING, "--seed", "-1"), "expected at least 0"),
+        ((*VARY, *SETTLING, "--spread", "law.kp_angular=1:2"), "--monte-carlo beside it"),
+        ((*VARY, *SETTLING, "--robot", "r.json"), "--monte-carlo beside it"),
+        ((*VARY, *SETTLING, "--monte-carlo", "0"), "from 1 to 1,000,000"),
+        (
+            (*VARY, *SETTLING, "--monte-carlo", "2", "--spread", "law.kp_linear=1:2"),
+            "keys that are not tuned",
+        ),
+        ((*VARY, *SETTLING, "-o", "best.json"), "a name that ends in .toml"),
+        ((*VARY, *SETTLING, "-o", "none/best.toml"), "no such folder"),
+        ((*VARY, *SETTLING, "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"), "--jobs"),
+    ],
+)
+def test_what_it_refuses(
+    run_cli: Run,
+    words: tuple[str, ...],
+    reason: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run_cli("tune", "textbook", *words)
+    assert (code, out) == (2, "")
+    assert err.startswith("turtlelog: error: ")
+    assert err.count("\n") == 1
+    assert reason in err
+
+
+def test_what_no_candidate_has_is_said_with_its_reason(run_cli: Run) -> None:
+    code, out, err = run_cli(
+        "tune", "textbook", *VARY, *SETTLING, "--set", "max_duration_s=1", "--evaluations", "16"
+    )
+    assert (code, out) == (2, "")
+    assert "expected a candidate with a value to compare, found none" in err
+    assert "translate.settling_time: no_phase" in err
+
+
+def test_ctrl_c_says_the_best_so_far(run_cli: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("turtlelog.tune.search._Search.refine", stop)
+    code, _, err = run_cli("tune", "textbook", *VARY, *SETTLING, "--evaluations", "16")
+    assert code == 130
+    assert "candidates so far: law.kp_linear = " in err

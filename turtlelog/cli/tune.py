@@ -1,0 +1,293 @@
+"""`turtlelog tune`: the best values of keys, their neighbourhood, and how robust they are."""
+
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.list_names import complete_keys, complete_metrics
+from turtlelog.cli.options import (
+    Json,
+    LawOptions,
+    Place,
+    Whole,
+    WorkOptions,
+    list_given_keys,
+    load_changed_scenario,
+)
+from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_text
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.run import ScenarioWord
+from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.tune_answer import Answer, describe_answer, format_answer
+from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog.scenario import Scenario
+    from turtlelog.tune import SearchedKey, TuningGoal, Variation
+
+_FOR_EACH_KEY: Final = 300
+"""Candidates for each key: the cover takes 32, and a generation of the evolution 12."""
+
+_FEWEST: Final = 8
+_MOST_VARIANTS: Final = 1_000_000
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GoalOptions:
+    """What is tuned, and for what.
+
+    Attributes:
+        vary: A key and its bounds, as in law.kp_linear=0.5:12; may stand several times.
+        minimise: A metric, or a formula of metrics and keys, that should be small.
+        maximise: The same, that should be large.
+        subject_to: What must hold, as in "rotate.overshoot <= 2"; may stand several times.
+        evaluations: How many candidates at most, about; otherwise 300 for each key.
+        seed: Of the search, and of what --monte-carlo draws; otherwise 0.
+    """
+
+    vary: Annotated[list[str] | None, Parameter(metavar="KEY=A:B", completer=complete_keys)] = None
+    minimise: Annotated[str | None, Parameter(metavar="EXPRESSION", completer=complete_metrics)] = (
+        None
+    )
+    maximise: Annotated[str | None, Parameter(metavar="EXPRESSION", completer=complete_metrics)] = (
+        None
+    )
+    subject_to: Annotated[list[str] | None, Parameter(metavar="EXPRESSION")] = None
+    evaluations: Annotated[Whole | None, Parameter(metavar="COUNT")] = None
+    seed: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
+
+    def parse_goal(self) -> "TuningGoal":
+        """Return what is tuned for."""
+        if (self.minimise is None) == (self.maximise is None):
+            found = "none" if self.minimise is None else "both"
+            raise UsageError(f"--minimise: expected it or --maximise, found {found}")
+        text = self.maximise if self.minimise is None else self.minimise
+        return tl.tune.parse_goal(
+            text or "", self.subject_to or (), is_maximised=self.minimise is None
+        )
+
+    def count_evaluations(self, keys: int) -> int:
+        """Return how many candidates there are to be."""
+        found = _FOR_EACH_KEY * keys if self.evaluations is None else self.evaluations
+        if found < _FEWEST:
+            raise UsageError(f"--evaluations: expected at least {_FEWEST}, found {found}")
+        return found
+
+    def choose_seed(self) -> int:
+        """Return the seed."""
+        seed = self.seed or 0
+        if seed < 0:
+            raise UsageError(f"--seed: expected at least 0, found {seed}")
+        return seed
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobustnessOptions:
+    """How the best values are tried where the loop is not quite the same.
+
+    Attributes:
+        monte_carlo: Simulate so many variants of the best: of other seeds, where the scenario has
+            random effects, and with a transport delay of a tick more or less.
+        spread: Draw a key of them, too, from a range, as in plant.turn_gain=0.9:1; may stand
+            several times.
+        robot: Draw the robot's gains, dead times and lags from the intervals in this file, which
+            `turtlelog identify --json` printed.
+    """
+
+    monte_carlo: Annotated[Whole | None, Parameter(metavar="COUNT")] = None
+    spread: Annotated[list[str] | None, Parameter(metavar="KEY=A:B", completer=complete_keys)] = (
+        None
+    )
+    robot: Annotated[Path | None, Parameter(metavar="FILE")] = None
+
+    def count_runs(self) -> int:
+        """Return how many variants are asked for; 0 where none are."""
+        if self.monte_carlo is None:
+            for name, is_given in (("--spread", self.spread), ("--robot", self.robot)):
+                if is_given:
+                    raise UsageError(f"{name}: expected --monte-carlo beside it, found none")
+            return 0
+        if not 1 <= self.monte_carlo <= _MOST_VARIANTS:
+            most = f"from 1 to {_MOST_VARIANTS:,}"
+            raise UsageError(f"--monte-carlo: expected {most}, found {self.monte_carlo}")
+        return self.monte_carlo
+
+    def list_variations(self, scenario: "Scenario", varied: list[str]) -> "list[Variation]":
+        """Return what variants draw beside seeds and delays."""
+        found: list[Variation] = []
+        if self.robot is not None:
+            found += tl.tune.read_intervals(self.robot, scenario)
+        if self.spread:
+            known = tl.scenario.flatten_scenario(tl.scenario.resolve_scenario(scenario))
+            given = tl.tune.parse_searched_keys(self.spread, known, source="--spread")
+            names = {one.key for one in given}
+            found = [one for one in found if one.key not in names]
+            found += [
+                tl.tune.Variation(key=one.key, low=one.low, high=one.high, is_whole=one.is_whole)
+                for one in given
+            ]
+        for one in found:
+            if one.key in varied:
+                raise UsageError(f"--spread: expected keys that are not tuned, found {one.key}")
+        return found
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TuneOptions(WorkOptions):
+    """How it is done, and what is written.
+
+    Attributes:
+        output: Write the scenario with the best values to this .toml file.
+        trust_law: Run the code of the law that a recording names, where it is not built in.
+    """
+
+    output: Annotated[Place | None, Parameter(name=("--output", "-o"))] = None
+    trust_law: bool = False
+
+
+def tune(
+    base: ScenarioWord = None,
+    /,
+    *,
+    goal: GoalOptions | None = None,
+    robustness: RobustnessOptions | None = None,
+    options: LawOptions | None = None,
+    work: TuneOptions | None = None,
+    json: Json = False,
+) -> int:
+    """Look for the values of a scenario's keys that are best, and say how far they can be trusted.
+
+    Candidates are simulated, many at a time. Of two the better one fulfils the constraints; where
+    both do, the objective decides. Where a metric has no value, as the settling time of a run that
+    does not settle, the candidate is no success.
+
+    Then each key is moved alone until the objective is a tenth worse or a constraint breaks. With
+    --monte-carlo variants of the best show how much it hangs on noise, delay and robot.
+
+    The exit code is 1 where no candidate fulfils the constraints.
+
+    Example: turtlelog tune textbook --vary law.kp_linear=0.5:12 --minimise translate.settling_time
+
+    Example: turtlelog tune paper-kp4 --vary law.kp_angular=0.5:12 --minimise final.position_error
+    --subject-to "rotate.overshoot <= 2" --monte-carlo 200 -o best.toml
+
+    Args:
+        base: A preset (turtlelog list presets), a scenario file (.toml), as `identify` writes one,
+            or a recording. Without one paper, and with --law textbook.
+        json: Print one JSON object instead of tables.
+    """
+    goal, robustness = goal or GoalOptions(), robustness or RobustnessOptions()
+    work = work or TuneOptions()
+    runs, wanted, seed = robustness.count_runs(), goal.parse_goal(), goal.choose_seed()
+    require_new_target(work.output, [] if base is None else [Path(base)], suffix=".toml")
+    scenario = load_changed_scenario(base, options)
+    keys = _parse_keys(scenario, goal.vary or [], options, trust_law=work.trust_law)
+    more = robustness.list_variations(scenario, [key.key for key in keys])
+    with work.find_any_place() as place:
+        answer = _search(scenario, keys, goal, wanted, seed, place, trust_law=work.trust_law)
+        if runs and answer.tuned.best.is_feasible:
+            answer.spread = _simulate_variants(answer, runs, more, seed, place, work)
+    if work.output is not None:
+        with tl.log.replace_when_complete(work.output) as path:
+            path.write_text(tl.scenario.format_scenario(answer.scenario), "utf-8")
+    if json:
+        print_json(describe_answer(answer))
+    else:
+        print_text(format_answer(answer))
+    return EXIT_FINE if answer.tuned.best.is_feasible else EXIT_FAILED
+
+
+def _parse_keys(
+    scenario: "Scenario", vary: list[str], options: LawOptions | None, *, trust_law: bool
+) -> "tuple[SearchedKey, ...]":
+    resolved = tl.scenario.resolve_scenario(scenario, trust_law=trust_law)
+    keys = tl.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(resolved))
+    given = list_given_keys(options)
+    for key in keys:
+        if key.key in given:
+            raise UsageError(f"--set: expected keys that are not tuned, found {key.key}")
+    return keys
+
+
+def _search(  # noqa: PLR0913  (what a search takes)
+    scenario: "Scenario",
+    keys: "tuple[SearchedKey, ...]",
+    goal: GoalOptions,
+    wanted: "TuningGoal",
+    seed: int,
+    place: Any,
+    *,
+    trust_law: bool,
+) -> Answer:
+    """Return the best values and their neighbourhood."""
+    most = goal.count_evaluations(len(keys))
+    with show_progress("simulated", most, "candidates", has_rate=True) as progress:
+
+        def watch(done: int) -> None:
+            progress.done = min(done, most)
+
+        candidates = tl.tune.Candidates(
+            scenario,
+            [key.key for key in keys],
+            wanted,
+            jobs=place,
+            expected=most,
+            watch=watch,
+            trust_law=trust_law,
+        )
+        ends = [tuple(key.low for key in keys), tuple(key.high for key in keys)]
+        candidates.require_bounds(ends)
+        try:
+            tuned = tl.tune.search_best(
+                candidates, keys, evaluations=most, is_maximised=wanted.is_maximised, seed=seed
+            )
+        except KeyboardInterrupt:
+            with suppress(ValueError):
+                best = tl.tune.find_best(candidates, is_maximised=wanted.is_maximised)
+                values = zip(candidates.keys, best.point, strict=True)
+                told = ", ".join(f"{key} = {value:.6g}" for key, value in values)
+                print_note(f"the best of {candidates.evaluations} candidates so far: {told}")
+            raise
+        answer = Answer(
+            scenario=candidates.build_scenario(tuned.best.point),
+            keys=keys,
+            goal=wanted,
+            tuned=tuned,
+        )
+        if tuned.best.is_feasible:
+            sign = -1.0 if wanted.is_maximised else 1.0
+            answer.around = tl.tune.explore_neighbourhood(candidates, keys, tuned.best, sign=sign)
+    return answer
+
+
+def _simulate_variants(
+    answer: Answer,
+    runs: int,
+    more: "list[Variation]",
+    seed: int,
+    place: Any,
+    work: TuneOptions,
+) -> Any:
+    variations = tl.tune.choose_variations(answer.scenario, runs, more)
+    with show_progress("simulated", runs, "variants", has_rate=True) as progress:
+
+        def watch(done: int) -> None:
+            progress.done = done
+
+        return tl.tune.simulate_variants(
+            answer.scenario,
+            answer.goal,
+            variations,
+            runs=runs,
+            seed=seed,
+            jobs=place,
+            watch=watch,
+            trust_law=work.trust_law,
+        )

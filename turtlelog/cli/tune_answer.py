@@ -1,0 +1,198 @@
+"""What `tune` answers, as text and as JSON."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import turtlelog as tl
+from turtlelog.cli.output import format_table
+from turtlelog.display import describe_count, format_number
+
+if TYPE_CHECKING:
+    from turtlelog.compare import Table
+    from turtlelog.scenario import Scenario
+    from turtlelog.tune import KeyRange, SearchedKey, Spread, Tuned, TuningGoal
+
+
+@dataclass(slots=True, kw_only=True)
+class Answer:
+    """What is answered.
+
+    Attributes:
+        scenario: With the best values.
+        keys: That varied.
+        goal: What they were tuned for.
+        tuned: What the search came to.
+        around: How far each key can go; empty where no candidate fulfils the constraints.
+        spread: What variants came to; None where none were simulated.
+    """
+
+    scenario: "Scenario"
+    keys: "tuple[SearchedKey, ...]"
+    goal: "TuningGoal"
+    tuned: "Tuned"
+    around: "tuple[KeyRange, ...]" = ()
+    spread: "Spread | None" = None
+
+    @property
+    def unit(self) -> str:
+        """Of the objective, where it is a metric; otherwise empty."""
+        kind = tl.measure.find_metric_kind(self.goal.objective.text.strip())
+        if kind is None:
+            return ""
+        known = tl.measure.list_metrics(tl.simulate.declare_scenario(self.scenario))
+        return known[self.goal.objective.text.strip()].unit
+
+
+def describe_answer(answer: Answer) -> dict[str, Any]:
+    """Return the answer as JSON."""
+    tuned, spread = answer.tuned, answer.spread
+    return {
+        "best": dict(zip((key.key for key in answer.keys), tuned.best.point, strict=True)),
+        "objective": tuned.best.objective,
+        "minimise": None if answer.goal.is_maximised else answer.goal.objective.text,
+        "maximise": answer.goal.objective.text if answer.goal.is_maximised else None,
+        "unit": answer.unit or None,
+        "is_feasible": tuned.best.is_feasible,
+        "constraints": [
+            {"expression": one.expression, "value": one.value, "holds": one.holds}
+            for one in tuned.best.constraints
+        ],
+        "evaluations": tuned.evaluations,
+        "failed": tuned.failed,
+        "feasible": tuned.feasible,
+        "at_bounds": [*tuned.at_bounds],
+        "neighbourhood": [
+            {
+                "key": one.key,
+                "low": one.low,
+                "high": one.high,
+                "low_end": one.low_constraint or one.low_end,
+                "high_end": one.high_constraint or one.high_end,
+            }
+            for one in answer.around
+        ],
+        "spread": None if spread is None else _describe_spread(spread),
+    }
+
+
+def _describe_spread(spread: "Spread") -> dict[str, Any]:
+    return {
+        "runs": spread.runs,
+        "with_value": spread.with_value,
+        "holds": spread.holds,
+        "median": spread.median,
+        "low_5_percent": spread.low,
+        "high_95_percent": spread.high,
+        "worst": spread.worst,
+        "varied": {one.key: [one.low, one.high] for one in spread.varied},
+    }
+
+
+def format_answer(answer: Answer) -> str:
+    """Return the answer as text."""
+    tables = [_tabulate_best(answer)]
+    if answer.tuned.best.constraints:
+        tables.append(_tabulate_constraints(answer))
+    texts = [format_table(table) for table in tables]
+    if answer.spread is not None:
+        texts.append(format_table(_tabulate_spread(answer, answer.spread)))
+    return "\n".join(texts)
+
+
+def _tabulate_best(answer: Answer) -> "Table":
+    tuned = answer.tuned
+    around = {one.key: one for one in answer.around}
+    ends: dict[str, tuple[Any, ...]] = {
+        key: (one.low, one.high, _tell_end(one, is_low=True), _tell_end(one, is_low=False))
+        for key, one in around.items()
+    }
+    rows = [
+        (key.key, value, *ends.get(key.key, (None, None, None, None)))
+        for key, value in zip(answer.keys, tuned.best.point, strict=True)
+    ]
+    columns = ["key", "best", "from", "to", "below", "above"]
+    width = len(columns) if around else 2
+    return tl.compare.Table(
+        title=f"The best of {describe_count(tuned.evaluations, 'candidate')}",
+        columns=tuple(tl.compare.Column(title=title) for title in columns[:width]),
+        rows=tuple(row[:width] for row in rows),
+        notes=tuple(_list_notes(answer)),
+    )
+
+
+def _list_notes(answer: Answer) -> list[str]:
+    tuned, best, unit = answer.tuned, answer.tuned.best, answer.unit
+    name, word = answer.goal.objective.text, "maximise" if answer.goal.is_maximised else "minimise"
+    notes = []
+    if best.objective is not None:
+        value = f"{format_number(best.objective)} {unit}".rstrip()
+        notes.append(f"{name}, to {word}: {value}.")
+    if not best.is_feasible:
+        notes.append(
+            "No candidate fulfils the constraints; this one comes nearest."
+            if best.objective is not None
+            else "No candidate that fulfils the constraints has a value of the objective."
+        )
+    elif answer.around:
+        notes.append(
+            "From and to: as far as this key alone can go, in the steps of the search, until the"
+            " objective is 10 % worse, or a constraint breaks."
+        )
+    notes += [
+        f"{key.key} is at the bound that was given, {format_number(number)}: beyond, it may be"
+        " better."
+        for key, number in zip(answer.keys, best.point, strict=True)
+        if key.key in tuned.at_bounds
+    ]
+    if tuned.failed:
+        notes.append(f"{describe_count(tuned.failed, 'candidate')} failed.")
+    return notes
+
+
+def _tell_end(one: "KeyRange", *, is_low: bool) -> str:
+    end, constraint = (
+        (one.low_end, one.low_constraint) if is_low else (one.high_end, one.high_constraint)
+    )
+    words = {"objective": "worse", "no value": "no value", "bound": "bound"}
+    return constraint or words[end]
+
+
+def _tabulate_constraints(answer: Answer) -> "Table":
+    return tl.compare.Table(
+        title="Constraints",
+        columns=tuple(tl.compare.Column(title=title) for title in ("constraint", "value", "holds")),
+        rows=tuple(
+            (one.expression, one.value, "yes" if one.holds else "no")
+            for one in answer.tuned.best.constraints
+        ),
+    )
+
+
+def _tabulate_spread(answer: Answer, spread: "Spread") -> "Table":
+    values = {
+        "median": spread.median,
+        "5 % below": spread.low,
+        "5 % above": spread.high,
+        "worst": spread.worst,
+    }
+    varied = [
+        f"{one.key} from {format_number(one.low)} to {format_number(one.high)}"
+        for one in spread.varied
+    ]
+    notes = [
+        f"Drawn, each by itself: {'; '.join(varied)}.",
+        f"The objective has a value in {spread.with_value} of {spread.runs}.",
+    ]
+    if answer.goal.constraints:
+        notes.append(f"All constraints hold in {spread.holds} of {spread.runs}.")
+    if not any(one.key == "seed" for one in spread.varied):
+        notes.append("The scenario has no random effects: its seed changes nothing.")
+    return tl.compare.Table(
+        title=f"{describe_count(spread.runs, 'variant')} of the best",
+        columns=(
+            tl.compare.Column(title="of them"),
+            tl.compare.Column(title=answer.goal.objective.text, unit=answer.unit),
+        ),
+        rows=tuple((name, value) for name, value in values.items()),
+        notes=tuple(notes),
+    )

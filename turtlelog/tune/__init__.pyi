@@ -1,0 +1,29 @@
+from .candidates import (
+    Candidate as Candidate,
+    Candidates as Candidates,
+)
+from .goal import (
+    ConstraintFinding as ConstraintFinding,
+    TuningGoal as TuningGoal,
+    parse_goal as parse_goal,
+)
+from .monte_carlo import (
+    Spread as Spread,
+    Variation as Variation,
+    choose_variations as choose_variations,
+    read_intervals as read_intervals,
+    simulate_variants as simulate_variants,
+)
+from .neighbourhood import (
+    KeyRange as KeyRange,
+    explore_neighbourhood as explore_neighbourhood,
+)
+from .search import (
+    Tuned as Tuned,
+    find_best as find_best,
+    search_best as search_best,
+)
+from .searched_keys import (
+    SearchedKey as SearchedKey,
+    parse_searched_keys as parse_searched_keys,
+)

@@ -1,0 +1,173 @@
+"""What is tuned for: an objective to make small, and constraints that must hold."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from turtlelog.errors import TuneError
+from turtlelog.expressions import (
+    Comparison,
+    Expression,
+    Logic,
+    Node,
+    Prefix,
+    evaluate_expression,
+    evaluate_node,
+    parse_expression,
+)
+from turtlelog.measure import find_metric_kind
+
+Values = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConstraintFinding:
+    """What a candidate makes of a constraint.
+
+    Attributes:
+        expression: As typed.
+        value: Of the left side where it is a comparison with a number on the left; None otherwise,
+            and where there is no value.
+        margin: How far it is from changing its verdict, in the unit of what it compares: positive
+            where it holds with room, negative where it does not hold. inf or -inf where it has no
+            distance, as words have none, and -inf where a value is missing.
+        holds: Whether it does; a missing value is no success.
+    """
+
+    expression: str
+    value: float | None
+    margin: float
+    holds: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TuningGoal:
+    """What is tuned for.
+
+    Attributes:
+        objective: A number of metrics and keys.
+        is_maximised: Whether it should be large, not small.
+        constraints: Truths of metrics and keys.
+    """
+
+    objective: Expression
+    is_maximised: bool = False
+    constraints: tuple[Expression, ...] = ()
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Ids of the metrics that are needed."""
+        names = [name for one in (self.objective, *self.constraints) for name in one.names]
+        return tuple(dict.fromkeys(name for name in names if find_metric_kind(name) is not None))
+
+    def compute_objective(self, values: Values) -> float | None:
+        """Return the objective; None where it has no value.
+
+        Raises:
+            ExpressionError: Where it names what is not there.
+            TuneError: Where it is no number.
+        """
+        found = evaluate_expression(self.objective, values)
+        if found is None:
+            return None
+        if isinstance(found, bool) or not isinstance(found, int | float):
+            raise TuneError(f"{self.objective.source}: expected a number, found {found!r}")
+        return float(found)
+
+    def judge(self, values: Values) -> tuple[ConstraintFinding, ...]:
+        """Return what becomes of each constraint.
+
+        Raises:
+            ExpressionError: Where one names what is not there.
+            TuneError: Where one is no condition.
+        """
+        return tuple(_judge(one, values) for one in self.constraints)
+
+    def require_sound(self, parameters: Values) -> None:
+        """Refuse an expression that no candidate could answer.
+
+        Args:
+            parameters: Of a candidate, by key.
+
+        Raises:
+            ExpressionError: Where one names what is not there.
+            TuneError: Where the objective is no number, or a constraint no condition.
+        """
+        values = {**parameters, **dict.fromkeys(self.metrics, 1.0)}
+        if not self.metrics:
+            raise TuneError(
+                f"{self.objective.source}: expected a metric such as final.position_error, found"
+                f" none in {self.objective.text!r}"
+            )
+        self.compute_objective(values)
+        self.judge(values)
+
+
+def parse_goal(
+    objective: str, constraints: Sequence[str] = (), *, is_maximised: bool = False
+) -> TuningGoal:
+    """Return a goal of its texts.
+
+    Raises:
+        ExpressionError: Where one cannot be read.
+    """
+    source = "--maximise" if is_maximised else "--minimise"
+    return TuningGoal(
+        objective=parse_expression(objective, source=source),
+        is_maximised=is_maximised,
+        constraints=tuple(parse_expression(text, source="--subject-to") for text in constraints),
+    )
+
+
+def _judge(expression: Expression, values: Values) -> ConstraintFinding:
+    truth = evaluate_expression(expression, values)
+    if truth is not None and not isinstance(truth, bool):
+        raise TuneError(f"{expression.source}: expected a condition, found {truth!r}")
+    value, root = None, expression.root
+    if isinstance(root, Comparison):
+        found = evaluate_node(expression, root.operands[0], values).unpack()
+        value = float(found) if _is_number(found) else None
+    margin = _measure_margin(expression, root, values)
+    return ConstraintFinding(
+        expression=expression.text, value=value, margin=margin, holds=truth is True
+    )
+
+
+def _measure_margin(expression: Expression, node: Node, values: Values) -> float:
+    """Return how far a truth is from the other verdict; negative where it does not hold.
+
+    The robustness of a formula (A. Donze and O. Maler, "Robust satisfaction of temporal logic over
+    real-valued signals", FORMATS 2010), without time.
+    """
+    if isinstance(node, Comparison):
+        sides = [evaluate_node(expression, one, values).unpack() for one in node.operands]
+        pairs = zip(sides, node.operators, sides[1:], strict=False)
+        return min(_compare(*pair) for pair in pairs)
+    parts = [_measure_margin(expression, part, values) for part in node.list_children()]
+    if isinstance(node, Logic):
+        if node.operator == "implies":
+            return max(-parts[0], parts[1])
+        return min(parts) if node.operator == "and" else max(parts)
+    if isinstance(node, Prefix) and node.operator == "not":
+        return -parts[0]
+    return math.inf if evaluate_node(expression, node, values).unpack() is True else -math.inf
+
+
+_ORDER: Final = {"<": 1.0, "<=": 1.0, ">": -1.0, ">=": -1.0}
+
+
+def _compare(left: Any, operator: str, right: Any) -> float:
+    if left is None or right is None:
+        return -math.inf
+    if not (_is_number(left) and _is_number(right)):
+        return math.inf if (left == right) == (operator == "==") else -math.inf
+    if operator in _ORDER:
+        # Infinite sides that are equal are no distance apart.
+        return 0.0 if left == right else _ORDER[operator] * (right - left)
+    distance = 0.0 if left == right else abs(left - right)
+    return -distance if operator == "==" else distance
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
