@@ -52,7 +52,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
     ),
     "signal": (lambda: tl.read_signal(RUN, "x"), "<Signal x: 793 values in m>"),
     "comparison": (lambda: tl.compare_runs(RUN, OTHER), "<RunComparison of paper-kp4: "),
-    "summary": (lambda: tl.summarise_run(RUN), "<RunSummary paper-kp10: 129 metrics, standstill>"),
+    "summary": (lambda: tl.summarise_run(RUN), "<RunSummary paper-kp10: 131 metrics, standstill>"),
     "table": (
         lambda: tl.tabulate_runs([tl.summarise_run(RUN)]),
         "<Table 1 run: 1 row of 7 columns>",

@@ -1,26 +1,28 @@
 """`turtlelog tune`: what it answers, what it refuses, and that it can be stopped."""
 
-import json
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import turtlelog as tl
+from tests.cli.conftest import Call
 
-Run = Callable[..., Any]
+
+@pytest.fixture(autouse=True)
+def _stay_in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
 
 VARY = ("--vary", "law.kp_linear=0.5:12")
 SETTLING = ("--minimise", "translate.settling_time")
 
 
 def test_best_values_as_json_and_file(
-    run_cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Call,
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    code, out, err = run_cli(
+    done = call(
         "tune",
         "textbook",
         *VARY,
@@ -37,8 +39,8 @@ def test_best_values_as_json_and_file(
         "best.toml",
         "--json",
     )
-    assert (code, err) == (0, "")
-    found = json.loads(out)
+    assert (done.code, done.err) == (0, "")
+    found = done.json
     assert 3.9 < found["best"]["law.kp_linear"] <= 4.0
     assert found["is_feasible"] is True
     assert [one["holds"] for one in found["constraints"]] == [True, True]
@@ -54,8 +56,8 @@ def test_best_values_as_json_and_file(
     assert metric.value == found["objective"]
 
 
-def test_text_tells_bounds_constraints_and_variants(run_cli: Run) -> None:
-    code, out, err = run_cli(
+def test_text_tells_bounds_constraints_and_variants(call: Call) -> None:
+    done = call(
         "tune",
         "textbook",
         *VARY,
@@ -71,17 +73,31 @@ def test_text_tells_bounds_constraints_and_variants(run_cli: Run) -> None:
         "--set",
         "sensing.noise_position_m=0.001",
     )
-    assert (code, err) == (0, "")
-    assert "translate.settling_time, to minimise: " in out
-    assert "translate.stable == 1      1  yes" in out
-    assert "4 variants of the best" in out
-    assert "start.heading_rad from 0 to 0.5" in out
-    assert "seed from 0 to 3" in out
-    assert "its seed changes nothing" not in out
+    assert (done.code, done.err) == (0, "")
+    assert "translate.settling_time, to minimise: " in done.out
+    assert "translate.stable == 1      1  yes" in done.out
+    assert "4 variants of the best" in done.out
+    assert "start.heading_rad from 0 to 0.5" in done.out
+    assert "seed from 0 to 3" in done.out
+    assert "its seed changes nothing" not in done.out
 
 
-def test_nothing_that_fulfils_the_constraints_is_exit_code_1(run_cli: Run) -> None:
-    code, out, err = run_cli(
+def test_the_intervals_of_an_identified_robot_are_drawn(call: Call) -> None:
+    assert call("run", "lagged", "-o", "bag.mcap").code == 0
+    told = call("identify", "bag.mcap", "--scenario", "robot.toml", "--json")
+    assert told.code == 0
+    Path("robot.json").write_text(told.out, "utf-8")
+    words = ("--minimise", "run.duration", "--evaluations", "16", "--monte-carlo", "4", "--json")
+    done = call("tune", "robot.toml", *VARY, *words, "--robot", "robot.json")
+    assert (done.code, done.err) == (0, "")
+    varied = done.json["spread"]["varied"]
+    (axis,) = (one for one in told.json["axes"] if one["axis"] == "speed")
+    assert varied["plant.speed_lag_s"] == [axis["lag_s"]["low"], axis["lag_s"]["high"]]
+    assert {key.split("_")[0] for key in varied} == {"loop.transport", "plant.speed", "plant.turn"}
+
+
+def test_nothing_that_fulfils_the_constraints_is_exit_code_1(call: Call) -> None:
+    done = call(
         "tune",
         "textbook",
         *VARY,
@@ -93,9 +109,9 @@ def test_nothing_that_fulfils_the_constraints_is_exit_code_1(run_cli: Run) -> No
         "--monte-carlo",
         "4",
     )
-    assert (code, err) == (1, "")
-    assert "No candidate fulfils the constraints; this one comes nearest." in out
-    assert "variants" not in out
+    assert (done.code, done.err) == (1, "")
+    assert "No candidate fulfils the constraints; this one comes nearest." in done.out
+    assert "variants" not in done.out
 
 
 @pytest.mark.parametrize(
@@ -104,11 +120,12 @@ def test_nothing_that_fulfils_the_constraints_is_exit_code_1(run_cli: Run) -> No
         ((*VARY,), "--minimise: expected it or --maximise, found none"),
         ((*VARY, *SETTLING, "--maximise", "run.duration"), "found both"),
         ((*SETTLING,), "--vary: expected a key and its bounds"),
-        (("--vary", "law.kp=1:2", *SETTLING), "law.kp: expected kp_linear or kp_angular"),
+        (("--vary", "law.kp=1:2", *SETTLING), "--vary: law.kp: expected kp_angular or kp_linear"),
         (("--vary", "law.kp_linear=-2:-1", *SETTLING), "expected a number > 0"),
         ((*VARY, "--minimise", "nothing"), "unknown name 'nothing'"),
+        ((*VARY, "--minimise", "final.position_eror"), "final.position_error"),
         ((*VARY, "--minimise", "along.overshoot"), "which has no such loop"),
-        ((*VARY, "--minimise", "rotate."), "rotate."),
+        ((*VARY, "--minimise", "rotate."), "expected a number, name"),
         ((*VARY, *SETTLING, "--subject-to", "translate.overshoot"), "expected a condition"),
         ((*VARY, *SETTLING, "--subject-to", "translate.overshoot <"), "--subject-to"),
         ((*VARY, *SETTLING, "--set", "law.kp_linear=2"), "keys that are not tuned"),
@@ -127,34 +144,31 @@ def test_nothing_that_fulfils_the_constraints_is_exit_code_1(run_cli: Run) -> No
     ],
 )
 def test_what_it_refuses(
-    run_cli: Run,
+    call: Call,
     words: tuple[str, ...],
     reason: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    code, out, err = run_cli("tune", "textbook", *words)
-    assert (code, out) == (2, "")
-    assert err.startswith("turtlelog: error: ")
-    assert err.count("\n") == 1
-    assert reason in err
+    done = call("tune", "textbook", *words)
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith("turtlelog: error: ")
+    assert done.err.count("\n") == 1
+    assert reason in done.err
 
 
-def test_what_no_candidate_has_is_said_with_its_reason(run_cli: Run) -> None:
-    code, out, err = run_cli(
+def test_what_no_candidate_has_is_said_with_its_reason(call: Call) -> None:
+    done = call(
         "tune", "textbook", *VARY, *SETTLING, "--set", "max_duration_s=1", "--evaluations", "16"
     )
-    assert (code, out) == (2, "")
-    assert "expected a candidate with a value to compare, found none" in err
-    assert "translate.settling_time: no_phase" in err
+    assert (done.code, done.out) == (2, "")
+    assert "expected a candidate with a value to compare, found none" in done.err
+    assert "translate.settling_time: no_phase" in done.err
 
 
-def test_ctrl_c_says_the_best_so_far(run_cli: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_says_the_best_so_far(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("turtlelog.tune.search._Search.refine", stop)
-    code, _, err = run_cli("tune", "textbook", *VARY, *SETTLING, "--evaluations", "16")
-    assert code == 130
-    assert "candidates so far: law.kp_linear = " in err
+    done = call("tune", "textbook", *VARY, *SETTLING, "--evaluations", "16")
+    assert done.code == 130
+    assert "candidates so far: law.kp_linear = " in done.err

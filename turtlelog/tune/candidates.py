@@ -108,13 +108,14 @@ class Candidates:
                 " loop"
             )
         self._scenario, self._trusts = base, trust_law
-        goal.require_sound({**self._parameters, **dict.fromkeys(self.keys, 1.0)})
+        numbers = dict.fromkeys([*self.keys, *known], 1.0)
+        goal.require_sound({**self._parameters, **numbers})
 
     def build_scenario(self, point: Point) -> Scenario:
         """Return the scenario of a candidate, under the name of the base."""
         trusted = True if self._trusts else None
         keys, values = [*self.keys, "name"], [*point, self._scenario.name]
-        return build_row_scenario(self._scenario, keys, values, 0, source="tune", trust_law=trusted)
+        return build_row_scenario(self._scenario, keys, values, 0, source="--vary", trust_law=trusted)
 
     def require_bounds(self, points: Sequence[Point]) -> None:
         """Refuse bounds at none of which there is a scenario.

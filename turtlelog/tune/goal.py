@@ -84,24 +84,23 @@ class TuningGoal:
         """
         return tuple(_judge(one, values) for one in self.constraints)
 
-    def require_sound(self, parameters: Values) -> None:
+    def require_sound(self, known: Values) -> None:
         """Refuse an expression that no candidate could answer.
 
         Args:
-            parameters: Of a candidate, by key.
+            known: Keys with their values, and every metric with a number.
 
         Raises:
             ExpressionError: Where one names what is not there.
             TuneError: Where the objective is no number, or a constraint no condition.
         """
-        values = {**parameters, **dict.fromkeys(self.metrics, 1.0)}
+        self.compute_objective(known)
+        self.judge(known)
         if not self.metrics:
             raise TuneError(
                 f"{self.objective.source}: expected a metric such as final.position_error, found"
-                f" none in {self.objective.text!r}"
+                f" none in {self.objective.text[:60]!r}"
             )
-        self.compute_objective(values)
-        self.judge(values)
 
 
 def parse_goal(
