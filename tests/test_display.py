@@ -36,7 +36,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
         lambda: tl.measure_run(RUN)["final.goal_heading_error"],
         "<Metric final.goal_heading_error: absent>",
     ),
-    "metrics": (lambda: tl.measure_run(RUN), "<Metrics: 129, of which 124 have a value>"),
+    "metrics": (lambda: tl.measure_run(RUN), "<Metrics: 131, of which 126 have a value>"),
     "METRICS": (lambda: tl.METRICS, "metrics: <loop>.duration, "),
     "SIGNALS": (lambda: tl.SIGNALS, "signals: x, y, heading, speed, ...>"),
     "FIGURES": (lambda: tl.show.FIGURES, "figures: plant, "),
