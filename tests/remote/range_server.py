@@ -2,7 +2,7 @@
 
 import re
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Literal, Self
@@ -20,6 +20,8 @@ class RangeServer:
         faults: What goes wrong with the next answers with bytes, one each.
         ranges: Ranges that were asked for and sent.
         sent: Bytes that were sent.
+        marks: Headers of every answer, as ETag.
+        swap: Called before the answer to the second range.
     """
 
     files: Mapping[str, bytes]
@@ -27,6 +29,8 @@ class RangeServer:
     faults: list[Fault] = field(default_factory=list)
     ranges: list[tuple[int, int]] = field(default_factory=list)
     sent: int = 0
+    marks: dict[str, str] = field(default_factory=dict)
+    swap: Callable[[], None] | None = None
 
     def __enter__(self) -> Self:
         owner, self._released = self, threading.Event()
@@ -63,6 +67,8 @@ class RangeServer:
         return f"http://127.0.0.1:{self._server.server_address[1]}/{name}"
 
     def _answer(self, request: BaseHTTPRequestHandler, *, with_body: bool) -> None:
+        if with_body and self.ranges and self.swap is not None:
+            self.swap()
         data = self.files.get(request.path.lstrip("/"))
         fault = self.faults.pop(0) if self.faults and with_body else None
         asked = re.fullmatch(r"bytes=(\d+)-(\d+)", request.headers.get("Range", ""))
@@ -77,6 +83,8 @@ class RangeServer:
         body = data[start:end] if is_range else data
         request.send_response(206 if is_range else 200)
         request.send_header("Content-Length", str(len(body)))
+        for name, mark in self.marks.items():
+            request.send_header(name, mark)
         if is_range:
             request.send_header("Content-Range", f"bytes {start}-{end - 1}/{len(data)}")
         request.end_headers()

@@ -8,6 +8,7 @@ from moto.server import ThreadedMotoServer
 
 import turtlelog as tl
 from turtlelog.errors import LogError
+from turtlelog.remote import RemotePath
 
 
 @pytest.fixture(scope="module")
@@ -71,3 +72,19 @@ def test_a_bucket_that_is_not_there_takes_nothing(bucket: str) -> None:
     run = tl.read_run("recordings/paper/kp4.mcap")
     with pytest.raises(LogError, match=r"^s3://no-such-bucket/x\.mcap: expected an object or file"):
         tl.write_recording(run, "s3://no-such-bucket/x.mcap")
+
+
+def test_an_object_that_is_replaced_while_it_is_read_is_one_line(
+    bucket: str, large_mcap: bytes
+) -> None:
+    import s3fs
+
+    system, place = s3fs.S3FileSystem(), f"{bucket}/swapped.mcap"
+    system.pipe_file(place, large_mcap)
+    path = RemotePath(place)
+    assert tl.log.read_info(path).topics[0].count == 384
+    system.pipe_file(place, large_mcap[:-1] + b"x")
+    with pytest.raises(
+        LogError, match=r"^s3://robots/swapped\.mcap: expected one file throughout, found that it"
+    ):
+        tl.log.read_columns(path)

@@ -136,3 +136,32 @@ def test_what_cannot_be_read_is_one_line_with_the_url(url: str, said: str) -> No
 def test_no_such_file_on_a_server_is_one_line(server: RangeServer) -> None:
     with pytest.raises(LogError, match=r"none\.mcap: expected an object or file, found none"):
         tl.read_run(server.url("none.mcap"))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "is_same"),
+    [
+        ({"ETag": '"1"'}, {"ETag": '"2"'}, False),
+        ({"ETag": 'W/"1"'}, {"ETag": '"1"'}, True),
+        ({"ETag": '"1"', "Last-Modified": "1"}, {"ETag": '"1"', "Last-Modified": "2"}, True),
+        ({"Last-Modified": "Mon"}, {"Last-Modified": "Tue"}, False),
+        ({"ETag": '"1"', "Last-Modified": "1"}, {"Last-Modified": "1"}, True),
+        ({}, {"ETag": '"1"'}, True),
+    ],
+)
+def test_a_file_that_is_replaced_between_ranges_is_one_line(
+    server: RangeServer, before: dict[str, str], after: dict[str, str], *, is_same: bool
+) -> None:
+    """The size stays: nothing else tells."""
+    server.marks = before
+    server.swap = lambda: setattr(server, "marks", after)
+    if is_same:
+        assert len(read_columns(server.url("large.mcap"))["/block"].log_time_ns) == 384
+        return
+    with pytest.raises(
+        LogError,
+        match=r"large\.mcap: expected one file throughout, found that it was replaced while",
+    ) as caught:
+        read_columns(server.url("large.mcap"))
+    assert "\n" not in str(caught.value)
+    assert len(server.ranges) <= 2  # the other file is not asked for again

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from sys import intern
 from typing import Any, Final
 
 from turtlelog.check.result import CheckResult, Verdict
@@ -14,9 +15,9 @@ from turtlelog.sweep import (
     RecordingTable,
     describe_values,
     hash_recording,
-    read_result_table,
 )
 from turtlelog.sweep.file_rows import ERROR, FILE
+from turtlelog.sweep.result_table import list_values, open_result_table
 from turtlelog.sweep.row_columns import Cell, Key, Row
 
 _KEYS: Final = (
@@ -96,15 +97,19 @@ def read_verdicts(path: Path, files: Mapping[str, str]) -> list[CheckResult]:
     """
     keys = (FILE, *_KEYS, _DECIDED)
     names = [key.name for key in keys]
-    table = read_result_table(path, kind="verdicts", columns=names)
-    columns = {column.name: column.cells for column in table.columns}
-    rows: Iterator[Any] = zip(*(columns[name] for name in names), strict=True)
-    found = (dict(zip(names, row, strict=True)) for row in rows)
-    return [_build_result(cells, files) for cells in found if cells["verdict"] is not None]
+    table = open_result_table(path, kind="verdicts")
+    results: list[CheckResult] = []
+    for group in range(len(table.group_rows)):  # few rows at a time are cells of Python
+        columns = {one.name: list_values(one) for one in table.read(names, group)}
+        rows: Iterator[Any] = zip(*(columns[name] for name in names), strict=True)
+        found = (dict(zip(names, row, strict=True)) for row in rows)
+        results += [_build_result(cells, files) for cells in found if cells["verdict"] is not None]
+    return results
 
 
 def _build_result(cells: dict[str, Any], files: Mapping[str, str]) -> CheckResult:
-    texts = {key.name: cells[key.name] or "" for key in _KEYS if key.type == "text"}
+    # Texts repeat from file to file, and stand in memory once.
+    texts = {key.name: intern(cells[key.name] or "") for key in _KEYS if key.type == "text"}
     cells |= texts
     label, is_decided = cells.pop("file"), bool(cells.pop("decided"))
     verdict = Verdict(cells.pop("verdict"))

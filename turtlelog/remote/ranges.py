@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 from typing import IO, Any, BinaryIO, Final, cast
 
 from turtlelog.errors import RemoteError
-from turtlelog.remote.requests import NoRangesError, open_system, try_thrice
+from turtlelog.remote.requests import NoRangesError, SameFile, open_system, try_thrice
 from turtlelog.remote.urls import RemoteNote, show_url
 
 _HEAD: Final = 2**14
@@ -46,7 +46,10 @@ class RemoteFile:
         self._ends: dict[int, bytes] = {}
         self._copy: IO[bytes] | None = None
         self._failure: RemoteError | None = None
-        self._file: Any = try_thrice(lambda: self._system.open(self._path, "rb", cache_type="none"))
+        self._options = SameFile().choose_options(url)
+        self._file: Any = try_thrice(
+            lambda: self._system.open(self._path, "rb", cache_type="none", **self._options)
+        )
         if self._file.seekable() and not type(self._file).__name__.endswith("StreamFile"):
             self.size = int(self._file.seek(0, os.SEEK_END))
         else:
@@ -120,7 +123,7 @@ class RemoteFile:
         return self._copy.seek(0, os.SEEK_END)
 
     def _copy_once(self) -> IO[bytes]:
-        whole = {"block_size": 0} if self._url.startswith("http") else {}
+        whole = {"block_size": 0, **self._options} if self._url.startswith("http") else {}
         with ExitStack() as undoing, self._system.open(self._path, "rb", **whole) as source:
             copy = undoing.enter_context(tempfile.TemporaryFile())
             while data := source.read(_WINDOW // 8):

@@ -25,6 +25,39 @@ class NoRangesError(Exception):
     """A server that knows whole files only."""
 
 
+class ReplacedError(Exception):
+    """A file that is another one than at the first answer."""
+
+
+class SameFile:
+    """Holds the answers of a server of http to one file; s3fs asks its server for that itself."""
+
+    def __init__(self) -> None:
+        self._first: dict[str, str] | None = None
+
+    def choose_options(self, url: str) -> dict[str, Any]:
+        """Return the options with which a file is opened, whose answers are looked at."""
+        is_http = "::" not in url and urlsplit(url).scheme.lower() in {"http", "https"}
+        return {"raise_for_status": self._look} if is_http else {}
+
+    async def _look(self, answer: Any) -> None:
+        if answer.status not in {200, 206}:
+            return
+        found = {name: answer.headers[name] for name in _MARKS if name in answer.headers}
+        first = self._first = self._first or found
+        shared = next((name for name in _MARKS if name in first and name in found), None)
+        if shared is not None and _strip_weak(first[shared]) != _strip_weak(found[shared]):
+            raise ReplacedError
+
+
+_MARKS: Final = ("ETag", "Last-Modified")
+"""What tells one content of a file from another, the surer one first."""
+
+
+def _strip_weak(mark: str) -> str:
+    return mark.removeprefix("W/")
+
+
 _BACKENDS: Final = {
     "http": "aiohttp", "https": "aiohttp", "s3": "s3fs", "s3a": "s3fs", "gs": "gcsfs",
     "gcs": "gcsfs", "az": "adlfs", "abfs": "adlfs", "abfss": "adlfs", "sftp": "paramiko",
@@ -176,6 +209,7 @@ def _find_status(err: BaseException) -> int | None:
 
 
 _LOST: Final = ("NoCredentialsError", "PartialCredentialsError", "TokenRetrievalError")
+_REPLACED: Final = ("ReplacedError", "FileExpired")
 _AWAY: Final = ("ClientConnectorError", "ClientConnectorDNSError", "EndpointConnectionError",
     "ConnectionRefusedError", "gaierror")  # fmt: skip
 _SLOW: Final = ("TimeoutError", "ReadTimeoutError", "ConnectTimeoutError", "FSTimeoutError",
@@ -186,14 +220,17 @@ def _describe(err: BaseException) -> str:
     """Return in one line what went wrong, without what is secret."""
     names = {kind.__name__ for cause in _list_causes(err) for kind in type(cause).__mro__}
     status = _find_status(err)
+    if names & set(_REPLACED):
+        return "expected one file throughout, found that it was replaced while it was read"
     if status in {401, 403} or (isinstance(err, PermissionError) and status is None):
         return "expected a file that may be read, found no access to it (the server refuses)"
-    if names & set(_LOST):
-        return "expected credentials of the object storage, found none"
-    if names & set(_SLOW):
-        return f"expected an answer within {STALL_S} s, found none: the server hangs"
-    if names & set(_AWAY):
-        return "expected a server, found none that answers at this address"
+    for kinds, said in (
+        (_LOST, "expected credentials of the object storage, found none"),
+        (_SLOW, f"expected an answer within {STALL_S} s, found none: the server hangs"),
+        (_AWAY, "expected a server, found none that answers at this address"),
+    ):
+        if names & set(kinds):
+            return said
     if status == 404 or (isinstance(err, FileNotFoundError) and status is None):
         return "expected an object or file, found none of this name"
     found = hide_secrets(describe_error(err))
@@ -204,7 +241,9 @@ def _describe(err: BaseException) -> str:
 
 def _may_pass(err: BaseException) -> bool:
     status, names = _find_status(err), {type(cause).__name__ for cause in _list_causes(err)}
-    if names & {*_LOST, *_AWAY, *_SLOW} or isinstance(err, PermissionError | ImportError):
+    if names & {*_LOST, *_AWAY, *_SLOW, *_REPLACED} or isinstance(
+        err, PermissionError | ImportError
+    ):
         return False
     if isinstance(err, FileNotFoundError) and status is None:
         return False

@@ -24,9 +24,10 @@ FORMAT: Final = "1"
 _PREFIX: Final = "turtlelog."
 
 _MOST_GROUPED: Final = 131_072
-_CELLS_GROUPED: Final = 2**21
-"""Of a group of rows: 1 MB of a column of numbers and some 16 MB of all columns, which is what
-writing and reading need of memory. However rows come to the writer, groups are cut here, so that
+_CELLS_GROUPED: Final = 2**19
+"""Rows and cells of a group: 1 MB of a column of numbers and 4 MB of all columns, which is about
+what writing and reading need of memory; a million files with all metrics have 500 groups, of which
+the end of the file tells in 20 MB. However rows come to the writer, groups are cut here, so that
 bytes do not depend on it."""
 
 _WHOLE: Final = range(-(2**63), 2**63)
