@@ -1,6 +1,7 @@
 """A Dask scheduler and workers in processes of their own, on 127.0.0.1."""
 
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -24,11 +25,22 @@ FILES = [f"recordings/paper/kp{gain}.mcap" for gain in (1, 4, 7, 10)]
 
 
 @contextmanager
-def _start(kind: str, *words: str) -> Iterator["subprocess.Popen[bytes]"]:
-    """Start a part of a cluster, which is ended by its own handle."""
+def _start(
+    kind: str, *words: str, folder: Path | None = None
+) -> Iterator["subprocess.Popen[bytes]"]:
+    """Start a part of a cluster, which is ended by its own handle.
+
+    Args:
+        kind: scheduler or worker.
+        words: Its options.
+        folder: It finds modules there first.
+    """
+    paths = os.pathsep.join([*([] if folder is None else [str(folder)]), str(Path.cwd())])
+    env = {**os.environ, "PYTHONPATH": paths}
     command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *words, "--no-dashboard"]
     log = subprocess.DEVNULL
-    with subprocess.Popen([*command, "--host", "127.0.0.1"], stdout=log, stderr=log) as process:
+    command += ["--host", "127.0.0.1"]
+    with subprocess.Popen(command, stdout=log, stderr=log, cwd=folder, env=env) as process:
         try:
             yield process
         finally:
@@ -192,6 +204,30 @@ def test_another_turtlelog_on_a_worker_is_one_line(
     expected = rf"^{cluster}: expected turtlelog 99\.0 on every worker, found {theirs} on tcp://"
     with pytest.raises(ProcessError, match=expected), connect_cluster(cluster):
         pass
+
+
+def test_a_worker_with_another_turtlelog_that_joins_late_does_nothing(
+    scheduler: str, tmp_path: Path
+) -> None:
+    shutil.copytree("turtlelog", tmp_path / "turtlelog")
+    (tmp_path / "turtlelog" / "version.py").write_text('__version__ = "99.0"\n')
+    expected = rf"^{scheduler}: expected turtlelog {tl.__version__} on every worker, found 99\.0 on"
+    done: list[int] = []
+
+    def work_beside_another() -> None:
+        with connect_cluster(scheduler) as executor:
+            late.enter_context(
+                _start("worker", scheduler, "--nthreads", "1", "--no-nanny", folder=tmp_path)
+            )
+            for square, _ in map_in_processes(_square_slowly, range(3000), executor):
+                done.append(square)
+
+    with ExitStack() as late, _start_worker(scheduler):
+        with connect_patiently(scheduler, workers=1):
+            pass
+        with pytest.raises(ProcessError, match=expected):
+            work_beside_another()
+    assert done == [number**2 for number in range(len(done))]
 
 
 def test_a_cluster_that_gives_up_is_one_line_with_the_item() -> None:

@@ -2,14 +2,16 @@
 
 import logging
 import socket
-from collections.abc import Iterator
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
-from typing import Any, Final, cast
+from typing import Any, Final, TypeVar
 
 from turtlelog.errors import ProcessError, describe_error
 from turtlelog.libraries import load_library
 from turtlelog.version import __version__
+
+T = TypeVar("T")
 
 _CONNECT_S: Final = 3.0
 """To hear of a scheduler, to connect to it, and for a worker [s]: who mistyped an address is told
@@ -20,7 +22,8 @@ within 10 s."""
 def connect_cluster(address: str) -> Iterator[Executor]:
     """Connect to a Dask scheduler, as in `tcp://host:8786`; yield what takes work.
 
-    What a worker that ends had done or was doing is done again by others.
+    What a worker that ends had done or was doing is done again by others. One with another
+    turtlelog does nothing, also where it joins later.
 
     Raises:
         LibraryError: Where dask.distributed is not installed.
@@ -33,9 +36,33 @@ def connect_cluster(address: str) -> Iterator[Executor]:
     client = _connect(distributed, address)
     try:
         _require_same_version(client, address)
-        yield cast("Executor", client.get_executor(pure=False))
+        try:
+            yield _SameVersion(client.get_executor(pure=False))
+        except Exception:
+            _require_same_version(client, address)  # of a worker that came later, by its name
+            raise
     finally:
         client.close(timeout=2)
+
+
+class _SameVersion(Executor):
+    """Hands work to workers, which refuse it where they have another turtlelog."""
+
+    def __init__(self, executor: Any) -> None:
+        self._executor = executor
+
+    def submit(self, work: Callable[..., T], /, *args: Any, **kwargs: Any) -> "Future[T]":
+        found: Future[T] = self._executor.submit(_work_as, __version__, work, *args, **kwargs)
+        return found
+
+
+def _work_as(version: str, work: Callable[..., T], *args: Any, **kwargs: Any) -> T:
+    """Work, on a worker, for a turtlelog of the same version."""
+    if version != __version__:
+        raise ProcessError(
+            f"expected turtlelog {version} on every worker, found {__version__} on one"
+        )
+    return work(*args, **kwargs)
 
 
 def _connect(distributed: Any, address: str) -> Any:
