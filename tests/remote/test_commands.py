@@ -76,13 +76,11 @@ def test_a_topic_stands_behind_a_url() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["metrics", "recordings/paper/kp1.mcap", "-o", "memory://a/t.parquet"], "on a disk"),
-        (["sweep", "--grid", "seed=0:1", "-o", "memory://a/t.parquet"], "on a disk"),
         (["metrics", "memory://a/run.mcap", "-o", "t.parquet"], "on a disk, found a URL"),
         (["metrics", "memory://a", "--recursive"], "on a disk, found a URL"),
     ],
 )
-def test_tables_that_grow_are_refused_in_one_line(
+def test_a_table_of_what_lies_behind_urls_is_refused_in_one_line(
     words: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:

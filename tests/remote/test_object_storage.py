@@ -1,14 +1,18 @@
 """A server of S3 on 127.0.0.1, of moto."""
 
+import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from moto.server import ThreadedMotoServer
 
 import turtlelog as tl
+from turtlelog.cli.app import main
 from turtlelog.errors import LogError
 from turtlelog.remote import RemotePath
+from turtlelog.sweep import simulate_rows, sweep_rows
 
 
 @pytest.fixture(scope="module")
@@ -88,3 +92,132 @@ def test_an_object_that_is_replaced_while_it_is_read_is_one_line(
         LogError, match=r"^s3://robots/swapped\.mcap: expected one file throughout, found that it"
     ):
         tl.log.read_columns(path)
+
+
+SWEEP = ("sweep", "paper-kp4", "--grid", "law.kp_linear=1:6", "--metrics", "final.*")
+
+
+def _run(*words: str) -> int | str | None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    return ended.value.code
+
+
+def _fetch(url: str) -> bytes:
+    with RemotePath(url).file.open() as stream:
+        return stream.read()
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kp4: bytes) -> Path:
+    """The working folder, with recordings."""
+    (tmp_path / "runs").mkdir()
+    for name in ("a.mcap", "b.mcap"):
+        (tmp_path / "runs" / name).write_bytes(kp4)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        SWEEP,
+        ("metrics", "runs", "--recursive"),
+        ("check", "--expect", "run.duration < 99", "runs", "--recursive"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_table_in_a_bucket_is_that_of_a_disk_and_grows_as_it_does(
+    words: tuple[str, ...],
+    bucket: str,
+    here: Path,
+    kp4: bytes,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    place, said = f"{bucket}/tables/{words[0]}.parquet", []
+    for count in (2, 2, 3):
+        if count == 3:
+            (here / "runs" / "c.mcap").write_bytes(kp4)
+        for output in ("t.parquet", place):
+            assert _run(*words, "-o", output) == 0
+            caught = capsys.readouterr()
+            text = re.sub(r"in [\d.]+ s", "", caught.out + caught.err).replace(output, "TABLE")
+            said.append(text.replace(str(here), ""))
+        assert _fetch(place) == (here / "t.parquet").read_bytes()
+        assert said[-1] == said[-2]
+    assert sorted(path.name for path in here.iterdir()) == ["runs", "t.parquet"]
+    if words[0] != "sweep":
+        assert "3 files, 1 read, 2 unchanged" in said[-1]
+
+
+def test_a_sweep_into_a_bucket_goes_on_where_it_was(
+    bucket: str, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place, rows = f"{bucket}/tables/again.parquet", []
+    simulate = simulate_rows.simulate_rows
+
+    def stop_after_two(chunk: simulate_rows.RowChunk) -> simulate_rows.RowResults:
+        if len(rows) == 2:
+            raise KeyboardInterrupt
+        rows.append(chunk.first)
+        return simulate(chunk)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(sweep_rows, "simulate_rows", stop_after_two)
+        patched.setattr(sweep_rows, "_MOST_IN_CHUNK", 1)
+        assert _run(*SWEEP, "-o", place, "--jobs", "1") == 130
+    assert "2 of 6 rows are done; the same command goes on" in capsys.readouterr().err
+    (kept,) = here.glob("*.partial")
+    assert re.fullmatch(r"again\.parquet\.[0-9a-f]{8}\.partial", kept.name)
+    monkeypatch.setattr(
+        sweep_rows, "simulate_rows", lambda chunk: rows.append(chunk.first) or simulate(chunk)
+    )
+    assert _run(*SWEEP, "-o", place, "--jobs", "1") == 0
+    assert rows == [0, 1, 2, *rows[3:]]
+    assert not kept.exists()
+    assert _run(*SWEEP, "-o", "t.parquet", "--jobs", "1") == 0
+    assert _fetch(place) == (here / "t.parquet").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            (*SWEEP, "-o", "s3://no-such-bucket/t.parquet"),
+            "s3://no-such-bucket/t.parquet: expected an object or file, found none of this name",
+        ),
+        (
+            (*SWEEP, "-o", "s3://robots/day 1/kp4.mcap"),
+            "s3://robots/day 1/kp4.mcap: expected a name that ends in .parquet, found another",
+        ),
+        (
+            (*SWEEP, "-o", "t.parquet", "--record", "s3://robots/day 1"),
+            "s3://robots/day 1: expected a new folder for recordings, found one with files",
+        ),
+        (
+            (*SWEEP, "-o", "t.parquet", "--record", "https://127.0.0.1/runs"),
+            "https://127.0.0.1/runs: expected a URL of an object storage to write to, found one of"
+            " http",
+        ),
+    ],
+)
+def test_what_a_sweep_cannot_write_is_told_before_it_begins(
+    words: tuple[str, ...],
+    said: str,
+    bucket: str,
+    here: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert bucket == "s3://robots"
+    assert _run(*words) == 2
+    assert capsys.readouterr().err == f"turtlelog: error: {said}\n"
+    assert [path.name for path in here.iterdir()] == ["runs"]
+
+
+def test_rows_are_recorded_into_a_bucket(bucket: str, here: Path) -> None:
+    place = f"{bucket}/recorded/runs"
+    assert _run(*SWEEP, "-o", "t.parquet", "--record", place, "--jobs", "1") == 0
+    run = tl.read_run(f"{place}/row-000003.mcap")
+    expected = tl.simulate_run(tl.sweep.load_row_scenario("t.parquet", 3))
+    np.testing.assert_array_equal(run.poses.xy_m, expected.poses.xy_m)
+    assert sorted(path.name for path in here.iterdir()) == ["runs", "t.parquet"]

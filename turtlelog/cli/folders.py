@@ -74,9 +74,9 @@ def tabulate(
         work: Where files are read.
         file_s: As in `tabulate_recordings`.
     """
-    from turtlelog.cli.targets import require_grown_table
+    from turtlelog.cli.targets import require_new_target
 
-    require_grown_table(output, [Path(one.path) for one in found])
+    require_new_target(output, [Path(one.path) for one in found], suffix=".parquet")
     why = tl.sweep.describe_former(output, table)
     if why is not None:
         print_note(f"{output}: every file is read, because {why}")

@@ -23,9 +23,10 @@ from turtlelog.cli.options import (
 from turtlelog.cli.output import EXIT_FINE, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
-from turtlelog.cli.targets import require_grown_table
+from turtlelog.cli.targets import require_new_target
 from turtlelog.display import describe_count
 from turtlelog.errors import UsageError
+from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog.sweep import RowRecords, Sampling, Sweep, SweepPlan, SweepSummary
@@ -85,16 +86,16 @@ class TableOptions:
     """What is written.
 
     Attributes:
-        output: Write the table to this .parquet file.
+        output: Write the table to this .parquet file, or behind a URL.
         metrics: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics);
             otherwise the essential ones of each row's law.
-        record: Write recordings of rows to this folder, as row-000123.mcap.
+        record: Write recordings of rows to this folder, or below a URL, as row-000123.mcap.
         record_where: Only of rows for which this holds, as in "translate.settling_time > 5".
     """
 
     output: Annotated[Place, Parameter(name=("--output", "-o"))]
     metrics: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
-    record: Annotated[Path | None, Parameter(metavar="DIR")] = None
+    record: Annotated[Place | None, Parameter(metavar="DIR")] = None
     record_where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
 
     def list_patterns(self) -> list[str] | None:
@@ -190,7 +191,8 @@ def _prepare(
     options: LawOptions | None,
     work: SweepOptions,
 ) -> "Sweep":
-    require_grown_table(table.output, [] if base is None else [Path(base)])
+    inputs = [] if base is None else [make_path(base)]
+    require_new_target(table.output, inputs, suffix=".parquet")
     rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
     for key in list_given_keys(options):
         if key in rows.keys:

@@ -37,21 +37,6 @@ def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: s
         load_library(_LIBRARIES[suffix])
 
 
-def require_grown_table(target: Path, inputs: Sequence[Path]) -> None:
-    """Refuse a table that could not be written, or not grow: what is done is kept beside it.
-
-    Raises:
-        UsageError: Where it is refused.
-        LibraryError: Where what writes tables is not installed.
-    """
-    if isinstance(target, RemotePath):
-        raise UsageError(
-            f"--output {target}: expected a file on a disk, beside which is kept what is done,"
-            " found a URL"
-        )
-    require_new_target(target, inputs, suffix=".parquet")
-
-
 def require_pictures(
     plot: Path | None, rrd: Path | None, inputs: Sequence[Path], *, drawn: Sequence[Path], of: str
 ) -> None:

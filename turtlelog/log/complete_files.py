@@ -67,12 +67,17 @@ def _put_when_complete(path: RemotePath) -> Iterator[Path]:
         from turtlelog.remote.requests import require_writable
 
         require_writable(path.url)
-    with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
-        temporary = Path(folder) / f"{path.name}.part"
-        temporary.touch()
-        yield temporary
-        with name_file(path, expected="a place that can be written"):
-            path.put(temporary)
+    try:
+        with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
+            temporary = Path(folder) / f"{path.name}.part"
+            temporary.touch()
+            yield temporary
+            with name_file(path, expected="a place that can be written"):
+                path.put(temporary)
+    except OSError as err:
+        raise LogError(
+            f"{path}: expected room for it in {tempfile.gettempdir()}, found: {err.strerror or err}"
+        ) from err
 
 
 def _copy_rights(source: Path, target: Path, *, extra: int = 0) -> None:

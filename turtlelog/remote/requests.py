@@ -109,6 +109,24 @@ def require_writable(url: str) -> tuple[Any, str]:
     return system, path
 
 
+def find_objects(url: str) -> bool:
+    """Return whether there is any object below a URL, to which more can be written.
+
+    Raises:
+        RemoteError: Where that cannot be told, or nothing can be written there.
+    """
+    system, path = require_writable(url.rstrip("/"))
+
+    def look() -> bool:
+        system.invalidate_cache()
+        try:
+            return bool(system.ls(path, detail=False))
+        except FileNotFoundError:
+            return False
+
+    return try_thrice(look)
+
+
 def find_object(url: str) -> bool:
     """Return whether there is an object; the bucket that it would be in must be there.
 

@@ -237,6 +237,19 @@ def is_there(path: Path) -> bool:
     return find_object(path.url)
 
 
+def has_files(folder: Path) -> bool:
+    """Return whether there is anything in a folder; below a URL, any object.
+
+    Raises:
+        RemoteError: Where nothing can be written there, or that cannot be told.
+    """
+    if not isinstance(folder, RemotePath):
+        return folder.is_dir() and any(folder.iterdir())
+    from turtlelog.remote.requests import find_objects
+
+    return find_objects(folder.url)
+
+
 def expect_reads(stream: BinaryIO, ranges: Iterable[tuple[int, int]]) -> None:
     """Tell a stream what will be read; one of a local file needs no telling."""
     expect = getattr(stream, "expect", None)

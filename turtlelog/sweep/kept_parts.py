@@ -16,8 +16,8 @@ from typing import BinaryIO, Final, Generic, TypeVar
 import msgspec
 
 from turtlelog.errors import SweepError
-from turtlelog.remote.urls import RemotePath, is_there
-from turtlelog.sweep.result_table import read_result_facts
+from turtlelog.remote.urls import RemotePath
+from turtlelog.sweep.result_table import has_result_file, read_result_facts
 
 T = TypeVar("T")
 
@@ -47,7 +47,7 @@ def has_results(output: Path, facts: Mapping[str, str]) -> bool:
         SweepError: Where the file holds something else.
         LogError: Where it cannot be read.
     """
-    if not is_there(output):
+    if not has_result_file(output):
         return False
     found = read_result_facts(output)
     if found is None or found["kind"] != "sweep":

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 from turtlelog.errors import LibraryError, LogError
 from turtlelog.log.error_boundary import open_file
 from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
-from turtlelog.remote.urls import is_there, make_path
+from turtlelog.remote.urls import make_path
 from turtlelog.sweep.file_rows import ERROR, FileRows, FileState, Order, ReadFiles
 from turtlelog.sweep.find_recordings import FoundRecording, list_contents
 from turtlelog.sweep.kept_parts import KeptParts
 from turtlelog.sweep.result_table import (
+    has_result_file,
     open_result_table,
     read_result_facts,
     write_result_table,
@@ -75,7 +76,7 @@ def describe_former(output: Path, table: RecordingTable) -> str | None:
         LogError: Where the file is no such table, and is not to be replaced.
         LibraryError: Where pyarrow is not installed.
     """
-    if not is_there(output):
+    if not has_result_file(output):
         return None
     found = read_result_facts(output)
     if found is None or found["kind"] != table.kind:
@@ -116,7 +117,7 @@ def tabulate_recordings(
     """
     output = make_path(output)
     former = None
-    if describe_former(output, table) is None and is_there(output):
+    if describe_former(output, table) is None and has_result_file(output):
         former = open_result_table(output, kind=table.kind)
     facts = {**table.facts, "kind": table.kind, "version": __version__}
     kept = KeptParts(output, facts, ReadFiles)

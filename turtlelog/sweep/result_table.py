@@ -13,6 +13,7 @@ from turtlelog.errors import LogError
 from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.remote.urls import is_there
 from turtlelog.version import __version__
 
 ColumnType = Literal["whole", "real", "text", "truth"]
@@ -145,6 +146,16 @@ def _build_array(column: ResultColumn, rows: slice, kind: Any) -> Any:
     elif column.type == "real" and isinstance(cells, list | tuple):
         cells = [None if cell is None else float(cell) for cell in cells]
     return load_library("pyarrow").array(cells, kind)
+
+
+def has_result_file(path: Path) -> bool:
+    """Return whether there is a file to begin with, or behind a URL an object.
+
+    Raises:
+        LogError: Where that cannot be told, or an object's bucket is not there.
+    """
+    with name_file(path, expected="a place that can be looked at"):
+        return is_there(path)
 
 
 def read_result_facts(path: str | Path) -> Mapping[str, str] | None:

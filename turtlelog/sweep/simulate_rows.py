@@ -21,6 +21,7 @@ from turtlelog.measure import (
     measure_run,
 )
 from turtlelog.measure.metric import Metric
+from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 from turtlelog.scenario import (
     Scenario,
@@ -39,7 +40,7 @@ class RowRecords:
     """Which runs are recorded.
 
     Attributes:
-        folder: Where to, as `row-000123.mcap`.
+        folder: Where to, as `row-000123.mcap`; a URL stands for all that begins with it.
         where: A condition on metrics, keys and `stop_reason`; None: all.
     """
 
@@ -257,7 +258,7 @@ def _enter_metrics(results: RowResults, found: Mapping[str, Metric]) -> None:
 
 def name_record(records: RowRecords, row: int) -> Path:
     """Return the file of a row's recording."""
-    return Path(records.folder) / f"row-{row:06d}.mcap"
+    return make_path(records.folder) / f"row-{row:06d}.mcap"
 
 
 def _parse_condition(records: RowRecords | None) -> expressions.Expression | None:

@@ -9,10 +9,11 @@ from functools import partial as partial_call
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, overload
 
-from turtlelog.errors import ScenarioError, SweepError
+from turtlelog.errors import LogError, ScenarioError, SweepError
+from turtlelog.log.error_boundary import name_file
 from turtlelog.measure import choose_metrics
 from turtlelog.processes import LONG_S, count_cores, map_in_processes
-from turtlelog.remote.urls import make_path
+from turtlelog.remote.urls import RemotePath, has_files, make_path
 from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.many import SAVED_S
@@ -223,15 +224,19 @@ def _begin_records(sweep: Sweep, kept: KeptParts[RowResults]) -> None:
     if sweep.records is None or kept.was_begun:
         return
     try:
-        _require_empty(Path(sweep.records.folder))
-    except SweepError:
+        _require_empty(make_path(sweep.records.folder))
+    except (LogError, SweepError):
         kept.close(is_complete=True)  # nothing was begun
         raise
 
 
 def _require_empty(folder: Path) -> None:
-    if folder.is_dir() and any(folder.iterdir()):
+    with name_file(folder, expected="a place that can be written"):
+        is_used = has_files(folder)
+    if is_used:
         raise SweepError(f"{folder}: expected a new folder for recordings, found one with files")
+    if isinstance(folder, RemotePath):
+        return
     try:
         folder.mkdir(exist_ok=True)
     except OSError as err:
