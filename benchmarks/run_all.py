@@ -19,7 +19,18 @@ from typing import Final
 from benchmarks.table import ROOT, WIDTH, Row, format_table, read_row, tell_better_peers
 
 BENCHMARKS: Final = (
-    *("commands", "many", "folder", "files", "engine", "sqlite", "memory", "writer", "loop"),
+    *(
+        "commands",
+        "many",
+        "folder",
+        "scale",
+        "files",
+        "engine",
+        "sqlite",
+        "memory",
+        "writer",
+        "loop",
+    ),
     *("batch", "measure", "compare", "check", "explain", "show"),
 )
 """In the order of the table; each is a file `bench_NAME.py`."""
