@@ -1,4 +1,5 @@
 import json
+from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
@@ -333,3 +334,28 @@ def test_untrusted_base_is_refused_before_anything_runs(tmp_path: Path) -> None:
     ):
         prepare_sweep(base, plan)
     assert prepare_sweep(base, plan, trust_law=True).plan.row_count == 2
+
+
+def test_compiled_rows_go_to_a_cluster_in_large_chunks(tmp_path: Path) -> None:
+    """Each takes about half a second there, as in this process."""
+    pytest.importorskip("numba")
+    sizes: list[int] = []
+
+    class Here(Executor):
+        def submit(self, work: Any, chunk: Any, /) -> "Future[Any]":  # type: ignore[override]
+            sizes.append(len(chunk.values))
+            future: Future[Any] = Future()
+            if len(sizes) == 1:  # the others are never waited for
+                future.set_result(work(chunk))
+            return future
+
+    base = tl.override_scenario(tl.load_scenario("textbook"), {"max_duration_s": 0.5})
+    sweep = prepare_sweep(base, build_plan(["seed=0:999999"]), metrics=["run.duration"])
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(sweep, tmp_path / "t.parquet", jobs=Here(), watch=_stop_beyond_two)
+    assert sizes[:-1] == [2048] * 488
+
+
+def _stop_beyond_two(done: int) -> None:
+    if done > 2:
+        raise KeyboardInterrupt

@@ -251,28 +251,27 @@ def _simulate(
     jobs: "int | Executor | None",
     watch: Callable[[int], None],
 ) -> None:
-    """Simulate the rows that are not done, the first of them alone to see how long one takes."""
+    """Simulate the rows that are not done, two of them alone to see how long one takes."""
     watch(rows.count)
-    gaps = rows.list_gaps(sweep.plan.row_count)
-    if not gaps:
-        return
-    first = sweep.cut_chunk(gaps[0][0], 1)
-    begun = time.perf_counter()
-    found = simulate_rows(first)
-    row_s = time.perf_counter() - begun
-    rows.add(found)
-    watch(rows.count)
+    for _ in range(2):  # the first one takes the time of what is loaded once
+        gaps = rows.list_gaps(sweep.plan.row_count)
+        if not gaps:
+            return
+        first = sweep.cut_chunk(gaps[0][0], 1)
+        begun = time.perf_counter()
+        found = simulate_rows(first)
+        row_s = time.perf_counter() - begun
+        rows.add(found)
+        watch(rows.count)
     rest = sweep.plan.row_count - rows.count
     if jobs is None:
         jobs = count_cores() if rest * row_s > LONG_S else 1
     count, threads = (jobs if isinstance(jobs, int) else 1), 1
-    if (
-        isinstance(jobs, int)
-        and is_batch(first)
-        and BATCH.expect(found.samples * rest, SAVED_S) is not None
-    ):
-        # Threads share what is loaded, and processes would take longer to start.
-        jobs, threads, size = 1, jobs, _MOST_IN_BATCH
+    if is_batch(first) and BATCH.expect(found.samples * rest, SAVED_S) is not None:
+        size = _MOST_IN_BATCH
+        if isinstance(jobs, int):
+            # Threads share what is loaded, and processes would take longer to start.
+            jobs, threads = 1, jobs
     else:
         size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // count)))
     cut = partial_call(sweep.cut_chunk, ahead=rest // count, threads=threads)
