@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
+from tests.fresh_process import run_command
 from turtlelog.sweep import (
     RowRecords,
     Sweep,
@@ -23,7 +24,7 @@ from turtlelog.sweep import (
 from turtlelog.sweep.kept_parts import KeptParts, name_partial
 
 GRID = ("law.kp_linear=0.5:4:0.5", "loop.transport_delay_ticks=0:4")
-WORDS = (*("--grid", GRID[0]), *("--grid", GRID[1]), "--metrics", "final.*")
+SWEEP = ("sweep", "paper-kp4", "--grid", GRID[0], "--grid", GRID[1], "--metrics", "final.*")
 
 
 def prepare(*grid: str, metrics: str = "final.*", records: RowRecords | None = None) -> Sweep:
@@ -31,12 +32,12 @@ def prepare(*grid: str, metrics: str = "final.*", records: RowRecords | None = N
     return prepare_sweep(base, build_plan(grid or GRID), metrics=[metrics], records=records)
 
 
-@pytest.fixture
-def whole(tmp_path: Path) -> bytes:
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Return the table of a sweep that nothing interrupted."""
-    (tmp_path / "other").mkdir()
-    run_sweep(prepare(), tmp_path / "other" / "t.parquet", jobs=1)
-    return (tmp_path / "other" / "t.parquet").read_bytes()
+    output = tmp_path_factory.mktemp("whole") / "t.parquet"
+    run_sweep(prepare(), output, jobs=1)
+    return output.read_bytes()
 
 
 def stop_after(count: int) -> Callable[[int], None]:
@@ -114,7 +115,7 @@ def test_partial_file_that_was_cut_in_its_head_is_begun_again(whole: bytes, tmp_
 
 def start(folder: Path, *words: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "turtlelog", "sweep", "paper-kp4", *WORDS, *words],
+        [sys.executable, "-m", "turtlelog", *SWEEP, *words],
         cwd=folder,
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -125,12 +126,20 @@ def start(folder: Path, *words: str) -> subprocess.Popen[str]:
 NOISE = ("--set", "loop.loss_probability=0.05", "--jobs", "2")
 
 
+@pytest.fixture(scope="module")
+def whole_of_command(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Return the table of the command, which nothing ended."""
+    folder = tmp_path_factory.mktemp("whole")
+    done = run_command(*SWEEP, "-o", "t.parquet", *NOISE, folder=folder)
+    assert done.stdout.startswith("t.parquet: 40 rows")
+    return (folder / "t.parquet").read_bytes()
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_sweep_that_is_ended_from_outside_goes_on(how: signal.Signals, tmp_path: Path) -> None:
-    (tmp_path / "other").mkdir()
-    whole = start(tmp_path / "other", "-o", "t.parquet", *NOISE)
-    assert whole.communicate(timeout=60)[0].startswith("t.parquet: 40 rows")
+def test_sweep_that_is_ended_from_outside_goes_on(
+    how: signal.Signals, whole_of_command: bytes, tmp_path: Path
+) -> None:
     ended = start(tmp_path, "-o", "t.parquet", *NOISE)
     partial = tmp_path / "t.parquet.partial"
     limit = time.monotonic() + 30
@@ -142,10 +151,9 @@ def test_sweep_that_is_ended_from_outside_goes_on(how: signal.Signals, tmp_path:
         assert ended.returncode == 130
         assert "of 40 rows are done; the same command goes on\n" in err
     assert partial.exists()
-    again = start(tmp_path, "-o", "t.parquet", *NOISE)
-    out, _ = again.communicate(timeout=60)
-    assert out.startswith("t.parquet: 40 rows, 0 failed")
-    assert (tmp_path / "t.parquet").read_bytes() == (tmp_path / "other/t.parquet").read_bytes()
+    again = run_command(*SWEEP, "-o", "t.parquet", *NOISE, folder=tmp_path)
+    assert again.stdout.startswith("t.parquet: 40 rows, 0 failed")
+    assert (tmp_path / "t.parquet").read_bytes() == whole_of_command
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
@@ -171,7 +179,7 @@ def test_full_disk_is_one_line_and_the_sweep_goes_on(
         "from turtlelog.cli.app import main\n"
         "main()\n"
     )
-    words = ["sweep", "paper-kp4", *WORDS, *("--jobs", "1"), "-o", "t.parquet"]
+    words = [*SWEEP, "--jobs", "1", "-o", "t.parquet"]
     full = subprocess.run(
         [sys.executable, "-c", code, *words],
         cwd=tmp_path,
@@ -181,8 +189,8 @@ def test_full_disk_is_one_line_and_the_sweep_goes_on(
     )
     assert full.returncode == 2
     assert full.stderr == f"turtlelog: error: {message}\n"
-    again = start(tmp_path, *("--jobs", "1", "-o", "t.parquet"))
-    assert again.communicate(timeout=60)[0].startswith("t.parquet: 40 rows, 0 failed")
+    again = run_command(*words, folder=tmp_path)
+    assert again.stdout.startswith("t.parquet: 40 rows, 0 failed")
 
 
 def test_results_and_partial_file_of_another_sweep_are_refused(tmp_path: Path) -> None:
