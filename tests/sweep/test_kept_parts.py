@@ -165,7 +165,8 @@ def test_sweep_that_is_ended_from_outside_goes_on(
             "t.parquet.partial: expected room for what is done, found: File too large; the same"
             " command goes on from there",
         ),
-        (4000, "t.parquet: expected a place that can be written, found: File too large"),
+        # The table has 9839; what is done the more, the slower the machine: its parts are shorter.
+        (9000, "t.parquet: expected a place that can be written, found: File too large"),
     ],
     ids=["of the rows", "of the table"],
 )
