@@ -19,7 +19,7 @@ from turtlelog.explain.law_identification import (
 )
 from turtlelog.explain.loop_findings import describe_loop
 from turtlelog.explain.loop_guesses import read_hints
-from turtlelog.explain.resimulation import count_lost_commands
+from turtlelog.explain.resimulation import list_lost_commands
 from turtlelog.explain.search import Fits
 from turtlelog.explain.stop_reason import RULE_KEYS, find_stop_rule
 from turtlelog.explain.trace import find_grain, trace_run
@@ -256,9 +256,8 @@ def test_lost_commands_are_open_where_two_settings_that_fit_lose_different_numbe
     )
     trace = mark_breaks(trace_run(make_log(Truth()).to_run(), PHASES))
     lost = describe_loop(trace, fits)["lost_commands"]
-    assert count_lost_commands(scenarios[0]) - count_lost_commands(scenarios[1]) == (
-        queues[1] - queues[0]
-    )
+    counts = list_lost_commands(scenarios)
+    assert counts[0] - counts[1] == queues[1] - queues[0]
     assert lost.certainty.value == certainty
 
 

@@ -110,7 +110,7 @@ def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> Recor
     scenario = resolve_scenario(restore_scenario(run), trust_law=trust_law)
     rows = list_rows(trace)
     try:
-        count = count_equal(scenario, rows, to_rounding=True)
+        count, _ = count_equal(scenario, rows, to_rounding=True)
         if count < len(rows):
             return RecordedScenario(reach=_describe_reach(trace, count))
         if count > len(rows):

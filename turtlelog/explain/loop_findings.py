@@ -15,7 +15,7 @@ from turtlelog.explain.identification import (
     leave_open,
     miss,
 )
-from turtlelog.explain.resimulation import count_lost_commands, read_pause
+from turtlelog.explain.resimulation import list_lost_commands, read_pause
 from turtlelog.explain.search import START_KEYS, Fits
 from turtlelog.explain.trace import Trace
 from turtlelog.plants.turtlesim import TICK_S
@@ -143,14 +143,12 @@ def _describe_lost(fits: Fits) -> Finding:
     if not fits.is_exact:
         never = "no setting reproduces every sample"
         return miss("only a re-simulation shows" if fits.is_driven else never)
-    counts = sorted({count_lost_commands(scenario) for scenario in fits.scenarios})
+    likeliest, *others = list_lost_commands(fits.scenarios)
+    counts = sorted({likeliest, *others})
     if len(counts) > 1:
-        return leave_open(
-            tuple(counts),
-            "the settings that fit lose different numbers",
-            count_lost_commands(fits.scenario),
-        )
-    return find_exactly(counts[0], "the re-simulation's plant never takes them")
+        because = "the settings that fit lose different numbers"
+        return leave_open(tuple(counts), because, likeliest)
+    return find_exactly(likeliest, "the re-simulation's plant never takes them")
 
 
 _GOAL_KEYS: Final = ("goal.x_m", "goal.y_m")

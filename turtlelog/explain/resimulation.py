@@ -1,6 +1,7 @@
 """A scenario simulated again, sample by sample against a log."""
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -12,7 +13,7 @@ from turtlelog.explain.trace import Trace, Values
 from turtlelog.replay import PoseError
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
-from turtlelog.simulate import CommandQueue, Sample, iterate_ticks
+from turtlelog.simulate import CommandQueue, Sample, Tick, iterate_ticks, needs_time
 
 CLOSE: Final = 1e-6
 """Poses of one scenario differ by less between platforms [m, rad]."""
@@ -39,6 +40,59 @@ class Resimulation:
     max_abs_error: PoseError
     max_command_error: float
     is_exact: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Depths:
+    """How many commands and poses queues hold, or must hold for a run to be as it is."""
+
+    commands: int
+    poses: int
+
+    def hold(self, needed: "Depths") -> bool:
+        """Return whether queues of these depths push nothing out."""
+        return self.commands >= needed.commands and self.poses >= needed.poses
+
+
+class QueueGauge:
+    """How deep the queues of a loop must be to push nothing out: deeper ones make the same run.
+
+    Follows from when poses are answered and commands published; a constant delay changes nothing.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        loop = scenario.loop
+        self._period_ticks = loop.period_ticks
+        self._takes_newest = loop.queue_policy == "newest"
+        self._is_known = not needs_time(scenario)
+        self._waiting = self._queued = 0
+        self._poses = self._commands = 1
+
+    def receive(self, tick: int) -> None:
+        """Queue the pose of a tick, where one is read."""
+        if tick % self._period_ticks == 0:
+            self._waiting += 1
+            self._poses = max(self._poses, self._waiting)
+
+    def answer(self, tick: Tick) -> None:
+        """Take the poses that a tick answers, and queue its commands; the plant takes one."""
+        self._waiting -= len(tick.computed)
+        if not self._takes_newest:
+            self._queued = max(self._queued - 1, 0) + len(tick.published)
+            self._commands = max(self._commands, self._queued)
+
+    @property
+    def needed(self) -> Depths:
+        """The least depths so far; beyond all where poses or commands travel for a time."""
+        return Depths(self._commands, self._poses) if self._is_known else _BEYOND_ALL
+
+
+_BEYOND_ALL: Final = Depths(sys.maxsize, sys.maxsize)
+
+
+def read_depths(scenario: Scenario) -> Depths:
+    """Return the depths of a scenario's queues."""
+    return Depths(scenario.loop.command_queue, scenario.loop.pose_queue)
 
 
 def list_rows(trace: Trace) -> list[Row | None]:
@@ -71,22 +125,30 @@ def number_poses(trace: Trace) -> NDArray[np.int64]:
     )
 
 
-def count_equal(scenario: Scenario, rows: list[Row | None], *, to_rounding: bool = False) -> int:
+def count_equal(
+    scenario: Scenario, rows: list[Row | None], *, to_rounding: bool = False
+) -> tuple[int, Depths]:
     """Return how many samples from the first on a simulation reproduces bit for bit.
 
     One more than there are, where all are reproduced and the simulation goes on. `to_rounding`
-    allows poses 1e-6 and commands 1e-9, as between platforms.
+    allows poses 1e-6 and commands 1e-9, as between platforms. With it come the least depths of the
+    queues with which this is so.
     """
     width = len(rows[-1] or ())
-    equal = 0
-    for sample, pose in _iterate_samples(scenario):
-        if equal == len(rows):
-            return equal + 1
-        again, row = (*pose, *_describe(sample))[:width], rows[equal]
-        if row not in {None, again} and not (to_rounding and _agrees(again, row)):
-            return equal
-        equal += 1
-    return equal
+    equal, poses, gauge = 0, list[Row](), QueueGauge(scenario)
+    for number, tick in enumerate(iterate_ticks(scenario)):
+        gauge.receive(number)
+        poses.append((tick.pose.x_m, tick.pose.y_m, tick.pose.heading_rad))
+        for sample in tick.computed:
+            if equal == len(rows):
+                return equal + 1, gauge.needed
+            again = (*poses[sample.pose_sequence], *_describe(sample))[:width]
+            row = rows[equal]
+            if row not in {None, again} and not (to_rounding and _agrees(again, row)):
+                return equal, gauge.needed
+            equal += 1
+        gauge.answer(tick)
+    return equal, gauge.needed
 
 
 def _agrees(again: Row, recorded: Row) -> bool:
@@ -105,14 +167,6 @@ def _describe(sample: Sample) -> Row:
         sample.pose_sequence,
         sample.time_ns,
     )
-
-
-def _iterate_samples(scenario: Scenario) -> Iterator[tuple[Sample, Row]]:
-    poses: list[Row] = []
-    for tick in iterate_ticks(scenario):
-        poses.append((tick.pose.x_m, tick.pose.y_m, tick.pose.heading_rad))
-        for sample in tick.computed:
-            yield sample, poses[sample.pose_sequence]
 
 
 def compare_samples(trace: Trace, again: Run) -> Resimulation:
@@ -172,23 +226,46 @@ def cut_where_logged(scenario: Scenario, trace: Trace) -> Scenario:
     return replace(scenario, max_duration_s=min(scenario.max_duration_s, end_s))
 
 
-def count_lost_commands(scenario: Scenario) -> int:
-    """Return how many commands a scenario publishes that the plant never takes.
+def list_lost_commands(scenarios: Sequence[Scenario]) -> list[int]:
+    """Return how many commands each scenario publishes that the plant never takes.
 
-    Those that are still on their way when the run ends are not counted.
+    Those that are still on their way when the run ends are not counted. Of scenarios that differ by
+    queues that are deep enough, one is simulated.
     """
-    loop = scenario.loop
+    known: list[tuple[Scenario, Depths, int]] = []
+    counts = []
+    for scenario in scenarios:
+        alike, depths = _set_depths(scenario, 1), read_depths(scenario)
+        found = (lost for other, needed, lost in known if depths.hold(needed) and other == alike)
+        lost = next(found, None)
+        if lost is None:
+            lost, needed = _count_lost(scenario)
+            if depths.hold(needed):
+                known.append((alike, needed, lost))
+        counts.append(lost)
+    return counts
+
+
+def _set_depths(scenario: Scenario, depth: int) -> Scenario:
+    loop = replace(scenario.loop, command_queue=depth, pose_queue=depth)
+    return replace(scenario, loop=loop)
+
+
+def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
+    loop, gauge = scenario.loop, QueueGauge(scenario)
     newest = loop.queue_policy == "newest"
     queue = CommandQueue(
         depth=loop.command_queue, newest_only=False, delay_ticks=loop.transport_delay_ticks
     )
     superseded = 0
     for number, tick in enumerate(iterate_ticks(scenario)):
+        gauge.receive(number)
         queue.take(number)
         for sample in tick.published:
             queue.put(number, sample)
         superseded += max(len(tick.published) - 1, 0)
-    return superseded if newest else queue.dropped
+        gauge.answer(tick)
+    return superseded if newest else queue.dropped, gauge.needed
 
 
 def read_pause(scenario: Scenario) -> tuple[float | None, int]:

@@ -27,7 +27,14 @@ from turtlelog.explain.loop_guesses import (
     list_queues,
     set_pause,
 )
-from turtlelog.explain.resimulation import Row, count_equal, find_end_s, list_rows
+from turtlelog.explain.resimulation import (
+    Depths,
+    Row,
+    count_equal,
+    find_end_s,
+    list_rows,
+    read_depths,
+)
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
 from turtlelog.measure.dead_time import CERTAIN
@@ -162,6 +169,7 @@ class _Search:
         self.to_rounding = self.is_driven = False
         self._base: Scenario | None = None
         self._base_values: Settings = {}
+        self._counted: dict[tuple[Any, ...], list[tuple[Depths, int]]] = {}
 
     def build(self, guess: Settings, **more: Any) -> Scenario:
         """Return the scenario of a guess, which sets nothing but the loop and the pause."""
@@ -376,8 +384,23 @@ class _Search:
 
     def _count(self, guess: Guess, rows: list[Row | None]) -> int:
         self._tried += 1
-        equal = count_equal(self.build(guess), rows, to_rounding=self.to_rounding)
+        equal = self._count_equal(guess, rows)
         self._simulated += equal
+        return equal
+
+    def _count_equal(self, guess: Guess, rows: list[Row | None]) -> int:
+        """Simulate a guess, unless one with other queues, deep enough as well, has been."""
+        scenario = self.build(guess)
+        others = frozenset(pair for pair in guess.items() if pair[0] not in DEPTHS)
+        start = tuple(self._known.get(key) for key in (*START_KEYS, "start.precision"))
+        key = (others, start, len(rows), self.to_rounding)
+        alike, depths = self._counted.setdefault(key, []), read_depths(scenario)
+        known = next((equal for needed, equal in alike if depths.hold(needed)), None)
+        if known is not None:
+            return known
+        equal, needed = count_equal(scenario, rows, to_rounding=self.to_rounding)
+        if depths.hold(needed):
+            alike.append((needed, equal))
         return equal
 
     def _end(self, scenario: Scenario, *, goes_on: bool) -> Scenario:

@@ -29,4 +29,5 @@ from .shaping import (
 )
 from .transport import (
     CommandQueue as CommandQueue,
+    needs_time as needs_time,
 )
