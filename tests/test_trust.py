@@ -4,16 +4,13 @@ SECURITY.md says the same in words.
 """
 
 import dataclasses
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import turtlelog as tl
-from tests.fresh_process import Answer, run_command
+from tests.fresh_process import Answer, run_code, run_command
 from turtlelog.errors import ScenarioError
 from turtlelog.log.recording.head import HEAD
 
@@ -103,19 +100,6 @@ def write_law(folder: Path, place: Path) -> str:
 def call(folder: Path, *words: str) -> Answer:
     """Run a command in a process of its own that can import what lies in the folder."""
     return run_command(*words, folder=folder, paths=[folder])
-
-
-def run_process(folder: Path, command: list[str]) -> "subprocess.CompletedProcess[str]":
-    paths = [str(folder), str(Path(__file__).parents[1])]
-    return subprocess.run(
-        command,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": "1"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
 
 
 REFUSED = [
@@ -291,8 +275,11 @@ def run_suite(folder: Path, tmp_path: Path, body: str, trust: str = "") -> tuple
         "    return turtlelog_recording\n"
     )
     suite.write_text(SUITE.format(folder=folder.as_posix(), trust=trust, body=body))
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(suite)]
-    answer = run_process(folder, [*command, "--rootdir", str(tmp_path), "--turtlelog-accept"])
+    # Hypothesis, which the suite does not use, takes as long to load as all the rest.
+    words = ["-q", "-p", "no:cacheprovider", "-p", "no:hypothesispytest", str(suite)]
+    words += ["--rootdir", str(tmp_path), "--turtlelog-accept"]
+    code = f"import sys, pytest; sys.exit(pytest.main({words}))"
+    answer = run_code(code, folder=folder)
     return answer.returncode, answer.stdout
 
 
