@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -27,6 +28,7 @@ def list_places() -> list[str]:
     return [place for row in rows for place in re.findall(r"`([^`]+)`", row)]
 
 
+@cache
 def list_commands() -> list[str]:
     done = subprocess.run(
         [sys.executable, "-m", "turtlelog", "--help"],
