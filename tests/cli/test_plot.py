@@ -306,3 +306,11 @@ def test_a_png_has_the_pixels_that_are_asked_for(
     width, height = (int.from_bytes(path.read_bytes()[at : at + 4], "big") for at in (16, 20))
     assert width == pixels[0]
     assert height == pytest.approx(pixels[1], abs=0 if "slide" in words else 60)
+
+
+def test_a_number_of_processes_below_one_is_refused_for_one_figure_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(RECORDING), "-o", str(tmp_path / "one.png"), "--jobs", "0"]
+    line = "turtlelog: error: --jobs: expected at least 1 process, found 0\n"
+    assert run_plot(capsys, *words) == (2, "", line)

@@ -14,7 +14,7 @@ from turtlelog.cli.explain_answer import (
 )
 from turtlelog.cli.explain_motion import describe_motion, format_motion
 from turtlelog.cli.list_names import complete_mechanisms, complete_metrics
-from turtlelog.cli.options import File, Json, Place, ReadingOptions, Whole, read_runs
+from turtlelog.cli.options import File, Jobs, Json, Place, ReadingOptions, read_runs, require_jobs
 from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -44,7 +44,7 @@ class ExplainOptions:
     scenario: Place | None = None
     rrd: Place | None = None
     trust_law: bool = False
-    jobs: Annotated[Whole | None, Parameter(metavar="COUNT")] = None
+    jobs: Jobs = None
 
 
 def explain(
@@ -122,7 +122,7 @@ def explain(
                 mechanisms=names,
                 identified=found,
                 trust_law=options.trust_law,
-                work=tl.explain.Work(jobs=options.jobs, report=progress.count),
+                work=tl.explain.Work(jobs=require_jobs(options.jobs), report=progress.count),
             )
     motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
     if json:

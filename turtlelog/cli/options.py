@@ -441,9 +441,13 @@ def count_jobs(
     count_read: "Callable[[Path], int] | None" = None,
 ) -> int:
     """Return in how many processes to work on files: as asked, else as `choose_jobs` says."""
-    if asked is None:
-        return choose_jobs(files, file_s=file_s, count_read=count_read)
-    if asked < 1:
+    jobs = require_jobs(asked)
+    return choose_jobs(files, file_s=file_s, count_read=count_read) if jobs is None else jobs
+
+
+def require_jobs(asked: int | None) -> int | None:
+    """Return a number of processes as it was asked for; one below 1 is refused."""
+    if asked is not None and asked < 1:
         raise UsageError(f"--jobs: expected at least 1 process, found {asked}")
     return asked
 

@@ -1,8 +1,9 @@
 """`turtlelog plot`: figures and tables for print."""
 
 import gc
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -13,7 +14,7 @@ from turtlelog import show
 from turtlelog.cli.asked_figures import AskedOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
-from turtlelog.cli.options import Json, Place, ReadingOptions, Whole, read_runs
+from turtlelog.cli.options import Jobs, Json, Place, ReadingOptions, read_runs, require_jobs
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.page_options import TIMELESS, PageOptions
 from turtlelog.cli.progress import show_progress
@@ -39,7 +40,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     movie: MovieOptions | None = None,
     timeline: str = "sim_time",
     topics: ReadingOptions | None = None,
-    jobs: Annotated[Whole | None, Parameter(metavar="COUNT")] = None,
+    jobs: Jobs = None,
     json: Json = False,
 ) -> None:
     """Make the paper's figures from any recordings, and its tables as LaTeX.
@@ -75,9 +76,11 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         formats: Some of pdf, png, svg, with commas; otherwise pdf.
         timeline: What the movie is driven on: sim_time, or PHASE_time, from the start of a later
             phase of each run, as translate_time.
-        jobs: Processes to draw in, on Linux; as many as cores unless given. The files are the same.
+        jobs: Processes to draw in, on Linux; otherwise one for every three figures of a folder, as
+            many as cores at most. The files are the same.
         json: Print one JSON object instead of lines.
     """
+    jobs = require_jobs(jobs)
     movie = movie or MovieOptions()
     require_movie(movie, files or [])
     _require_clock(movie, timeline)
@@ -103,13 +106,14 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     asked.require_figures(names or [])
     runs = _collect_runs(files or [], topics)
     kinds_of = None if names is None else asked.bind(names, runs)
+    drawing = _Drawing(runs=runs, only=kinds_of, formats=kinds, page=page, jobs=jobs)
     if is_file:
         name = names[0] if names else _choose_overview(runs)
-        figures = {_draw_one(output, runs, kinds_of or [name], kinds, page): name}
+        figures = {_draw_one(output, replace(drawing, only=kinds_of or [name])): name}
         tables: list[Path] = []
         left_out: Sequence[str] = ()
     else:
-        drawn, tables = _draw_all(output, runs, kinds_of, (kinds, page, jobs))
+        drawn, tables = _draw_all(output, drawing)
         figures = {path: path.stem for path in drawn}
         left_out = show.list_left_out(runs, names) if runs else ()
     if page.has_marks and (names or is_file):
@@ -228,11 +232,40 @@ def _choose_overview(runs: "Sequence[Run]") -> str:
     return name
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Drawing:
+    """What is drawn, and how.
+
+    Attributes:
+        runs: Of what.
+        only: Which figures; None: the usual ones.
+        formats: In which each is written.
+        page: Where they will stand.
+        jobs: Processes to draw in; None: as many as is quick.
+    """
+
+    runs: "Sequence[Run]"
+    only: "Only | None"
+    formats: Sequence[str]
+    page: "Page"
+    jobs: int | None
+
+    def add_figures(self, write: Callable[[str, bytes], Path]) -> list[Path]:
+        """Draw the figures and write each in its formats."""
+        from turtlelog.show.figures.writing import add_figures
+
+        return add_figures(
+            write,
+            self.runs,
+            only=self.only,
+            formats=self.formats,
+            page=self.page,
+            jobs=self.jobs,
+        )
+
+
 @_collect_rarely()
-def _draw_one(
-    output: Path, runs: "Sequence[Run]", only: "Only", kinds: list[str], page: "Page"
-) -> Path:
-    from turtlelog.show.figures.writing import add_figures
+def _draw_one(output: Path, drawing: _Drawing) -> Path:
     from turtlelog.show.output_files import replace_file
 
     with show_progress("drawing"), replace_file(output) as part:
@@ -241,25 +274,19 @@ def _draw_one(
             part.write_bytes(data)
             return output
 
-        add_figures(write, runs, only=only, formats=kinds, page=page)
+        drawing.add_figures(write)
     return output
 
 
 @_collect_rarely()
-def _draw_all(
-    output: Path,
-    runs: "Sequence[Run]",
-    only: "Only | None",
-    how: "tuple[list[str], Page, int | None]",
-) -> tuple[list[Path], list[Path]]:
+def _draw_all(output: Path, drawing: _Drawing) -> tuple[list[Path], list[Path]]:
     """Return the figures and the tables that were written into a folder."""
-    kinds, page, jobs = how
-    from turtlelog.show.figures.writing import add_figures, add_tables
+    from turtlelog.show.figures.writing import add_tables
     from turtlelog.show.output_files import replace_together
 
-    most = len(kinds) * len(tl.show.FIGURES if only is None else only)
+    names = tl.show.FIGURES if drawing.only is None else drawing.only
     with (
-        show_progress("drawing", most, "files at most") as progress,
+        show_progress("drawing", len(drawing.formats) * len(names), "files at most") as progress,
         replace_together(output) as write,
     ):
 
@@ -267,8 +294,9 @@ def _draw_all(
             progress.done += 1
             return write(name, data)
 
-        figures = add_figures(count, runs, only=only, formats=kinds, page=page, jobs=jobs)
-        tables = add_tables(write, runs) if runs and only is None else []
+        figures = drawing.add_figures(count)
+        is_usual = drawing.only is None and bool(drawing.runs)
+        tables = add_tables(write, drawing.runs) if is_usual else []
     return figures, tables
 
 
