@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from turtlelog.log.engine.compiled import KERNELS
+from turtlelog.log.engine.load_kernels import KERNELS
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Final
 
-from turtlelog.compiled import CompiledLoops
+from turtlelog.compiled_loops import CompiledLoops
 from turtlelog.errors import SimulationError
 from turtlelog.plants import Plant
 from turtlelog.processes import count_cores

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.compiled import CompiledLoops
+from turtlelog.compiled_loops import CompiledLoops
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.measure import measure_run
 from turtlelog.plants import Plant

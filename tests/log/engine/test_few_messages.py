@@ -7,7 +7,7 @@ import pytest
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine import cursor
-from turtlelog.log.engine.few_messages import MOST, decode_few
+from turtlelog.log.engine.few_messages import FEW_MESSAGES, decode_few
 from turtlelog.log.engine.message_types import read_type
 
 DEFINITION = "uint8 level\nstring name\nfloat64 x\nbool on\nint16 low\nstring text\nfloat32 y\n"
@@ -36,9 +36,9 @@ def decode_all(data: bytes, starts: Any, ends: Any) -> dict[str, Any]:
     return columns
 
 
-@pytest.mark.parametrize("count", [1, 2, MOST, MOST + 1])
+@pytest.mark.parametrize("count", [1, 2, FEW_MESSAGES, FEW_MESSAGES + 1])
 def test_few_messages_are_read_as_many_are(count: int) -> None:
-    packed = pack(*(ROWS * MOST)[:count])
+    packed = pack(*(ROWS * FEW_MESSAGES)[:count])
     few, many = decode_few(FIELDS, *packed, 4), decode_all(*packed)
     assert few is not None
     assert list(few) == list(many)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.chunks import ChunkEntry, open_chunk
-from turtlelog.log.engine.compiled import KERNELS, WALKED_S
 from turtlelog.log.engine.framing import RECORD, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
+from turtlelog.log.engine.load_kernels import KERNELS, WALKED_S
 from turtlelog.log.engine.parsing import (
     COUNTED_HEAD,
     MESSAGE_HEAD,

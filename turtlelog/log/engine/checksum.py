@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.log.engine.compiled import KERNELS
+from turtlelog.log.engine.load_kernels import KERNELS
 
 _STATE: Final = 64  # bytes that the loop folds all others into
 _LEAST: Final = 2**12  # bytes; of fewer the calls take longer than the loop saves

@@ -6,7 +6,7 @@ import numpy as np
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Offsets
-from turtlelog.log.engine.few_messages import MOST, decode_few
+from turtlelog.log.engine.few_messages import FEW_MESSAGES, decode_few
 from turtlelog.log.engine.message_types import TEXT, Column, Field, name_parts
 from turtlelog.log.engine.parsing import gather_bytes
 
@@ -39,7 +39,7 @@ def decode_messages(
     Raises:
         LogError: Where a message is longer or shorter than its type, or a text no UTF-8.
     """
-    if order == "<" and len(starts) <= MOST:
+    if order == "<" and len(starts) <= FEW_MESSAGES:
         few = decode_few(fields, data, starts, ends, PADDING)
         if few is not None:
             return few

@@ -16,11 +16,11 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.channels import TopicPlan
 from turtlelog.log.engine.chunks import ZSTD_MAGIC, unpack_chunk
-from turtlelog.log.engine.compiled import KERNELS
 from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.json_messages import JsonField, decode_json
 from turtlelog.log.engine.limits import UNPACKED, Allowance
+from turtlelog.log.engine.load_kernels import KERNELS
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
     ENCAPSULATION,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from turtlelog.log.engine.message_types import TEXT, Column, Field
 
-MOST: Final = 16
+FEW_MESSAGES: Final = 16
 """Messages up to which this is quicker: both ways take alike at some 25."""
 
 _LENGTH: Final = 4  # bytes before a text that say how long it is

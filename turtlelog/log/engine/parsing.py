@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import LONGEST_DESCRIBED, MOST_DESCRIBED
-from turtlelog.log.engine.runs import start_walk
+from turtlelog.log.engine.message_walk import start_walk
 from turtlelog.log.error_boundary import DamageError
 
 Rare = TypeVar("Rare")

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.escapes import escape_controls
 from turtlelog.log.engine.blocks import Block
-from turtlelog.log.engine.compiled import INDEXED_S, KERNELS
 from turtlelog.log.engine.decode import (
     LOG_TIME,
     PUBLISH_TIME,
@@ -25,6 +24,7 @@ from turtlelog.log.engine.decode import (
     select_rows,
 )
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.load_kernels import INDEXED_S, KERNELS
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
 from turtlelog.log.engine.parsing import MESSAGE_HEAD, gather_heads

@@ -28,7 +28,7 @@ from turtlelog.log.engine.framing import (
     measure_record,
 )
 from turtlelog.log.engine.limits import DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
-from turtlelog.log.engine.runs import skip_followed
+from turtlelog.log.engine.message_walk import skip_followed
 
 _BATCH: Final = 2**20  # bytes of lone records handed on together
 _LONGEST_NAME: Final = 64  # bytes; of a compression

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from turtlelog.compiled import CompiledLoops
+from turtlelog.compiled_loops import CompiledLoops
 
 
 @pytest.fixture

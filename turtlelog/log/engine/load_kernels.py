@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from turtlelog.compiled import CompiledLoops
+from turtlelog.compiled_loops import CompiledLoops
 
 COST_S: Final = 0.7
 """What numba's import and the loops take from their cache [s]; some 2.5 s before they are in it."""

@@ -2,7 +2,7 @@ import sys
 
 import pytest
 
-from turtlelog.log.engine.compiled import COST_S, KERNELS
+from turtlelog.log.engine.load_kernels import COST_S, KERNELS
 
 
 @pytest.fixture(autouse=True)

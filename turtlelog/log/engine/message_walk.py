@@ -10,8 +10,8 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from turtlelog.log.engine.compiled import KERNELS
 from turtlelog.log.engine.framing import LARGEST_RECORD, LEAST_MESSAGE, RECORD
+from turtlelog.log.engine.load_kernels import KERNELS
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _HEAD: Final = np.dtype([("opcode", "u1"), ("length", "<u8")])

@@ -3,8 +3,8 @@ import random
 import pytest
 
 from tests.log.ways import load_kernels, use_kernels
+from turtlelog.log.engine.message_walk import _Foretelling, skip_followed
 from turtlelog.log.engine.parsing import take_apart
-from turtlelog.log.engine.runs import _Foretelling, skip_followed
 
 
 def join(lengths: list[int]) -> bytes:
