@@ -1,21 +1,35 @@
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from turtlelog.compiled_loops import CompiledLoops
 
+PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}"
+COMPILED = """
+import numba
+
+
+@numba.njit("i8(i8)", cache=True)
+def double(value):
+    return 2 * value
+"""
+
 
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "some_loops.py").write_text("value = 1\n", encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path / "some_loops.py"
 
 
 def test_loops_cost_more_before_they_are_in_the_cache(module: Path) -> None:
     assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 9.0
-    cache = module.parent / "__pycache__" / "some_loops.run-1.py311.nbi"
+    cache = module.parent / "__pycache__" / f"some_loops.run-1.{PYTHON}.nbi"
     cache.parent.mkdir(exist_ok=True)
     cache.touch()
     os.utime(module, (1e9, 1e9))
@@ -23,7 +37,7 @@ def test_loops_cost_more_before_they_are_in_the_cache(module: Path) -> None:
 
 
 def test_loops_cost_more_where_their_source_has_changed_since(module: Path) -> None:
-    cache = module.parent / "__pycache__" / "some_loops.run-1.py311.nbi"
+    cache = module.parent / "__pycache__" / f"some_loops.run-1.{PYTHON}.nbi"
     cache.parent.mkdir(exist_ok=True)
     cache.touch()
     os.utime(cache, (1e9, 1e9))
@@ -34,3 +48,27 @@ def test_loops_that_cost_the_same_either_way_are_loaded_at_once(module: Path) ->
     loops = CompiledLoops(module.stem, cost_s=1.0)
     assert loops.expect(1, 0.9) is None
     assert loops.find() is None
+
+
+def test_an_index_of_another_python_is_of_no_use(module: Path) -> None:
+    cache = module.parent / "__pycache__" / "some_loops.run-1.py27.nbi"
+    cache.parent.mkdir(exist_ok=True)
+    cache.touch()
+    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 9.0
+
+
+@pytest.mark.parametrize("place", ["beside", "NUMBA_CACHE_DIR", "user"])
+def test_loops_are_found_where_numba_keeps_them(
+    module: Path, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    pytest.importorskip("numba")
+    module.write_text(COMPILED, encoding="utf-8")
+    if place == "NUMBA_CACHE_DIR":
+        monkeypatch.setenv(place, str(module.parent / "kept"))
+    elif sys.platform != "linux" and place == "user":
+        pytest.skip("the user's cache is known on Linux alone")
+    elif place == "user":
+        (module.parent / "__pycache__").write_text("no folder", encoding="utf-8")
+    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 9.0
+    subprocess.run([sys.executable, "-c", "import some_loops"], cwd=module.parent, check=True)
+    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 1.0

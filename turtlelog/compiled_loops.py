@@ -1,6 +1,9 @@
 """Whether compiled loops are worth loading; everything works without them."""
 
+import os
+import sys
 from functools import cached_property
+from hashlib import sha1
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,10 +32,10 @@ class CompiledLoops:
         self._loops: Any = None
 
     def expect(self, count: int, saving_s: float) -> Any:
-        """Count what is done, or will be, with what the loops save of each [s].
+        """Add work that is done or will be: so many items, and what the loops save of each [s].
 
         Returns:
-            The compiled loops, None without.
+            The compiled loops once all work together is worth loading them, otherwise None.
         """
         with self._loading:
             before, self._saved_s = self._saved_s, self._saved_s + count * saving_s
@@ -42,13 +45,17 @@ class CompiledLoops:
 
     @cached_property
     def cost_s(self) -> float:
-        """What the loops take to load [s]: more where the cache beside their module lacks them."""
+        """What the loops take to load [s]: more where numba's cache lacks them."""
         found = find_spec(self._module)
-        source = Path((found and found.origin) or "")
+        source = Path((found and found.origin) or "").absolute()
+        python = f"py{sys.version_info.major}{sys.version_info.minor}"
         try:
             changed_s = source.stat().st_mtime
-            kept = [*(source.parent / "__pycache__").glob(f"{source.stem}.*.nbi")]
-            is_kept = any(index.stat().st_mtime >= changed_s for index in kept)
+            is_kept = any(
+                index.stat().st_mtime >= changed_s
+                for folder in _list_cache_folders(source)
+                for index in folder.glob(f"{source.stem}.*.{python}*.nbi")
+            )
         except OSError:
             is_kept = False
         return self._cached_s if is_kept else self._first_s
@@ -69,3 +76,17 @@ class CompiledLoops:
         # A numba for another numpy raises ImportError, a cache that cannot be written RuntimeError.
         except (ImportError, RuntimeError, OSError):
             return None
+
+
+def _list_cache_folders(source: Path) -> list[Path]:
+    """Return where numba keeps what it compiles of a module, without loading it.
+
+    In NUMBA_CACHE_DIR; unless that is set beside the module, or, where it cannot write there, in
+    the user's cache, which is known here but for Windows and macOS.
+    """
+    hashed = sha1(str(source.parent).encode(), usedforsecurity=False).hexdigest()
+    name = f"{source.parent.name}_{hashed}"
+    if folder := os.environ.get("NUMBA_CACHE_DIR"):
+        return [Path(folder) / name]
+    of_user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return [source.parent / "__pycache__", of_user / "numba" / name]

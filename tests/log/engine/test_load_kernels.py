@@ -10,6 +10,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(KERNELS, "_loops", None)
     monkeypatch.setattr(KERNELS, "_saved_s", 0.0)
     monkeypatch.setattr(KERNELS, "load", lambda: "loaded")
+    monkeypatch.setitem(KERNELS.__dict__, "cost_s", COST_S)
 
 
 def test_loops_are_loaded_once_they_would_have_saved_what_they_cost() -> None:
