@@ -19,6 +19,7 @@ from tests.show.rerun.rrds import (
     simulate_preset,
     verify,
 )
+from turtlelog.run.columns import take_rows
 from turtlelog.show import palette, write_run_rrd
 from turtlelog.show.palette import Color, choose_run_colors
 from turtlelog.show.rerun import timelines
@@ -103,6 +104,27 @@ def test_borders_are_kept_up_to_sixteen_thousand(
     events = tuple(tl.run.Event(time_ns=ns, kind="wall_hit", text="") for ns in times_ns)
     found = timelines.build_run_timelines(replace(RUN, events=events)).borders_ns
     assert len(found) == (0 if beyond else 2**14)
+
+
+def test_of_a_run_with_too_many_borders_no_rows_beside_them_are_promised(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(timelines, "MOST_ROWS", 90)
+    events = tuple(tl.run.Event(time_ns=ns, kind="wall_hit", text="") for ns in range(2**14 + 1))
+    crowded = replace(RUN, name="crowded", events=events)
+    beside = "the rows beside each border of a phase and each event"
+    text = timelines.add_thinning({}, [RUN, crowded])["Drawn"]
+    assert f"{beside} (not of crowded: more than 16,384)." in text
+    assert f"{beside}." in timelines.add_thinning({}, [RUN])["Drawn"]
+    assert "beside" not in timelines.add_thinning({}, [crowded])["Drawn"]
+    rows = slice(80)
+    short = replace(
+        crowded,
+        poses=take_rows(RUN.poses, rows),
+        samples=take_rows(RUN.samples, rows),
+        commands=take_rows(RUN.commands, rows),
+    )
+    assert f"{beside}." in timelines.add_thinning({}, [RUN, short])["Drawn"]
 
 
 def test_a_long_trace_is_thinned_and_says_so(

@@ -10,6 +10,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
+from turtlelog.compare import name_runs
 from turtlelog.display import join_words
 from turtlelog.run import Run
 from turtlelog.show.phase_timelines import TIMELINE, WALL_TIMELINE, find_phase_zeros
@@ -200,13 +201,22 @@ def _find_borders(run: Run) -> Times:
 
     Nothing, too, of more than `MOST_BORDERS`.
     """
-    if max(len(run.poses), len(run.samples), len(run.commands)) <= min(MOST_ROWS, TRACE_ROWS):
-        return np.zeros(0, dtype=np.int64)
+    borders_ns = None if _is_whole(run) else _list_borders(run)
+    return np.zeros(0, dtype=np.int64) if borders_ns is None else borders_ns
+
+
+def _is_whole(run: Run) -> bool:
+    longest = max(len(run.poses), len(run.samples), len(run.commands))
+    return longest <= min(MOST_ROWS, TRACE_ROWS)
+
+
+def _list_borders(run: Run) -> Times | None:
+    """Return where phases begin and end and events are [ns]; None of more than `MOST_BORDERS`."""
     if np.count_nonzero(np.diff(run.samples.phase)) > MOST_BORDERS:
-        return np.zeros(0, dtype=np.int64)
+        return None
     spans = [end_ns for span in run.find_phase_spans() for end_ns in (span.start_ns, span.end_ns)]
     borders_ns = np.unique(np.array([*spans, *(event.time_ns for event in run.events)], np.int64))
-    return borders_ns if len(borders_ns) <= MOST_BORDERS else borders_ns[:0]
+    return borders_ns if len(borders_ns) <= MOST_BORDERS else None
 
 
 def _find_beside(time_ns: Times, borders_ns: Times) -> NDArray[np.int64]:
@@ -247,12 +257,21 @@ def _describe_thinning(runs: Sequence[Run]) -> str:
     if not drawn:
         return ""
     kept = ["the first row", "the least and the greatest value", "the first row of a gap"]
-    beside = any(len(_find_borders(run)) for run in runs)
-    borders = ", and the rows beside each border of a phase and each event" if beside else ""
     return (
         f"Drawn are of {' and of '.join(drawn)} at most: of every stretch {join_words(kept)}"
-        f"{borders}. What lies between is left out. Metrics are of all."
+        f"{_describe_borders(runs)}. What lies between is left out. Metrics are of all."
     )
+
+
+def _describe_borders(runs: Sequence[Run]) -> str:
+    """Say of which runs the rows beside borders are kept."""
+    named = zip(name_runs(runs), runs, strict=True)
+    borders = [(name, _list_borders(run)) for name, run in named if not _is_whole(run)]
+    crowded = [name for name, found in borders if found is None]
+    if not any(found is not None and len(found) for _, found in borders):
+        return ""
+    but = f" (not of {join_words(crowded)}: more than {MOST_BORDERS:,})" if crowded else ""
+    return f", and the rows beside each border of a phase and each event{but}"
 
 
 def _split(count: int) -> Iterator[slice]:
