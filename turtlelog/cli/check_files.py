@@ -101,18 +101,19 @@ def check_files(
     if reports.scheduler is not None and reports.report is not None:
         raise UsageError("--report: expected no --scheduler beside it, found one")
     with reports.find_place(files, file_s=_FILE_S) as place:
-        return _check_files(spec, files, (reports, place), topics)
+        return _check_files(spec, files, reports, topics, place=place)
 
 
 def _check_files(
     spec: "Spec",
     files: Sequence[Path],
-    how: "tuple[ReportOptions, int | Executor]",
+    reports: ReportOptions,
     topics: ReadingOptions,
+    *,
+    place: "int | Executor",
 ) -> "list[CheckResult]":
     from turtlelog.check.junit import CheckedFile, format_junit
 
-    reports, place = how
     jobs = 1 if reports.report is not None else place
     keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
     is_described = reports.junit is not None
@@ -138,7 +139,8 @@ def _check_files(
         print_note(f"wrote {reports.junit}")
     results = [result for file in checked for result in file.results]
     if reports.report is not None:
-        _write_report(reports.report, runs, results, (spec, list_reading_words(topics)))
+        words = [*runs, *list_reading_words(topics), "--report", str(reports.report)]
+        _write_report(reports.report, runs, results, _join_command(spec, words))
     return results
 
 
@@ -207,26 +209,29 @@ def _write_report(
     path: Path,
     runs: "Mapping[str, Run]",
     results: "Sequence[CheckResult]",
-    asked: "tuple[Spec, list[str]]",
+    command: str,
 ) -> None:
-    """Write a report on the recordings that could be read; how they were is told again."""
+    """Write a report on the recordings that could be read, and the command that asks for it."""
     from turtlelog.cli.report import build_check_lines
 
     if not runs:
         print_note(f"{path}: no report: none of the recordings could be read")
         return
     names = dict(zip(runs, tl.compare.name_runs([*runs.values()]), strict=True))
-    spec, reading = asked
-    words = ["turtlelog", "check", str(spec.source), *runs, *reading, "--report", str(path)]
-    is_file = not str(spec.source).startswith("--")
     tl.show.write_report(
         [*runs.values()],
         path,
         sources=[*runs],
         checks=build_check_lines(results, names, runs),
-        command=shlex.join(words) if is_file else "",
+        command=command,
     )
     print_note(f"wrote {path}")
+
+
+def _join_command(spec: "Spec", words: Sequence[str]) -> str:
+    """Return the command that checks again; empty where no file holds the checks."""
+    is_file = not str(spec.source).startswith("--")
+    return shlex.join(["turtlelog", "check", str(spec.source), *words]) if is_file else ""
 
 
 class _Clock:
@@ -256,9 +261,11 @@ def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
 
 def read_to_judge(path: Path, choice: "ReadChoice") -> "tuple[Run, dict[str, str]]":
     """Return a run, whole or not, and what to tell of reading it."""
+    from turtlelog.log.recording.recovery_note import LOSS_NOTES
+
     # A recording that is not whole fails its check, which says so.
     run = tl.log.read_as_chosen(path, replace(choice, allow_partial=True))
-    told = {name: text for name, text in run.notes.items() if name not in {"partial", "recovered"}}
+    told = {name: text for name, text in run.notes.items() if name not in LOSS_NOTES}
     return run, told
 
 

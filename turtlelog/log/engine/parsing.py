@@ -57,7 +57,8 @@ HEADING_FIELDS: Final = (
     *(("log_time", "<u8"), ("publish_time", "<u8")),
 )
 HEADING: Final = np.dtype([*HEADING_FIELDS])
-"""The front of a message record; everything else that reads or writes one takes it from here."""
+"""The front of a message record, for all that reads or writes one but `kernels`: numba sees no
+change of another file, so the places stand there once more, as numbers."""
 
 MESSAGE_HEAD: Final = HEADING.itemsize
 """Bytes of a message record before its data."""
