@@ -6,7 +6,7 @@ import pytest
 
 import turtlelog as tl
 from tests.strange_law import simulate_strange
-from turtlelog.compare.difference import explain_lack
+from turtlelog.compare.signal_comparison import explain_lack
 from turtlelog.errors import CompareError
 from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.run import Run

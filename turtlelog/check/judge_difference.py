@@ -13,7 +13,8 @@ from turtlelog.check.spec_file import load_tolerances
 from turtlelog.check.vocabulary import choose_signals
 from turtlelog.compare import MetricDifference, Tolerance
 from turtlelog.compare.alignment import find_zero_ns
-from turtlelog.compare.difference import compare_metrics, compare_signals, explain_lack
+from turtlelog.compare.difference import compare_metrics
+from turtlelog.compare.signal_comparison import compare_signals, explain_lack
 from turtlelog.display import format_number, format_pair
 from turtlelog.errors import CheckError
 from turtlelog.loops import Declaration

@@ -14,7 +14,7 @@ from turtlelog.check.formula_trace import FormulaTrace, find_span, find_window, 
 from turtlelog.check.judge_formula import MIRRORED
 from turtlelog.check.result import CheckResult, JudgedMetric, JudgedSignal, Verdict
 from turtlelog.check.spec import Check
-from turtlelog.compare.difference import trace_tube
+from turtlelog.compare.signal_comparison import trace_tube
 from turtlelog.expressions import Call, Comparison, Name
 from turtlelog.measure import list_metrics, list_signals, measure_run, read_signal
 from turtlelog.run import Run

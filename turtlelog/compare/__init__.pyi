@@ -1,14 +1,10 @@
 from .alignment import ALIGNMENTS as ALIGNMENTS
 from .difference import (
     MetricDifference as MetricDifference,
-    PathError as PathError,
     RunComparison as RunComparison,
-    SignalDifference as SignalDifference,
     compare_metrics as compare_metrics,
     compare_runs as compare_runs,
-    compare_signals as compare_signals,
     iter_comparisons as iter_comparisons,
-    measure_path_error as measure_path_error,
     tabulate_differences as tabulate_differences,
 )
 from .like_loops import order_ids as order_ids
@@ -19,6 +15,10 @@ from .measured_files import (
 from .paper_tables import (
     tabulate_table1 as tabulate_table1,
     tabulate_whole_runs as tabulate_whole_runs,
+)
+from .path_error import (
+    PathError as PathError,
+    measure_path_error as measure_path_error,
 )
 from .robot_comparison import (
     ErrorBand as ErrorBand,
@@ -54,6 +54,10 @@ from .run_table import (
     tabulate_measured as tabulate_measured,
     tabulate_metrics as tabulate_metrics,
     tabulate_runs as tabulate_runs,
+)
+from .signal_comparison import (
+    SignalDifference as SignalDifference,
+    compare_signals as compare_signals,
 )
 from .table import (
     Cell as Cell,
