@@ -3,7 +3,6 @@
 import os
 import sys
 from functools import cached_property
-from hashlib import sha1
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -39,7 +38,8 @@ class CompiledLoops:
         """
         with self._loading:
             before, self._saved_s = self._saved_s, self._saved_s + count * saving_s
-            if before < self.cost_s <= self._saved_s:
+            is_little = self._saved_s < self._cached_s  # nobody looks for a cache then
+            if not is_little and before < self.cost_s <= self._saved_s:
                 self._loops = self.load()
         return self._loops
 
@@ -84,6 +84,8 @@ def _list_cache_folders(source: Path) -> list[Path]:
     In NUMBA_CACHE_DIR; unless that is set beside the module, or, where it cannot write there, in
     the user's cache, which is known here but for Windows and macOS.
     """
+    from hashlib import sha1  # most commands never come here
+
     hashed = sha1(str(source.parent).encode(), usedforsecurity=False).hexdigest()
     name = f"{source.parent.name}_{hashed}"
     if folder := os.environ.get("NUMBA_CACHE_DIR"):
