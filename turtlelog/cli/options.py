@@ -1,7 +1,7 @@
-"""Options that several commands share, and what they stand for."""
+"""Options of reading and working that several commands share, and what they stand for."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 from cyclopts import Group, Parameter, Token
 
 import turtlelog as tl
-from turtlelog.cli.list_names import complete_keys, complete_law
 from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import TurtlelogError, UsageError
@@ -20,7 +19,7 @@ from turtlelog.remote.urls import make_path
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from turtlelog import Declaration, Run, Scenario
+    from turtlelog import Run
     from turtlelog.compare import RunSummary
     from turtlelog.log import ReadChoice
 
@@ -52,57 +51,6 @@ Json = Annotated[bool, Parameter(name="--json")]
 Whole = Annotated[int, Parameter(converter=_read_whole)]
 """A whole number; a plain int would cut 1.5 to 1."""
 Jobs = Annotated[Whole | None, Parameter(name="--jobs", metavar="COUNT")]
-
-
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScenarioOptions:
-    """Changes to a scenario, applied in this order.
-
-    Attributes:
-        commands: Send the commands of this recording at their times, by the law open-loop, in place
-            of the scenario's law.
-        kp: Set the gains that the law declares [1/s].
-        goal: Set the goal position, as in 2,10 [m].
-        assignments: Change one value by its dotted key, as in law.kp_linear=4; may stand
-            several times. The unit stands in the key.
-    """
-
-    commands: Annotated[Place | None, Parameter(metavar="FILE")] = None
-    kp: Annotated[float | None, Parameter(metavar="GAIN")] = None
-    goal: Annotated[str | None, Parameter(metavar="X,Y")] = None
-    assignments: Annotated[
-        list[str] | None,
-        Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys),
-    ] = None
-
-
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LawOptions(ScenarioOptions):
-    """Changes to a scenario, the law first.
-
-    Attributes:
-        law: Let another law drive: a built-in kind, path.py:Class or package.module:Class. Its code
-            runs. SCENARIO is textbook then, unless one is given.
-    """
-
-    law: Annotated[str | None, Parameter(metavar="KIND", completer=complete_law)] = None
-
-    def find_law_kind(self) -> str | None:
-        """Return the kind of law that --law or --set names.
-
-        Raises:
-            UsageError: Where they name two, or one beside --commands, which are a law themselves.
-        """
-        changes = tl.scenario.parse_assignments(self.assignments or (), source="--set")
-        kind = changes.get("law.kind")
-        if self.law is not None and kind not in (None, self.law):
-            raise UsageError(f"--law: expected one law, found {self.law} and --set law.kind={kind}")
-        named = self.law or (kind if isinstance(kind, str) else None)
-        if self.commands is not None and named is not None:
-            raise UsageError(f"--commands: expected no law beside them, found {named}")
-        return named
 
 
 _READING: Final = Group("Reading other people's files", sort_key=2)
@@ -208,147 +156,6 @@ def _parse_aim(text: str) -> tuple[float, ...]:
     return (*values[:2], *map(math.radians, values[2:]))
 
 
-_RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
-"""How files that may hold a scenario end, beside scenario files."""
-
-
-def find_scenario_file(name: str | None) -> Path | None:
-    """Return the scenario file that a word names, None where it names something else."""
-    if name is None or name in tl.PRESETS or is_recording(make_path(name)):
-        return None
-    path = make_path(name)
-    return path if path.suffix.lower() == ".toml" or path.is_file() else None
-
-
-def is_recording(path: Path) -> bool:
-    """Return whether a word names a recording, by its ending, or a bag's folder."""
-    path, topic = tl.log.split_topic(path)
-    return topic is not None or path.suffix.lower() in _RECORDINGS or path.is_dir()
-
-
-def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "Scenario":
-    """Return a preset, or the scenario of a file or recording, with the options applied.
-
-    Its name tells the changes. The code of a law is loaded only where its gains are to be set, and
-    never that of a recording, which tells them itself.
-
-    Args:
-        name_or_path: Where None `paper`; with a law that --law names `textbook`, whose loop adds
-            nothing to the law.
-        options: The changes.
-    """
-    options = options or LawOptions()
-    named = options.find_law_kind()
-    name_or_path = name_or_path or ("paper" if options.law is None else "textbook")
-    path, declared = make_path(name_or_path), None
-    if not is_recording(path):
-        base = tl.load_scenario(name_or_path)
-    else:
-        run = _read_run(path, TopicOptions())
-        if not run.scenario_is_complete:
-            expected = "a recording with its whole scenario"
-            raise UsageError(f"{path}: expected {expected}, found none in it")
-        base = tl.scenario.restore_scenario(run)
-        declared = None if named else run.declaration
-    return apply_options(base, options, declared)
-
-
-def apply_options(
-    base: "Scenario", options: LawOptions | None, declared: "Declaration | None" = None
-) -> "Scenario":
-    """Return a scenario with the options applied, under a name that tells them.
-
-    Args:
-        base: To be changed.
-        options: The changes.
-        declared: What its law declares, where a recording tells; otherwise the law is asked.
-    """
-    options, scenario, said = options or LawOptions(), base, []
-    if options.law is not None:
-        scenario = tl.override_scenario(base, {"law.kind": options.law}, source="--law")
-        said = [_tell(f"law={options.law}")]
-    return name_by_changes(change_scenario(scenario, options, declared), base.name, options, *said)
-
-
-def list_given_keys(options: ScenarioOptions | None) -> list[str]:
-    """Return the keys of a scenario that the options set by name."""
-    if options is None:
-        return []
-    assigned = tl.scenario.parse_assignments(options.assignments or (), source="--set")
-    return [*assigned, *([] if options.goal is None else _parse_goal(options.goal))]
-
-
-def name_by_changes(
-    scenario: "Scenario", base: str, options: ScenarioOptions | None, *more: str
-) -> "Scenario":
-    """Return a scenario under the name that it was made from and what was changed.
-
-    One that --set gave a name keeps it.
-
-    Args:
-        scenario: With the changes.
-        base: Name of what it was made from.
-        options: The changes.
-        more: What else was changed, in words.
-    """
-    said = [*more, *_list_changes(options)]
-    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
-    return scenario if is_named else replace(scenario, name=" ".join([base, *said]))
-
-
-def _list_changes(options: ScenarioOptions | None) -> list[str]:
-    if options is None:
-        return []
-    said = [] if options.commands is None else [f"commands={options.commands.stem}"]
-    said += [] if options.kp is None else [f"kp={options.kp:g}"]
-    said += [] if options.goal is None else [f"goal={options.goal}"]
-    return said + [_tell(text) for text in options.assignments or ()]
-
-
-def _tell(text: str) -> str:
-    """Return a change for a name, which is one line; a value need not be."""
-    return text if text.isprintable() else repr(text)[1:-1]
-
-
-def change_scenario(
-    scenario: "Scenario",
-    options: ScenarioOptions | None,
-    declaration: "Declaration | None" = None,
-) -> "Scenario":
-    """Return a scenario with the options applied.
-
-    Args:
-        scenario: To be changed.
-        options: The changes.
-        declaration: What its law declares, where a recording tells; otherwise the law is asked.
-    """
-    options = options or ScenarioOptions()
-    if options.commands is not None:
-        run = _read_run(options.commands, TopicOptions())
-        scenario, declaration = tl.scenario.replay_commands(scenario, run), None
-    changes = tl.scenario.parse_assignments(options.assignments or (), source="--set")
-    if "law.kind" in changes:
-        # Another law has other keys: it is chosen before any of them is set.
-        kind = {"law.kind": changes.pop("law.kind")}
-        scenario = tl.override_scenario(scenario, kind, source="--set")
-    if options.kp is not None:
-        from turtlelog.scenario import override_gains
-
-        asked = declaration or _ask_law(scenario, changes)
-        gains = asked.list_gains()
-        if not gains:
-            raise UsageError("--kp: expected a law that declares a gain, found none: --set does it")
-        scenario = override_gains(scenario, gains, options.kp, source="--kp")
-    if options.goal is not None:
-        scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
-    return tl.override_scenario(scenario, changes, source="--set")
-
-
-def _ask_law(scenario: "Scenario", changes: "Mapping[str, Any]") -> "Declaration":
-    """Return what the law of a scenario declares, once it has all values that it must have."""
-    return tl.simulate.declare_scenario(tl.override_scenario(scenario, changes, source="--set"))
-
-
 def read_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "list[Run]":
     """Return the runs of recordings, bags, other recorders' files and the paper's logs."""
     return list(iterate_runs(paths, topics))
@@ -359,7 +166,7 @@ def iterate_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "
     require_files(paths)
     topics = topics or TopicOptions()
     for path in iterate_files(paths):
-        yield _read_run(path, topics)
+        yield read_chosen_run(path, topics)
 
 
 def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
@@ -367,7 +174,8 @@ def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
     yield from watch_files(paths, len(paths))
 
 
-def _read_run(path: Path, topics: TopicOptions) -> "Run":
+def read_chosen_run(path: Path, topics: TopicOptions) -> "Run":
+    """Return the run of a file, and print what there is to note of it."""
     run = tl.log.read_as_chosen(path, topics.build_choice())
     print_run_notes(path, run.notes)
     return run
@@ -465,11 +273,3 @@ def require_files(paths: Sequence[Path]) -> None:
     """Refuse a command without files."""
     if not paths:
         raise UsageError("FILE: expected at least one recording, found none")
-
-
-def _parse_goal(text: str) -> dict[str, Any]:
-    try:
-        x_m, y_m = map(float, text.split(","))
-    except ValueError as err:
-        raise UsageError(f"--goal: expected X,Y in metres, found {text!r}") from err
-    return {"goal.x_m": x_m, "goal.y_m": y_m}

@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, format_results
-from turtlelog.cli.options import Json, Output, Place, ScenarioOptions, TopicOptions, read_runs
+from turtlelog.cli.options import Json, Output, Place, TopicOptions, read_runs
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_verdicts
 from turtlelog.cli.replay_answer import (
     describe_changes,
@@ -24,6 +24,7 @@ from turtlelog.cli.replay_choice import (
     settle_file,
 )
 from turtlelog.cli.replay_plant import describe_plant, format_plant
+from turtlelog.cli.scenario_options import ScenarioOptions
 from turtlelog.cli.targets import require_new_target
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import ScenarioOptions, change_scenario, name_by_changes
 from turtlelog.cli.output import print_note
+from turtlelog.cli.scenario_options import ScenarioOptions, change_scenario, name_by_changes
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:

@@ -11,16 +11,7 @@ from cyclopts import Parameter, Token
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
-from turtlelog.cli.options import (
-    Connect,
-    Json,
-    LawOptions,
-    Output,
-    Place,
-    find_scenario_file,
-    list_given_keys,
-    load_changed_scenario,
-)
+from turtlelog.cli.options import Connect, Json, Output, Place
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
@@ -32,7 +23,13 @@ from turtlelog.cli.output import (
     print_text,
 )
 from turtlelog.cli.progress import Progress, show_progress, watch_ticks
-from turtlelog.cli.table_row import RowOptions
+from turtlelog.cli.scenario_options import (
+    LawOptions,
+    RowOptions,
+    find_scenario_file,
+    list_given_keys,
+    load_changed_scenario,
+)
 from turtlelog.cli.targets import require_new_target
 from turtlelog.cli.watch import describe_change, list_watched, watch_runs
 from turtlelog.errors import SimulationError, UsageError

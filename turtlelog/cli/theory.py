@@ -9,16 +9,9 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_preset
-from turtlelog.cli.options import (
-    Json,
-    LawOptions,
-    ReadingOptions,
-    Whole,
-    is_recording,
-    load_changed_scenario,
-    read_runs,
-)
+from turtlelog.cli.options import Json, ReadingOptions, Whole, read_runs
 from turtlelog.cli.output import format_table, print_json, print_text
+from turtlelog.cli.scenario_options import LawOptions, is_recording, load_changed_scenario
 from turtlelog.cli.theory_gains import (
     Recommended,
     Wishes,

@@ -9,18 +9,11 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_metrics
-from turtlelog.cli.options import (
-    Json,
-    LawOptions,
-    Place,
-    Whole,
-    WorkOptions,
-    list_given_keys,
-    load_changed_scenario,
-)
+from turtlelog.cli.options import Json, Place, Whole, WorkOptions
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
+from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
 from turtlelog.cli.targets import require_new_target
 from turtlelog.cli.tune_answer import Answer, describe_answer, format_answer
 from turtlelog.errors import UsageError

@@ -1,0 +1,243 @@
+"""Options that choose a scenario and change it, shared by the commands that take one."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.list_names import complete_keys, complete_law
+from turtlelog.cli.options import Place, TopicOptions, Whole, read_chosen_run
+from turtlelog.errors import UsageError
+from turtlelog.remote.urls import make_path
+
+if TYPE_CHECKING:
+    from turtlelog import Declaration, Scenario
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScenarioOptions:
+    """Changes to a scenario, applied in this order.
+
+    Attributes:
+        commands: Send the commands of this recording at their times, by the law open-loop, in place
+            of the scenario's law.
+        kp: Set the gains that the law declares [1/s].
+        goal: Set the goal position, as in 2,10 [m].
+        assignments: Change one value by its dotted key, as in law.kp_linear=4; may stand
+            several times. The unit stands in the key.
+    """
+
+    commands: Annotated[Place | None, Parameter(metavar="FILE")] = None
+    kp: Annotated[float | None, Parameter(metavar="GAIN")] = None
+    goal: Annotated[str | None, Parameter(metavar="X,Y")] = None
+    assignments: Annotated[
+        list[str] | None,
+        Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys),
+    ] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LawOptions(ScenarioOptions):
+    """Changes to a scenario, the law first.
+
+    Attributes:
+        law: Let another law drive: a built-in kind, path.py:Class or package.module:Class. Its code
+            runs. SCENARIO is textbook then, unless one is given.
+    """
+
+    law: Annotated[str | None, Parameter(metavar="KIND", completer=complete_law)] = None
+
+    def find_law_kind(self) -> str | None:
+        """Return the kind of law that --law or --set names.
+
+        Raises:
+            UsageError: Where they name two, or one beside --commands, which are a law themselves.
+        """
+        changes = tl.scenario.parse_assignments(self.assignments or (), source="--set")
+        kind = changes.get("law.kind")
+        if self.law is not None and kind not in (None, self.law):
+            raise UsageError(f"--law: expected one law, found {self.law} and --set law.kind={kind}")
+        named = self.law or (kind if isinstance(kind, str) else None)
+        if self.commands is not None and named is not None:
+            raise UsageError(f"--commands: expected no law beside them, found {named}")
+        return named
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RowOptions:
+    """A row of a table in place of SCENARIO.
+
+    Attributes:
+        table: Run the scenario of a row of this table, which `turtlelog sweep` wrote.
+        row: Its number, in the column `row`.
+    """
+
+    table: Annotated[Path | None, Parameter(name="--from", metavar="FILE")] = None
+    row: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
+
+    def load(self, scenario: str | None, options: LawOptions | None) -> "Scenario":
+        """Return the scenario that is to run, with the options applied."""
+        if self.table is None:
+            if self.row is not None:
+                raise UsageError("--row: expected --from beside it, found none")
+            return load_changed_scenario(scenario, options)
+        if scenario is not None:
+            raise UsageError(f"--from: expected no scenario beside it, found {scenario}")
+        if self.row is None:
+            raise UsageError("--from: expected --row beside it, found none")
+        return apply_options(tl.sweep.load_row_scenario(self.table, self.row), options)
+
+
+_RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
+"""How files that may hold a scenario end, beside scenario files."""
+
+
+def find_scenario_file(name: str | None) -> Path | None:
+    """Return the scenario file that a word names, None where it names something else."""
+    if name is None or name in tl.PRESETS or is_recording(make_path(name)):
+        return None
+    path = make_path(name)
+    return path if path.suffix.lower() == ".toml" or path.is_file() else None
+
+
+def is_recording(path: Path) -> bool:
+    """Return whether a word names a recording, by its ending, or a bag's folder."""
+    path, topic = tl.log.split_topic(path)
+    return topic is not None or path.suffix.lower() in _RECORDINGS or path.is_dir()
+
+
+def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "Scenario":
+    """Return a preset, or the scenario of a file or recording, with the options applied.
+
+    Its name tells the changes. The code of a law is loaded only where its gains are to be set, and
+    never that of a recording, which tells them itself.
+
+    Args:
+        name_or_path: Where None `paper`; with a law that --law names `textbook`, whose loop adds
+            nothing to the law.
+        options: The changes.
+    """
+    options = options or LawOptions()
+    named = options.find_law_kind()
+    name_or_path = name_or_path or ("paper" if options.law is None else "textbook")
+    path, declared = make_path(name_or_path), None
+    if not is_recording(path):
+        base = tl.load_scenario(name_or_path)
+    else:
+        run = read_chosen_run(path, TopicOptions())
+        if not run.scenario_is_complete:
+            expected = "a recording with its whole scenario"
+            raise UsageError(f"{path}: expected {expected}, found none in it")
+        base = tl.scenario.restore_scenario(run)
+        declared = None if named else run.declaration
+    return apply_options(base, options, declared)
+
+
+def apply_options(
+    base: "Scenario", options: LawOptions | None, declared: "Declaration | None" = None
+) -> "Scenario":
+    """Return a scenario with the options applied, under a name that tells them.
+
+    Args:
+        base: To be changed.
+        options: The changes.
+        declared: What its law declares, where a recording tells; otherwise the law is asked.
+    """
+    options, scenario, said = options or LawOptions(), base, []
+    if options.law is not None:
+        scenario = tl.override_scenario(base, {"law.kind": options.law}, source="--law")
+        said = [_tell(f"law={options.law}")]
+    return name_by_changes(change_scenario(scenario, options, declared), base.name, options, *said)
+
+
+def list_given_keys(options: ScenarioOptions | None) -> list[str]:
+    """Return the keys of a scenario that the options set by name."""
+    if options is None:
+        return []
+    assigned = tl.scenario.parse_assignments(options.assignments or (), source="--set")
+    return [*assigned, *([] if options.goal is None else _parse_goal(options.goal))]
+
+
+def name_by_changes(
+    scenario: "Scenario", base: str, options: ScenarioOptions | None, *more: str
+) -> "Scenario":
+    """Return a scenario under the name that it was made from and what was changed.
+
+    One that --set gave a name keeps it.
+
+    Args:
+        scenario: With the changes.
+        base: Name of what it was made from.
+        options: The changes.
+        more: What else was changed, in words.
+    """
+    said = [*more, *_list_changes(options)]
+    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
+    return scenario if is_named else replace(scenario, name=" ".join([base, *said]))
+
+
+def _list_changes(options: ScenarioOptions | None) -> list[str]:
+    if options is None:
+        return []
+    said = [] if options.commands is None else [f"commands={options.commands.stem}"]
+    said += [] if options.kp is None else [f"kp={options.kp:g}"]
+    said += [] if options.goal is None else [f"goal={options.goal}"]
+    return said + [_tell(text) for text in options.assignments or ()]
+
+
+def _tell(text: str) -> str:
+    """Return a change for a name, which is one line; a value need not be."""
+    return text if text.isprintable() else repr(text)[1:-1]
+
+
+def change_scenario(
+    scenario: "Scenario",
+    options: ScenarioOptions | None,
+    declaration: "Declaration | None" = None,
+) -> "Scenario":
+    """Return a scenario with the options applied.
+
+    Args:
+        scenario: To be changed.
+        options: The changes.
+        declaration: What its law declares, where a recording tells; otherwise the law is asked.
+    """
+    options = options or ScenarioOptions()
+    if options.commands is not None:
+        run = read_chosen_run(options.commands, TopicOptions())
+        scenario, declaration = tl.scenario.replay_commands(scenario, run), None
+    changes = tl.scenario.parse_assignments(options.assignments or (), source="--set")
+    if "law.kind" in changes:
+        # Another law has other keys: it is chosen before any of them is set.
+        kind = {"law.kind": changes.pop("law.kind")}
+        scenario = tl.override_scenario(scenario, kind, source="--set")
+    if options.kp is not None:
+        from turtlelog.scenario import override_gains
+
+        asked = declaration or _ask_law(scenario, changes)
+        gains = asked.list_gains()
+        if not gains:
+            raise UsageError("--kp: expected a law that declares a gain, found none: --set does it")
+        scenario = override_gains(scenario, gains, options.kp, source="--kp")
+    if options.goal is not None:
+        scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
+    return tl.override_scenario(scenario, changes, source="--set")
+
+
+def _ask_law(scenario: "Scenario", changes: "Mapping[str, Any]") -> "Declaration":
+    """Return what the law of a scenario declares, once it has all values that it must have."""
+    return tl.simulate.declare_scenario(tl.override_scenario(scenario, changes, source="--set"))
+
+
+def _parse_goal(text: str) -> dict[str, Any]:
+    try:
+        x_m, y_m = map(float, text.split(","))
+    except ValueError as err:
+        raise UsageError(f"--goal: expected X,Y in metres, found {text!r}") from err
+    return {"goal.x_m": x_m, "goal.y_m": y_m}
