@@ -188,3 +188,13 @@ def test_a_run_that_no_process_can_read_is_an_error_of_the_whole(
     assert together == alone
     assert alone.code == 2
     assert "none.mcap" in alone.err
+
+
+@pytest.mark.parametrize(
+    ("command", "option"), [("compare", "--only"), ("explain", "--mechanisms")]
+)
+def test_names_are_separated_by_one_comma(call: Call, kp4: Path, command: str, option: str) -> None:
+    files = (kp4, kp4) if command == "compare" else (kp4,)
+    answer = call(command, *files, option, "a,,b")
+    assert answer.code == 2
+    assert f"{option}: expected names separated by commas, found 'a,,b'" in answer.err

@@ -191,8 +191,8 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
     [
         (["--only", "rotate.overshot"], "metric 'rotate.overshot': expected one like rotate.over"),
         (["--only", "nonsense.*"], "metric 'nonsense.*': expected an id such as"),
-        (["--only", "a,,b"], "--only: expected ids separated by commas, found 'a,,b'"),
-        (["--only", ""], "--only: expected ids separated by commas, found ''"),
+        (["--only", "a,,b"], "--only: expected names separated by commas, found 'a,,b'"),
+        (["--only", ""], "--only: expected names separated by commas, found ''"),
         (["--band", "0"], "band: expected a share of the step > 0, found 0.0"),
         (["--band", "nan"], "band: expected a share of the step > 0, found nan"),
         (["--band", "wide"], "--band: expected a number, found 'wide'"),

@@ -85,7 +85,7 @@ def test_what_was_asked_for_by_name_and_is_not_held_ends_with_an_error(
     [
         (["--only", "headng"], "figure: expected heading or heading-error, found 'headng'"),
         (["--only", "heading"], "figure heading: expected a recording, found none"),
-        (["--only", "plant,"], "--only: expected names with commas between, found 'plant,'"),
+        (["--only", "plant,"], "--only: expected names separated by commas, found 'plant,'"),
         (["--format", "gif"], "format: expected some of pdf, png, svg, found 'gif'"),
         (["--format", ""], "--format: expected names"),
         (["--for", "wall"], "--for"),
@@ -252,7 +252,7 @@ def test_a_violation_has_the_moments_of_check(
         (["--only", "violation"], "--only violation: expected --expect FORMULA beside it"),
         (["--only", "violation", "--expect", "speed <"], "--expect"),
         (["--only", "gains", "--metric", "overshot"], "overshot"),
-        (["--only", "gains", "--metric", "a,"], "--metric: expected ids with commas between"),
+        (["--only", "gains", "--metric", "a,"], "--metric: expected names separated by commas"),
         (["--only", "attribution", "--metric", "final.speed"], "final.speed"),
     ],
 )

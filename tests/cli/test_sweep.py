@@ -113,7 +113,7 @@ def test_row_that_cannot_be_run_is_one_line(
         (("--grid", "kp_linear=1:2"), "grid: kp_linear: expected law.kp_linear, found no such key"),
         (("--grid", "law.kp_linear=-2:-1"), "law.kp_linear: expected a number > 0, found -2"),
         ((*GRID, "--metrics", "rotate.overshot"), "metric 'rotate.overshot': expected one like"),
-        ((*GRID, "--metrics", "a,"), "--metrics: expected ids separated by commas, found 'a,'"),
+        ((*GRID, "--metrics", "a,"), "--metrics: expected names separated by commas, found 'a,'"),
         ((*GRID, "--seed", "1"), "--seed: expected --sample beside it, found none"),
         ((*GRID, "--latin"), "--latin: expected --sample beside it, found none"),
         ((*GRID, "--sample", "0"), "--sample: expected at least 1, found 0"),

@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from turtlelog import show
 from turtlelog.cli.list_names import complete_metrics
+from turtlelog.cli.options import split_names
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import ShowError, UsageError
 
@@ -70,12 +71,7 @@ class AskedOptions:
 
     def list_metrics(self) -> list[str] | None:
         """Return the metrics that are asked for; None where none are."""
-        if self.metric is None:
-            return None
-        names = [name.strip() for name in self.metric.split(",")]
-        if not all(names):
-            raise UsageError(f"--metric: expected ids with commas between, found {self.metric!r}")
-        return names
+        return None if self.metric is None else split_names(self.metric, "--metric")
 
 
 def _tell(names: Sequence[str]) -> str:

@@ -19,6 +19,7 @@ from turtlelog.cli.options import (
     ReadingOptions,
     count_jobs,
     read_runs,
+    split_names,
     watch_summaries,
 )
 from turtlelog.cli.output import (
@@ -81,7 +82,7 @@ class ChoiceOptions:
 
     def list_columns(self) -> list[str]:
         """Return the names and patterns that are asked for, none for the usual columns."""
-        return [] if self.only is None else [name.strip() for name in self.only.split(",")]
+        return [] if self.only is None else split_names(self.only, "--only")
 
 
 @Parameter(name="*")

@@ -14,7 +14,16 @@ from turtlelog.cli.explain_answer import (
 )
 from turtlelog.cli.explain_motion import describe_motion, format_motion
 from turtlelog.cli.list_names import complete_mechanisms, complete_metrics
-from turtlelog.cli.options import File, Jobs, Json, Place, ReadingOptions, read_runs, require_jobs
+from turtlelog.cli.options import (
+    File,
+    Jobs,
+    Json,
+    Place,
+    ReadingOptions,
+    read_runs,
+    require_jobs,
+    split_names,
+)
 from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -104,7 +113,7 @@ def explain(
     # Imported here: the command line loads no room before a command needs it.
     from turtlelog.explain import require_trust
 
-    names = None if mechanisms is None else [name.strip() for name in mechanisms.split(",")]
+    names = None if mechanisms is None else split_names(mechanisms, "--mechanisms")
     (run,) = read_runs([file], topics)
     is_asked = metric is not None or names is not None
     metric = metric or tl.explain.choose_metric(run.declaration)

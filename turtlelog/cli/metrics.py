@@ -21,6 +21,7 @@ from turtlelog.cli.options import (
     ReadingOptions,
     Whole,
     require_files,
+    split_names,
     watch_summaries,
 )
 from turtlelog.cli.output import (
@@ -72,12 +73,7 @@ class MeasureOptions:
 
     def list_patterns(self) -> list[str] | None:
         """Return the ids and patterns that are asked for, None where none are."""
-        if self.only is None:
-            return None
-        patterns = [name.strip() for name in self.only.split(",")]
-        if not all(patterns):
-            raise UsageError(f"--only: expected ids separated by commas, found {self.only!r}")
-        return patterns
+        return None if self.only is None else split_names(self.only, "--only")
 
     def build_settings(self) -> "MeasureSettings":
         """Return what is asked for as settings."""

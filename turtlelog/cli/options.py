@@ -269,6 +269,14 @@ def watch_files(found: "Iterable[_Found]", count: int) -> "Iterator[_Found]":
             progress.done = number
 
 
+def split_names(text: str, option: str) -> list[str]:
+    """Return the names that an option takes, which commas separate."""
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise UsageError(f"{option}: expected names separated by commas, found {text[:60]!r}")
+    return names
+
+
 def require_files(paths: Sequence[Path]) -> None:
     """Refuse a command without files."""
     if not paths:

@@ -14,7 +14,15 @@ from turtlelog import show
 from turtlelog.cli.asked_figures import AskedOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
-from turtlelog.cli.options import Jobs, Json, Place, ReadingOptions, read_runs, require_jobs
+from turtlelog.cli.options import (
+    Jobs,
+    Json,
+    Place,
+    ReadingOptions,
+    read_runs,
+    require_jobs,
+    split_names,
+)
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.page_options import TIMELESS, PageOptions
 from turtlelog.cli.progress import show_progress
@@ -89,7 +97,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         film_runs(runs, movie, timeline=timeline)
         _tell(_describe(files or [], {}, []) | {"left_out": []}, movie, json=json)
         return
-    names = None if only is None else _split(only, "--only")
+    names = None if only is None else split_names(only, "--only")
     is_file = output.suffix.lower() in _SUFFIXES
     if is_file:
         _require_one(output, names, formats)
@@ -99,7 +107,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     kinds = (
         [output.suffix[1:].lower()]
         if is_file
-        else _split("pdf" if formats is None else formats, "--format")
+        else split_names("pdf" if formats is None else formats, "--format")
     )
     page = _build_page(where or PageOptions(), kinds, names)
     asked = asked or AskedOptions()
@@ -298,13 +306,6 @@ def _draw_all(output: Path, drawing: _Drawing) -> tuple[list[Path], list[Path]]:
         is_usual = drawing.only is None and bool(drawing.runs)
         tables = add_tables(write, drawing.runs) if is_usual else []
     return figures, tables
-
-
-def _split(text: str, option: str) -> list[str]:
-    names = [name.strip() for name in text.split(",")]
-    if not all(names):
-        raise UsageError(f"{option}: expected names with commas between, found {text!r}")
-    return names
 
 
 def _describe(files: list[Path], figures: dict[Path, str], tables: list[Path]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_metrics
-from turtlelog.cli.options import Json, Place, Whole, WorkOptions
+from turtlelog.cli.options import Json, Place, Whole, WorkOptions, split_names
 from turtlelog.cli.output import EXIT_FINE, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
@@ -93,13 +93,7 @@ class TableOptions:
 
     def list_patterns(self) -> list[str] | None:
         """Return the metrics that are asked for, None where none are."""
-        if self.metrics is None:
-            return None
-        patterns = [name.strip() for name in self.metrics.split(",")]
-        if not all(patterns):
-            expected = "ids separated by commas"
-            raise UsageError(f"--metrics: expected {expected}, found {self.metrics!r}")
-        return patterns
+        return None if self.metrics is None else split_names(self.metrics, "--metrics")
 
     def build_records(self, work: WorkOptions) -> "RowRecords | None":
         """Return which runs are to be recorded, and where, as those at work find it."""
