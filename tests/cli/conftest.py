@@ -23,6 +23,16 @@ class Answer:
 
 Call = Callable[..., Answer]
 
+SPEC = """format = 1
+[checks.overshoot]
+expect = "rotate.overshoot <= 0.5"
+reason = "half a percent is seen"
+[checks.gains]
+expect = "final.position_error < 0.02"
+when = "law.kp_linear < 5"
+"""
+"""One run of the paper passes it, another fails."""
+
 
 @pytest.fixture
 def call(capsys: pytest.CaptureFixture[str]) -> Call:
@@ -50,4 +60,11 @@ def kp4(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def kp10(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recordings") / "kp10.mcap"
     tl.write_recording(tl.simulate_run(tl.load_scenario("paper-kp10")), path)
+    return path
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Path:
+    path = tmp_path / "spec.toml"
+    path.write_text(SPEC, encoding="utf-8")
     return path

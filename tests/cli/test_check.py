@@ -1,6 +1,3 @@
-import csv
-import io
-import json
 import re
 import tomllib
 from datetime import UTC, datetime
@@ -14,16 +11,6 @@ import turtlelog as tl
 from tests.check.artifact_files import read_mark
 from tests.cli.conftest import Call
 from tests.sequential import METRICS
-
-SPEC = """format = 1
-[checks.overshoot]
-expect = "rotate.overshoot <= 0.5"
-reason = "half a percent is seen"
-[checks.gains]
-expect = "final.position_error < 0.02"
-when = "law.kp_linear < 5"
-"""
-
 
 TOLERANCES = """format = 1
 [signals.x]
@@ -40,13 +27,6 @@ reason = "close by"
 def tolerances(tmp_path: Path) -> Path:
     path = tmp_path / "tolerances.toml"
     path.write_text(TOLERANCES, encoding="utf-8")
-    return path
-
-
-@pytest.fixture
-def spec(tmp_path: Path) -> Path:
-    path = tmp_path / "spec.toml"
-    path.write_text(SPEC, encoding="utf-8")
     return path
 
 
@@ -261,77 +241,6 @@ def test_a_recording_that_cannot_be_read_fails_and_the_others_are_judged(
     assert not any(result["decided"] for result in found.values())
 
 
-KINDS: dict[str, Any] = {"string": str, "number": int | float, "boolean": bool, "object": dict}
-
-
-def matches(value: Any, schema: dict[str, Any], root: dict[str, Any] | None = None) -> bool:
-    """Whether a value fits, by those words of JSON Schema that ours uses."""
-    root = root or schema
-    if "$ref" in schema:
-        return matches(value, root["$defs"][schema["$ref"].rpartition("/")[2]], root)
-    if "const" in schema or "enum" in schema:
-        return value in schema.get("enum", [schema.get("const")])
-    if not isinstance(value, KINDS[schema["type"]]):
-        return False
-    if isinstance(value, dict):
-        return has_fitting_keys(value, schema, root)
-    if isinstance(value, str):
-        return re.search(schema["pattern"], value) is not None
-    return isinstance(value, bool) or 0 <= value <= schema.get("maximum", 1e9)
-
-
-def has_fitting_keys(value: Any, schema: dict[str, Any], root: dict[str, Any]) -> bool:
-    found = [
-        [set(one.get("required", ())) <= set(value) for one in schema.get(word, [schema])]
-        for word in ("oneOf", "anyOf")
-    ]
-    needs = schema.get("dependentRequired", {})
-    if sum(found[0]) != 1 or not any(found[1]):
-        return False
-    if not all(set(needs[key]) <= set(value) for key in value if key in needs):
-        return False
-    inner = schema.get("properties", {})
-    patterns = schema.get("patternProperties", {})
-    schemas = {
-        key: inner.get(key)
-        or next((patterns[found] for found in patterns if re.search(found, key)), None)
-        or schema["additionalProperties"]
-        for key in value
-    }
-    return all(found and matches(value[key], found, root) for key, found in schemas.items())
-
-
-def test_the_schema_accepts_the_examples_and_refuses_what_the_reader_does(
-    call: Call, kp4: Path
-) -> None:
-    schema = call("check", "--schema").json
-    examples = Path(__file__).parents[2] / "examples"
-    for path in [*examples.glob("*.toml")]:
-        assert matches(tomllib.loads(path.read_text("utf-8")), schema), path
-    assert matches(tomllib.loads(SPEC), schema)
-    assert matches(tomllib.loads(call("check", "--init", kp4).out), schema)
-    others = '[metrics."a.rms_error"]\nabs = 1\nreason = "b"\n[signals.memory]\nreason = "b"'
-    phase = 'alignment = "phase:one"\n[checks.a]\nholds = "true"\nphase = "one"'
-    for right in (others, phase):
-        assert matches(tomllib.loads(f"format = 1\n{right}"), schema), right
-    wrong_ones: tuple[str, ...] = (
-        '[checks.a]\nfase = "b"',
-        "[checks.a]\nexpect = 3",
-        "[signals.z]\nabs = 1",
-        "",
-    )
-    wrong_ones += ('[metrics."a.rms_eror"]\nreason = "b"', "[signals.Memory]\nreason = 'b'")
-    wrong_ones += ('alignment = "start"\n[checks.a]\nholds = "true"',)
-    for wrong in (*wrong_ones, '[checks.a]\nexpect = "true"\nphase = "rotate"'):
-        assert not matches(tomllib.loads(f"format = 1\n{wrong}"), schema), wrong
-    assert not matches({"format": 2}, schema)
-
-
-def test_the_schema_in_the_docs_is_the_one_that_is_printed(call: Call) -> None:
-    stored = Path(__file__).parents[2] / "docs" / "ci" / "spec.schema.json"
-    assert json.loads(stored.read_text("utf-8")) == call("check", "--schema").json
-
-
 BAD = {
     "nothing": ([], "SPEC: expected a specification and recordings, found none"),
     "no runs": (["spec.toml"], "FILE: expected at least one recording, found none"),
@@ -354,129 +263,6 @@ def test_bad_usage_exits_with_2_and_one_line(
     assert (answer.code, answer.out) == (2, "")
     assert message in answer.err
     assert answer.err.count("\n") == 1
-
-
-RATES = """format = 1
-[checks.rate]
-holds = "always(abs(turn_rate) < 0.5)"
-[checks.heading]
-holds = "always(heading < 1)"
-[signals.heading]
-abs = 0.001
-reason = "a try"
-"""
-
-
-def test_angles_are_printed_in_degrees_and_turn_rates_in_radians(
-    call: Call, kp4: Path, kp10: Path, tmp_path: Path
-) -> None:
-    path = tmp_path / "rates.toml"
-    path.write_text(RATES, encoding="utf-8")
-    words = ("check", path, kp10, "--reference", kp4)
-    rows = [" ".join(line.split()) for line in call(*words).out.splitlines()]
-    assert "FAIL rate rad/s 1 0.5 -0.5 0.000" in rows
-    assert "FAIL heading deg 129.8 57.296 -72.502 1.024" in rows
-    assert "FAIL signals.heading deg 3.1403 0.057296 -3.083 2.128" in rows
-    assert any("129.57 deg where the reference has 126.43 deg" in row for row in rows)
-    assert "-72.502 deg heading " + str(kp10) in rows
-    results = {result["check"]: result for result in call(*words, "--json").json["results"]}
-    assert (results["heading"]["limit"], results["heading"]["unit"]) == (1.0, "rad")
-
-
-def test_rows_stand_in_the_order_of_files_with_a_heading_for_each(
-    call: Call, spec: Path, kp4: Path, kp10: Path
-) -> None:
-    for files in ([kp4, kp10], [kp10, kp4]):
-        lines = call("check", spec, *files).out.splitlines()
-        headings = [line for line in lines if line in {str(kp4), str(kp10)}]
-        assert headings == [*map(str, files)]
-        matrix = lines[lines.index("2 recordings, 2 checks") :]
-        rows = [line.split() for line in matrix if line.startswith("/")]
-        verdicts = {str(kp4): ["PASS", "PASS"], str(kp10): ["FAIL", "SKIPPED"]}
-        assert rows == [[str(file), *verdicts[str(file)]] for file in files]
-    assert "recordings, 2 checks" not in call("check", spec, kp4).out
-
-
-def test_value_limit_and_margin_share_a_line_at_80_columns(
-    call: Call, kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    call("check", "--init", kp4, "-o", tmp_path / "first.toml")
-    monkeypatch.chdir(kp10.parent)
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    monkeypatch.setenv("NO_COLOR", "1")
-    monkeypatch.setenv("COLUMNS", "80")
-    lines = call("check", tmp_path / "first.toml", "kp10.mcap").out.splitlines()
-    head, *rows = lines[lines.index("kp10.mcap") + 2 : lines.index("kp10.mcap") + 18]
-    assert head.split() == ["check", "unit", "value", "limit", "margin", "violated"]
-    assert max(map(len, rows)) <= 80
-    assert sum(line.startswith(("PASS", "FAIL")) for line in rows) == 13
-
-
-def test_check_answers_in_csv_and_markdown(call: Call, spec: Path, kp4: Path, kp10: Path) -> None:
-    answer = call("check", spec, kp4, kp10, "--csv")
-    assert answer.code == 1
-    head, *rows = csv.reader(io.StringIO(answer.out))
-    heads = ["verdict", "file", "check", "unit", "value", "limit", "margin", "violated [s]"]
-    assert head == heads
-    assert [row[:3] for row in rows] == [
-        ["PASS", str(kp4), "overshoot"],
-        ["PASS", str(kp4), "gains"],
-        ["FAIL", str(kp10), "overshoot"],
-        ["SKIPPED", str(kp10), "gains"],
-    ]
-    assert float(rows[2][4]) == call("check", spec, kp10, "--json").json["results"][0]["value"]
-    text = call("check", spec, kp4, kp10, "--markdown").out
-    assert "| FAIL | overshoot | % | 1.0076 | 0.5 | -0.50756 | 2.288 |" in text
-    assert "FAIL: 2 recordings, 2 pass, 1 fail, 1 skipped" in text
-    assert call("check", spec, kp4, "--csv", "--json").code == 2
-
-
-@pytest.mark.parametrize(
-    ("is_terminal", "variables", "is_coloured"),
-    [
-        (True, {}, True),
-        (False, {}, False),
-        (True, {"NO_COLOR": "1"}, False),
-        (True, {"NO_COLOR": ""}, True),
-        (False, {"FORCE_COLOR": "1"}, True),
-        (False, {"FORCE_COLOR": ""}, False),
-        (True, {"NO_COLOR": "1", "FORCE_COLOR": "1"}, False),
-        (True, {"TERM": "dumb"}, False),
-    ],
-)
-def test_verdicts_are_coloured_where_that_is_shown(
-    call: Call,
-    spec: Path,
-    kp4: Path,
-    kp10: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    *,
-    is_terminal: bool,
-    variables: dict[str, str],
-    is_coloured: bool,
-) -> None:
-    for name in ("NO_COLOR", "FORCE_COLOR"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "300")
-    plain = call("check", spec, kp4, kp10).out
-    for name, value in variables.items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setattr("sys.stdout.isatty", lambda: is_terminal)
-    coloured = call("check", spec, kp4, kp10).out
-    assert ("\x1b[31mFAIL\x1b[0m" in coloured) == is_coloured
-    assert ("\x1b[32mPASS\x1b[0m" in coloured) == is_coloured
-    assert re.sub("\x1b\\[\\d+m", "", coloured) == plain
-
-
-def test_a_name_that_steers_the_terminal_stays_text_beside_colours(
-    call: Call, spec: Path, kp4: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    odd = tmp_path / "FAIL \x1b[2J.mcap"
-    odd.write_bytes(kp4.read_bytes())
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    assert "\x1b[2J" not in call("check", spec, odd).out
 
 
 def test_junit_has_times_and_timestamps(call: Call, spec: Path, kp4: Path, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from turtlelog.angles import wrap_angle
+from turtlelog.explain import Identification
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import get_preset, override_scenario
@@ -75,3 +76,12 @@ def as_log(run: Run, *, jitter_ns: int = 0, hides_start: bool = False, seed: int
         stop_reason=None,
         events=(),
     )
+
+
+def read_values(found: Identification, *keys: str) -> tuple[Any, ...]:
+    return tuple(found.findings[key].value for key in keys)
+
+
+def forget(run: Run) -> Run:
+    """Return a run that knows nothing of its scenario."""
+    return replace(run, parameters={}, scenario_is_complete=False, stop_reason=None, events=())

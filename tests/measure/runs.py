@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import turtlelog as tl
 from tests.sequential import DECLARATION, TRANSLATE
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
@@ -122,3 +123,13 @@ def set_times(run: Run, time_ns: list[int]) -> Run:
         commands=dataclasses.replace(run.commands, time_ns=times),
         samples=dataclasses.replace(run.samples, time_ns=times),
     )
+
+
+TIME_S = np.arange(1000) * PERIOD_NS / 1e9
+EXPONENTIAL = make_straight_run(-GOAL_M * np.expm1(-TIME_S), GOAL_M * np.exp(-TIME_S))
+
+
+def read(run: Run, name: str, settings: tl.MeasureSettings | None = None) -> float:
+    metric = tl.measure_run(run, settings, only=[name])[name]
+    assert metric.value is not None, metric.reason
+    return metric.value

@@ -181,3 +181,12 @@ def write_metadata(
     ]
     (folder / "metadata.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return folder
+
+
+def change(file: Path, *queries: str) -> Path:
+    connection = sqlite3.connect(file)
+    for query in queries:
+        connection.execute(query)
+    connection.commit()
+    connection.close()
+    return file

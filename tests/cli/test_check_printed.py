@@ -1,0 +1,132 @@
+"""How `check` prints its verdicts."""
+
+import csv
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Call
+
+RATES = """format = 1
+[checks.rate]
+holds = "always(abs(turn_rate) < 0.5)"
+[checks.heading]
+holds = "always(heading < 1)"
+[signals.heading]
+abs = 0.001
+reason = "a try"
+"""
+
+
+def test_angles_are_printed_in_degrees_and_turn_rates_in_radians(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "rates.toml"
+    path.write_text(RATES, encoding="utf-8")
+    words = ("check", path, kp10, "--reference", kp4)
+    rows = [" ".join(line.split()) for line in call(*words).out.splitlines()]
+    assert "FAIL rate rad/s 1 0.5 -0.5 0.000" in rows
+    assert "FAIL heading deg 129.8 57.296 -72.502 1.024" in rows
+    assert "FAIL signals.heading deg 3.1403 0.057296 -3.083 2.128" in rows
+    assert any("129.57 deg where the reference has 126.43 deg" in row for row in rows)
+    assert "-72.502 deg heading " + str(kp10) in rows
+    results = {result["check"]: result for result in call(*words, "--json").json["results"]}
+    assert (results["heading"]["limit"], results["heading"]["unit"]) == (1.0, "rad")
+
+
+def test_rows_stand_in_the_order_of_files_with_a_heading_for_each(
+    call: Call, spec: Path, kp4: Path, kp10: Path
+) -> None:
+    for files in ([kp4, kp10], [kp10, kp4]):
+        lines = call("check", spec, *files).out.splitlines()
+        headings = [line for line in lines if line in {str(kp4), str(kp10)}]
+        assert headings == [*map(str, files)]
+        matrix = lines[lines.index("2 recordings, 2 checks") :]
+        rows = [line.split() for line in matrix if line.startswith("/")]
+        verdicts = {str(kp4): ["PASS", "PASS"], str(kp10): ["FAIL", "SKIPPED"]}
+        assert rows == [[str(file), *verdicts[str(file)]] for file in files]
+    assert "recordings, 2 checks" not in call("check", spec, kp4).out
+
+
+def test_value_limit_and_margin_share_a_line_at_80_columns(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    call("check", "--init", kp4, "-o", tmp_path / "first.toml")
+    monkeypatch.chdir(kp10.parent)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = call("check", tmp_path / "first.toml", "kp10.mcap").out.splitlines()
+    head, *rows = lines[lines.index("kp10.mcap") + 2 : lines.index("kp10.mcap") + 18]
+    assert head.split() == ["check", "unit", "value", "limit", "margin", "violated"]
+    assert max(map(len, rows)) <= 80
+    assert sum(line.startswith(("PASS", "FAIL")) for line in rows) == 13
+
+
+def test_check_answers_in_csv_and_markdown(call: Call, spec: Path, kp4: Path, kp10: Path) -> None:
+    answer = call("check", spec, kp4, kp10, "--csv")
+    assert answer.code == 1
+    head, *rows = csv.reader(io.StringIO(answer.out))
+    heads = ["verdict", "file", "check", "unit", "value", "limit", "margin", "violated [s]"]
+    assert head == heads
+    assert [row[:3] for row in rows] == [
+        ["PASS", str(kp4), "overshoot"],
+        ["PASS", str(kp4), "gains"],
+        ["FAIL", str(kp10), "overshoot"],
+        ["SKIPPED", str(kp10), "gains"],
+    ]
+    assert float(rows[2][4]) == call("check", spec, kp10, "--json").json["results"][0]["value"]
+    text = call("check", spec, kp4, kp10, "--markdown").out
+    assert "| FAIL | overshoot | % | 1.0076 | 0.5 | -0.50756 | 2.288 |" in text
+    assert "FAIL: 2 recordings, 2 pass, 1 fail, 1 skipped" in text
+    assert call("check", spec, kp4, "--csv", "--json").code == 2
+
+
+@pytest.mark.parametrize(
+    ("is_terminal", "variables", "is_coloured"),
+    [
+        (True, {}, True),
+        (False, {}, False),
+        (True, {"NO_COLOR": "1"}, False),
+        (True, {"NO_COLOR": ""}, True),
+        (False, {"FORCE_COLOR": "1"}, True),
+        (False, {"FORCE_COLOR": ""}, False),
+        (True, {"NO_COLOR": "1", "FORCE_COLOR": "1"}, False),
+        (True, {"TERM": "dumb"}, False),
+    ],
+)
+def test_verdicts_are_coloured_where_that_is_shown(
+    call: Call,
+    spec: Path,
+    kp4: Path,
+    kp10: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    is_terminal: bool,
+    variables: dict[str, str],
+    is_coloured: bool,
+) -> None:
+    for name in ("NO_COLOR", "FORCE_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "300")
+    plain = call("check", spec, kp4, kp10).out
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: is_terminal)
+    coloured = call("check", spec, kp4, kp10).out
+    assert ("\x1b[31mFAIL\x1b[0m" in coloured) == is_coloured
+    assert ("\x1b[32mPASS\x1b[0m" in coloured) == is_coloured
+    assert re.sub("\x1b\\[\\d+m", "", coloured) == plain
+
+
+def test_a_name_that_steers_the_terminal_stays_text_beside_colours(
+    call: Call, spec: Path, kp4: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    odd = tmp_path / "FAIL \x1b[2J.mcap"
+    odd.write_bytes(kp4.read_bytes())
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert "\x1b[2J" not in call("check", spec, odd).out
