@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from turtlelog import Run, Scenario
 
 _POLL_S: Final = 0.1
-"""Between two looks at the files: a run begins before one has looked up from saving, and reading
-some kilobytes as often costs nothing that could be measured."""
+"""Time between two looks at the files [s]: too short to notice, and long enough that reading some
+kilobytes each time costs nothing that could be measured."""
 
 _Texts = Mapping[Path, tuple[int, bytes] | None]
 
@@ -32,7 +32,7 @@ def list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ..
     """Return the files that decide what a run does: the scenario's, and that of the law.
 
     Raises:
-        UsageError: Where there is none, or one is not there.
+        UsageError: Where no such file is named, or one is missing.
     """
     place = (kind or "").rpartition(":")[0]
     law_file = Path(place) if place.endswith(".py") else None
@@ -58,15 +58,15 @@ def watch_runs(
 ) -> int:
     """Run, and run again whenever a file is saved, until Ctrl-C; return the exit code.
 
-    An error of the law or the scenario is one line, and the next save is waited for.
+    An error of the law or the scenario is printed in one line; the next save runs again.
 
     Args:
-        files: What is watched until a scenario has been loaded.
-        load: Returns the scenario as it is now, and what is to be watched from then on.
-        simulate: Runs it.
-        answer: Prints a run beside the one before and returns an exit code; what is not 0 ends the
+        files: Watched until a scenario has been loaded.
+        load: Returns the scenario as it is now, and the files to watch from then on.
+        simulate: Runs the scenario.
+        answer: Prints a run beside the previous one and returns an exit code; any but 0 ends the
             watch.
-        is_over: Whether nobody watches any more.
+        is_over: Whether to stop, asked between looks at the files.
     """
     before: Run | None = None
     told: Sequence[Path] = ()
@@ -98,7 +98,7 @@ def watch_runs(
 
 
 def describe_change(run: "Run", before: "Run") -> str:
-    """Return the metrics of a run as a table, and beside those that changed what they were."""
+    """Return the metrics of a run as a table, with the former value of each that changed."""
     names = [tl.measure.list_essential_metrics(one.declaration) for one in (run, before)]
     only = [*dict.fromkeys([*names[0], *names[1]])]
     measured = [tl.measure_run(one) for one in (run, before)]
@@ -111,11 +111,10 @@ def describe_change(run: "Run", before: "Run") -> str:
 
 
 def _wait_for_save(files: Sequence[Path], seen: _Texts, is_over: Callable[[], bool]) -> Path | None:
-    """Return the first file that was saved, once all of them have stayed for a while.
+    """Return the first file that was saved, once two looks found all files alike; None at the end.
 
-    Editors write in several steps, or put a new file in the place of the old one: what has changed
-    since the last look may change again, and a file that is gone is not saved before it is back.
-    None where it is over.
+    Editors write in several steps, or delete a file and write it anew: a file that changed since
+    the last look may change again, and one that is missing is not saved yet.
     """
     last: _Texts = {}
     while not is_over():
@@ -131,8 +130,8 @@ def _wait_for_save(files: Sequence[Path], seen: _Texts, is_over: Callable[[], bo
 def _read_texts(files: Sequence[Path]) -> _Texts:
     """Return time and content of each file, None where it cannot be read.
 
-    The time tells of a save that changes nothing, the content of one within the same tick of a
-    file system's clock, which may be two seconds long.
+    The time shows a save that changes nothing; the content shows a second save within one tick of
+    the file system's clock, which may be two seconds long.
     """
     found: dict[Path, tuple[int, bytes] | None] = {}
     for file in files:

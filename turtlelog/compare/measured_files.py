@@ -1,4 +1,4 @@
-"""Files -> runs in short, read one by one in as many processes as are asked for."""
+"""Summaries of the runs in files, read one by one in one process or several."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 Choice = Collection[str] | Callable[[Run], Collection[str]] | None
-"""Which metrics to compute: ids and patterns, or what says which of a run; all."""
+"""Metrics to compute: ids and patterns, or a function that returns those of a run; None: all."""
 
 
 def summarise_files(
@@ -37,14 +37,14 @@ def summarise_files(
     Args:
         paths: Any files that `read_run` takes.
         settings: As in `measure_run`.
-        only: The same, patterns stand for the metrics that each run has; or a function that says
-            which, as `list_essential_metrics` does.
-        topics: The same topics for all of them.
+        only: As in `measure_run`, where a pattern stands for the metrics that each run has; or a
+            function that chooses the metrics of a run.
+        topics: What to read of bags, for all files alike.
         jobs: Processes to measure in, at least 1, or what takes the work.
             Processes import the module that runs: a script that asks for more than one keeps its
             own work under `if __name__ == "__main__":`.
-        with_parameters: Whether to keep all parameters, not the laws' gains alone: half of what a
-            summary takes.
+        with_parameters: Whether summaries keep all parameters, which are half of their size, or
+            the laws' gains alone.
 
     Raises:
         MeasureError: Where `only` names no metric.

@@ -171,11 +171,11 @@ def follow(data: Any, place: int, offsets: Any, cursors: Any, ends: Any) -> int:
 
 @njit(int64(_BYTES, uint64), nogil=True, cache=True)
 def skip_followed(data: Any, longest: int) -> int:
-    """Return where the messages from the first byte on end of which each is followed by another.
+    """Return where the last message starts of those that follow each other from the first byte on.
 
     Args:
         data: The records, perhaps cut.
-        longest: What the length of a record may say.
+        longest: The greatest length of a record that is believed [bytes].
     """
     begin, place = data.ctypes.data, 0
     while True:
@@ -217,17 +217,17 @@ def _copy_numbers(source: int, starts: Any, kind: Any, width: int, together: int
 
 @njit(int64(_BYTES, _PLACES, uint64, int64[:, ::1], _PLACES, int64), nogil=True, cache=True)
 def scatter(data: Any, starts: Any, size: int, numbers: Any, columns: Any, first: int) -> int:
-    """Copy the numbers of messages of one size into columns; return of how many before another.
+    """Copy numbers from messages into columns, up to a message of another size; return how many.
 
-    Some messages at a time, which the processor's nearest cache holds, and of these column by
-    column: message by message takes twice as long.
+    It takes as many messages at a time as the processor's nearest cache holds, and copies them
+    column by column: message by message takes twice as long.
 
     Args:
         data: The records.
         starts: Where the messages start, each whole.
-        size: What the length of each record must say, or up to 3 bytes more: some middlewares fill
-            it up.
-        numbers: Of each: its offset from the start, its bytes, and how many stand together.
+        size: Length of a usual record [bytes]; up to 3 more pass, as some middlewares pad messages.
+        numbers: A row for each column: the offset from the message's start and the width of a
+            number [bytes], and how many numbers stand together.
         columns: Address of the column of each.
         first: Row of the first message.
     """

@@ -124,7 +124,10 @@ def _find_turn(steps: list[int]) -> int:
 
 
 def skip_followed(data: bytes) -> int:
-    """Return where the messages from the first byte on end of which each is followed by another."""
+    """Return where the last message starts of those that follow each other from the first byte on.
+
+    That one may be cut; 0 where there is none.
+    """
     kernels = KERNELS.find()
     if kernels is not None:
         return int(kernels.skip_followed(np.frombuffer(data, np.uint8), LARGEST_RECORD))
