@@ -14,7 +14,7 @@ import pyfunnel
 import turtlelog as tl
 from benchmarks.table import Cost, Row, run_alone, time_calls
 from turtlelog.compare.alignment import align_runs
-from turtlelog.compare.difference import _compare_signals, _measure_rows
+from turtlelog.compare.signal_comparison import _measure_rows, compare_aligned_signals
 from turtlelog.compare.tube import lay_grid, read_rows
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 
@@ -105,7 +105,7 @@ def measure(share: float = 1.0) -> Iterator[Row]:
     xp, fp = reference.poses.time_ns, reference.poses.xy_m[:, 0].copy()
     names = [name for name in tl.SIGNALS if tl.read_signal(run, name) is not None]
     ours, interp = time_calls(
-        lambda: _compare_signals(reference, run, clock, tolerances),
+        lambda: compare_aligned_signals(reference, run, clock, tolerances),
         lambda: np.interp(at, xp, fp),
         repeats=REPEATS,
     )

@@ -37,7 +37,7 @@ SIZES = {"turtlesim/msg/Pose": 24, "geometry_msgs/msg/Twist": 52, "geometry_msgs
 READ = """
 from turtlelog.log.engine.load_kernels import KERNELS
 if arguments[0] == "compiled":  # load the loops, however little is read
-    KERNELS.expect(1, compiled.KERNELS.cost_s)
+    KERNELS.expect(1, KERNELS.cost_s)
 else:
     KERNELS.cost_s = float("inf")
 from benchmarks.bench_engine import Path, time_reading
