@@ -205,6 +205,12 @@ PLANT_KEYS: Final[Mapping[str, str]] = MappingProxyType(
 )
 """How the keys begin of what a lagged plant makes of a command: `gain`, `dead_time_s`, `lag_s`."""
 
+PUSH_KEYS: Final = tuple(
+    f"disturbance.{name}"
+    for name in ("speed_m_s", "turn_rate_rad_s", "noise_speed", "noise_turn_rate")
+)
+"""Keys of what pushes a plant: with all of them 0 nothing does."""
+
 
 def read_number(parameters: Mapping[str, object], key: str, default: float = 0.0) -> float:
     """Return a number of a run's or a scenario's parameters; the default where there is none."""

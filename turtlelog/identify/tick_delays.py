@@ -10,12 +10,8 @@ from turtlelog.identify.axis_motion import NAMES, Axis, get_commands
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotModel, TickDelays
 from turtlelog.plants import TURTLESIM, find_plant
-from turtlelog.replay.plant_ticks import (
-    find_breaks,
-    follow_commands,
-    place_commands,
-    read_motion,
-)
+from turtlelog.replay.plant_ticks import find_breaks, read_motion
+from turtlelog.replay.taken_commands import follow_commands, place_commands
 from turtlelog.run import Run
 
 _MOST_UNEXPLAINED: Final = 0.05

@@ -16,12 +16,14 @@ from .plant_replay import (
     replay_plant as replay_plant,
 )
 from .plant_ticks import (
-    CommandUse as CommandUse,
     Gap as Gap,
     Jump as Jump,
-    follow_commands as follow_commands,
     moves_as_turtlesim as moves_as_turtlesim,
 )
 from .run_pairs import (
     RowCount as RowCount,
+)
+from .taken_commands import (
+    CommandUse as CommandUse,
+    follow_commands as follow_commands,
 )

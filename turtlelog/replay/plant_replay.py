@@ -19,16 +19,8 @@ from turtlelog.escapes import escape_controls
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.plants.turtlesim import TICK_S, Turtle
 from turtlelog.replay.lagged_drive import drive_lagged
-from turtlelog.replay.plant_ticks import (
-    CommandUse,
-    Gap,
-    Jump,
-    RecordedMotion,
-    Velocity,
-    find_breaks,
-    place_commands,
-    read_motion,
-)
+from turtlelog.replay.plant_ticks import Gap, Jump, RecordedMotion, find_breaks, read_motion
+from turtlelog.replay.taken_commands import CommandUse, Velocity, place_commands
 from turtlelog.run import Run
 
 _HALF_STEP_M: Final = 2.0**-21

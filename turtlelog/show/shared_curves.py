@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.loops import DONE, PAUSE, REFERENCE_WORDS, ControlLoop, read_number
+from turtlelog.loops import DONE, PAUSE, PUSH_KEYS, REFERENCE_WORDS, ControlLoop, read_number
 from turtlelog.measure import find_first_stretch, list_signals, read_reference, read_signal
 from turtlelog.measure.references import project_on_line
 from turtlelog.plants import LAGGED, find_plant
@@ -38,8 +38,6 @@ Command = Literal["speed", "turn_rate"]
 
 SENSED_SIGNALS: Final = ("x", "y", "heading")
 """Signals of which there is one that was sensed."""
-
-_PUSHES: Final = ("speed_m_s", "turn_rate_rad_s", "noise_speed", "noise_turn_rate")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -179,7 +177,7 @@ def read_sensed(run: Run, signal: str) -> Curve | None:
 
 def find_disturbance(run: Run) -> tuple[float, float] | None:
     """Return from when to when a disturbance pushes the plant, within the run [s]; None without."""
-    if not any(read_number(run.parameters, f"disturbance.{key}") for key in _PUSHES):
+    if not any(read_number(run.parameters, key) for key in PUSH_KEYS):
         return None
     from_s = read_number(run.parameters, "disturbance.from_s")
     to_s = read_number(run.parameters, "disturbance.to_s", np.inf)

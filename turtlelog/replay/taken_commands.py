@@ -1,0 +1,256 @@
+"""Which command each tick of a plant took.
+
+A recording tells when a command was published, not when it was taken: queues and transport lie
+between. The applied velocity of each pose tells it. What is integrated is the COMMAND, in double
+precision; the recorded velocity, which is rounded to 32 bits and has no sign, only where no
+recorded command explains it.
+"""
+
+import re
+from array import array
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import hypot
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.loops import PUSH_KEYS, read_number
+from turtlelog.plants.turtlesim import TICK_NS, TICK_S, WORLD_SIZE_M
+from turtlelog.replay.plant_ticks import RecordedMotion, find_breaks, read_motion
+from turtlelog.run import CommandColumns, Run
+
+Velocity = tuple[float, float, float]
+"""Forward [m/s], left [m/s], counter-clockwise [rad/s]."""
+
+_STANDING: Final[Velocity] = (0.0, 0.0, 0.0)
+
+_DIRECTION: Final = 2e-4
+"""How exactly a step between two 32-bit poses tells its velocity [m/s]: each is off by 4.8e-7 m at
+most, in 16 ms 3e-5 m/s, on either axis; several times that."""
+
+_LATE_NS: Final = 2 * TICK_NS
+"""A recorder may stamp a command this much later than the pose that shows it [ns]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommandUse:
+    """What became of the recorded commands.
+
+    Attributes:
+        taken: How many the plant took.
+        unseen: How many no pose shows: dropped by a queue, or published too late.
+        stops: How often the plant stopped by itself, no command having come for a second.
+        unexplained_ticks: Ticks whose velocity no recorded command explains; the recorded velocity
+            was integrated.
+        disturbed_ticks: Those of them in which the recording's scenario pushes the plant: its
+            velocity is no command's there, and shows none.
+        never_arrived: Commands that the transport lost, by the recording's events.
+    """
+
+    taken: int
+    unseen: int
+    stops: int
+    unexplained_ticks: int
+    disturbed_ticks: int = 0
+    never_arrived: int = 0
+
+
+def place_commands(
+    motion: RecordedMotion, run: Run, starts: frozenset[int]
+) -> tuple[tuple[Velocity, ...], CommandUse]:
+    """Return what the plant held in the tick of each pose, and what became of the commands.
+
+    At the rows `starts` the step from the pose before tells nothing.
+    """
+    commands = run.commands
+    placer = _Placer(motion, commands)
+    velocities, is_unexplained = _place_all(placer, motion, starts)
+    is_disturbed = _find_disturbed(run, motion.time_ns)
+    use = CommandUse(
+        taken=placer.taken,
+        unseen=len(commands) - placer.taken,
+        stops=placer.stops,
+        unexplained_ticks=sum(is_unexplained),
+        disturbed_ticks=int((np.array(is_unexplained, dtype=bool) & is_disturbed).sum()),
+        never_arrived=_count_lost(run),
+    )
+    return tuple(velocities), use
+
+
+def _place_all(
+    placer: "_Placer", motion: RecordedMotion, starts: frozenset[int]
+) -> tuple[list[Velocity], list[bool]]:
+    """Return what the plant held in each tick, and whether it is a recorded velocity."""
+    bodies = _compute_body_velocities(motion, starts)
+    rows = zip(
+        motion.time_ns.tolist(),
+        _round(motion.speed_m_s),
+        _round(motion.turn_rate_rad_s),
+        bodies,
+        strict=True,
+    )
+    velocities, is_unexplained = [], []
+    for number, row in enumerate(rows):
+        velocities.append(placer.place(number, *row))
+        is_unexplained.append(placer.is_recorded)
+    return velocities, is_unexplained
+
+
+def follow_commands(run: Run) -> NDArray[np.int64]:
+    """Return which pose first shows which command: rows of both, shape (n, 2).
+
+    Of the commands that were taken those that changed what the plant held: no pose tells when one
+    was taken that equals the one before. Nor does a pose behind a jump or gap.
+
+    Raises:
+        ReplayError: As `read_motion` does.
+    """
+    motion = read_motion(run)
+    _, _, starts = find_breaks(motion)
+    placer = _Placer(motion, run.commands)
+    _place_all(placer, motion, frozenset(starts))
+    shown = np.array(placer.shown, dtype=np.int64).reshape(-1, 2)
+    return shown[~np.isin(shown[:, 1], starts)]
+
+
+def _find_disturbed(run: Run, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return the ticks in which the scenario of a recording pushes the plant."""
+    if not any(read_number(run.parameters, key) for key in PUSH_KEYS):
+        return np.zeros(len(time_ns), dtype=bool)
+    # It acts from the first tick at its start on, and no longer in that at its end.
+    from_s = read_number(run.parameters, "disturbance.from_s")
+    to_s = read_number(run.parameters, "disturbance.to_s", np.inf)
+    return np.asarray((time_ns >= round(from_s * 1e9)) & (time_ns < np.rint(to_s * 1e9)))
+
+
+_LOST: Final = re.compile(r"The transport lost (\d+) ")
+
+
+def _count_lost(run: Run) -> int:
+    """Return how many commands never arrived, as the events tell."""
+    texts = (event.text for event in run.events if event.kind == "commands_lost")
+    return sum(int(found[1]) for found in map(_LOST.match, texts) if found)
+
+
+class _Placer:
+    """Walks over ticks and commands together.
+
+    Attributes:
+        is_recorded: Whether what the plant holds is a recorded velocity, and no command.
+        taken: As in `CommandUse`, so far.
+        stops: Likewise.
+        shown: Rows of the commands that changed what the plant held, and of the poses that show it.
+    """
+
+    def __init__(self, motion: RecordedMotion, commands: CommandColumns) -> None:
+        columns = (commands.speed_m_s, commands.lateral_speed_m_s, commands.turn_rate_rad_s)
+        self._commands: list[Velocity] = [
+            *zip(*(column.tolist() for column in columns), strict=True)
+        ]
+        self._applied = [
+            *zip(
+                _round(hypot(forward, left) for forward, left, _ in self._commands),
+                _round(commands.turn_rate_rad_s),
+                strict=True,
+            )
+        ]
+        self._times_ns = commands.time_ns.tolist()
+        self._late_ns = 0 if motion.is_simulated else _LATE_NS
+        self._next = 0
+        self._published = 0
+        self._held = _STANDING
+        self._held_applied = (0.0, 0.0)
+        self.is_recorded = False
+        self.taken = self.stops = 0
+        self.shown: list[tuple[int, int]] = []
+
+    def place(
+        self,
+        row: int,
+        time_ns: int,
+        speed: float,
+        turn_rate: float,
+        body: tuple[float, float] | None,
+    ) -> Velocity:
+        """Return what the tick applied that published this pose."""
+        while self._published < len(self._times_ns) and self._times_ns[self._published] < time_ns:
+            self._published += 1
+        applied = speed, turn_rate
+        found = self._find(applied, body, time_ns)
+        if found is not None:
+            self._next = found + 1
+            self.taken += 1
+            if row and applied != self._held_applied:
+                self.shown.append((found, row))
+            self._hold(self._commands[found], applied)
+        elif not (applied == self._held_applied and _agrees(self._held, body)):
+            if applied == (0.0, 0.0):
+                self.stops += 1
+                self._hold(_STANDING, applied)
+            else:
+                self._hold((*_direct(speed, body), turn_rate), applied)
+                self.is_recorded = True
+        return self._held
+
+    def _hold(self, velocity: Velocity, applied: tuple[float, float]) -> None:
+        self._held, self._held_applied, self.is_recorded = velocity, applied, False
+
+    def _find(
+        self, applied: tuple[float, float], body: tuple[float, float] | None, time_ns: int
+    ) -> int | None:
+        """Return the command that was taken: at most one per tick, in order, some dropped."""
+        if self._next < self._published and self._fits(self._next, applied, body):
+            return self._next
+        if applied == self._held_applied and _agrees(self._held, body):
+            return None
+        for number in range(self._next, len(self._commands)):
+            if self._times_ns[number] >= time_ns + self._late_ns and number >= self._published:
+                return None
+            if self._fits(number, applied, body):
+                return number
+        return None
+
+    def _fits(
+        self, number: int, applied: tuple[float, float], body: tuple[float, float] | None
+    ) -> bool:
+        return self._applied[number] == applied and _agrees(self._commands[number], body)
+
+
+def _compute_body_velocities(
+    motion: RecordedMotion, starts: frozenset[int]
+) -> list[tuple[float, float] | None]:
+    """Return the velocity along and left of the heading that the step to each pose shows [m/s].
+
+    None where it shows none: in the first row, after a break, at a wall, and where nothing moved.
+    """
+    cosine, sine = np.cos(motion.heading_rad[1:]), np.sin(motion.heading_rad[1:])
+    dx, dy = motion.step_xy_m.T / TICK_S
+    forward, left = cosine * dx + sine * dy, cosine * dy - sine * dx
+    shown = np.hypot(dx, dy) > _DIRECTION
+    shown &= ((motion.xy_m[1:] > 0.0) & (motion.xy_m[1:] < WORLD_SIZE_M)).all(axis=1)
+    bodies: list[tuple[float, float] | None] = [None]
+    for row, (along, across, is_shown) in enumerate(
+        zip(forward.tolist(), left.tolist(), shown.tolist(), strict=True), start=1
+    ):
+        bodies.append((along, across) if is_shown and row not in starts else None)
+    return bodies
+
+
+def _agrees(velocity: Velocity, body: tuple[float, float] | None) -> bool:
+    return body is None or hypot(velocity[0] - body[0], velocity[1] - body[1]) < _DIRECTION
+
+
+def _direct(speed: float, body: tuple[float, float] | None) -> tuple[float, float]:
+    """Return a speed along the direction of the step: forwards where that is not known."""
+    if body is None or (body[0] > 0.0 and abs(body[1]) < _DIRECTION):
+        return speed, 0.0
+    if abs(body[1]) < _DIRECTION:
+        return -speed, 0.0
+    scale = speed / hypot(*body)
+    return body[0] * scale, body[1] * scale
+
+
+def _round(values: Iterable[float]) -> list[float]:
+    return array("f", values).tolist()
