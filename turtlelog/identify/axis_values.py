@@ -1,0 +1,112 @@
+"""The values of an axis with their intervals, from a fit."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from turtlelog.identify.axis_fit import (
+    DEAD_TIME,
+    EXTRA,
+    GAIN,
+    LAG,
+    TOTAL,
+    AxisFit,
+    fit_without_lag,
+)
+from turtlelog.identify.axis_motion import (
+    UNITS,
+    Axis,
+)
+from turtlelog.identify.held_response import Values
+from turtlelog.identify.robot_model import AxisModel, Estimate
+
+NORMAL_95: Final = 1.96
+"""Standard deviations on either side that hold 95 % of normal noise."""
+
+_SHORT_LAG: Final = 2.0
+"""A lag of so many steps between poses or less may as well be none."""
+
+
+def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
+    """Return the values of an axis; `changes` is how often its command changed [1]."""
+    parameters, covariance = fit.parameters, fit.covariance
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    counted = ~fit.is_outlier
+    moved, white = fit.model.moved[counted], fit.white[counted]
+    left = float(np.sum(fit.residual[counted] ** 2))
+    spread = float(np.sum((moved - moved.mean()) ** 2))
+    kind = fit.model.kind
+    product = limit = None
+    if kind == "second_order":
+        product = _estimate(float(parameters[EXTRA]), float(errors[EXTRA]), "s^2")
+    if kind == "limited":
+        limit = _estimate_limit(parameters, covariance, f"{UNITS[axis]}^2")
+    total = _estimate(float(parameters[DEAD_TIME] + parameters[LAG]), float(errors[TOTAL]))
+    dead_time, lag = _allow_no_lag(
+        fit,
+        _estimate(float(parameters[DEAD_TIME]), _measure_dead_time_error(fit)),
+        _estimate(float(parameters[LAG]), float(errors[LAG])),
+    )
+    # Neither is below 0, so neither is above their sum.
+    return AxisModel(
+        axis=axis,
+        status="ok",
+        model="second_order" if kind == "second_order" else "first_order",
+        gain=_estimate(float(parameters[GAIN]), float(errors[GAIN]), "1"),
+        dead_time_s=replace(dead_time, high=min(dead_time.high, total.high)),
+        lag_s=replace(lag, high=min(lag.high, total.high)),
+        total_delay_s=total,
+        lag_product_s2=product,
+        rate_limit=limit,
+        explained=1.0 - left / spread if spread > 0.0 else None,
+        whiteness=_measure_whiteness(white),
+        outliers=int(np.count_nonzero(fit.is_outlier)),
+        steps=len(fit.residual),
+        changes=changes,
+    )
+
+
+def _measure_dead_time_error(fit: AxisFit) -> float:
+    """Return the standard error of the dead time: total delay less lag [s]."""
+    of_delays = fit.covariance[np.ix_([TOTAL, LAG], [TOTAL, LAG])]
+    signs = np.array([1.0, -1.0])
+    return float(np.sqrt(max(signs @ of_delays @ signs, 0.0)))
+
+
+def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Estimate, Estimate]:
+    """Widen intervals to a lag of 0 where that fits as well.
+
+    A lag that is short against the steps shows in those steps only in which the command switches:
+    its errors are not normal, and the cost tells more than its curvature does.
+    """
+    short_s = _SHORT_LAG * float(np.median(fit.model.duration_s))
+    if fit.model.kind != "first_order" or lag.low <= 0.0 or lag.value > short_s:
+        return dead_time, lag
+    without = fit_without_lag(fit)
+    if without.cost - fit.cost > NORMAL_95**2 * fit.dispersion:
+        return dead_time, lag
+    error = float(np.sqrt(without.covariance[TOTAL, TOTAL]))
+    high = float(without.parameters[DEAD_TIME]) + NORMAL_95 * error
+    return replace(dead_time, high=max(dead_time.high, high)), replace(lag, low=0.0)
+
+
+def _estimate(value: float, error: float, unit: str = "s") -> Estimate:
+    """Return a value that is not below 0 with its interval."""
+    half = NORMAL_95 * error
+    return Estimate(value=value, low=max(value - half, 0.0), high=value + half, unit=unit)
+
+
+def _estimate_limit(parameters: Values, covariance: Values, unit: str) -> Estimate:
+    """Return the largest change of the rate: the gain by the time that a unit takes."""
+    gain, slowness = float(parameters[GAIN]), float(parameters[EXTRA])
+    slope = np.array([1.0 / slowness, -gain / slowness**2])
+    rows = np.ix_([GAIN, EXTRA], [GAIN, EXTRA])
+    error = float(np.sqrt(max(slope @ covariance[rows] @ slope, 0.0)))
+    return _estimate(gain / slowness, error, unit)
+
+
+def _measure_whiteness(white: Values) -> float | None:
+    """Return the mean square of the changes by twice the mean square: 1 for noise."""
+    squares = float(np.mean(white**2))
+    return float(np.mean(np.diff(white) ** 2)) / (2.0 * squares) if squares > 0.0 else None
