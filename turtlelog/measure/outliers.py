@@ -18,8 +18,8 @@ MEASURED: Final = ("measured_speed", "measured_turn_rate")
 """Signals that can have outliers: a command that was published is never one."""
 
 LONGEST_STEP_NS: Final = 250_000_000
-"""Farther than this from a neighbour [ns] a robot can have done in between what a value says: at
-2 m/s2 it reaches 0.5 m/s in that time."""
+"""Neighbours that are further away in time [ns] contradict nothing: at 2 m/s2 a robot reaches
+0.5 m/s in between."""
 
 _LEAST_ROWS: Final = 30
 """Fewer values do not tell what is usual: of 20 normal ones one in 2,000 stands out this far."""

@@ -31,8 +31,8 @@ from turtlelog.theory.inputs import (
 )
 
 _WHOLE: Final = 1e-9
-"""Of a sample: a dead time so near to a whole number of samples is one. 0.096 / 0.016 is no 6 in
-binary, and what it lacks is a millionth of this."""
+"""Of a sample: a dead time so near to a whole number of samples is one. 0.688 / 0.016 is no 43 in
+binary: it lacks 7e-15."""
 
 _LONGEST_LAG: Final = 1e9
 """In samples, of a lag and of a low-pass: gaps 1 - e of 1e-9 and their squares keep their digits
