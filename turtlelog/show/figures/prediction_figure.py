@@ -1,6 +1,5 @@
 """A recorded robot beside a simulated one: paths, how errors grow, and rates."""
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -11,15 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog.compare import ErrorGrowth, RobotComparison
-from turtlelog.errors import ShowError
 from turtlelog.identify import AxisTraces
 from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
-from turtlelog.remote.urls import make_path
 from turtlelog.show.figures.figure_curves import draw_thinned
 from turtlelog.show.figures.legend import add_legend
 from turtlelog.show.figures.page import REFERENCE, Page, choose_lines, use_looks
-from turtlelog.show.figures.writing import FIGURE_FORMATS, save_figure
-from turtlelog.show.output_files import replace_file
+from turtlelog.show.figures.writing import require_figure_path, write_figure
 
 _HEIGHT: Final = 1.0
 _STACKED_HEIGHT: Final = 2.6
@@ -51,11 +47,7 @@ def write_prediction_figure(
     Raises:
         ShowError: Where the file cannot be written.
     """
-    path = make_path(path)
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in FIGURE_FORMATS:
-        raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")
-    data = io.BytesIO()
+    path = require_figure_path(path)
     page = page or Page(kind="page")
     with use_looks():
         is_wide = page.width_inch >= _SIDE_BY_SIDE_INCH
@@ -77,10 +69,7 @@ def write_prediction_figure(
         if shared is not None:
             shared.set_xlabel("time [s]")
         add_legend(figure)
-    save_figure(figure, data, kind, page)
-    with replace_file(path) as part:
-        part.write_bytes(data.getvalue())
-    return path
+    return write_figure(figure, path, page)
 
 
 def _draw_paths(axes: Axes, found: RobotComparison) -> None:

@@ -1,19 +1,16 @@
 """The figure of how a robot follows its commands, with a model that is known already."""
 
-import io
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from turtlelog.errors import ShowError
 from turtlelog.identify import AxisModel, RobotModel
-from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 from turtlelog.show.figures.legend import add_legend
 from turtlelog.show.figures.page import Page, use_looks
 from turtlelog.show.figures.rates_figure import draw_rates
-from turtlelog.show.figures.writing import FIGURE_FORMATS, save_figure
-from turtlelog.show.output_files import replace_file
+from turtlelog.show.figures.writing import require_figure_path, write_figure
 
 
 def write_robot_figure(
@@ -30,22 +27,15 @@ def write_robot_figure(
     Raises:
         ShowError: Where no axis is known, or the file cannot be written.
     """
-    path = make_path(path)
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in FIGURE_FORMATS:
-        raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")
+    path = require_figure_path(path)
     if not any(axis.is_known for axis in model.axes):
         raise ShowError(f"{path}: expected an axis that is known, found none: {_tell(model.axes)}")
-    data = io.BytesIO()
     page = page or Page(kind="page")
     with use_looks():
         figure = Figure(figsize=(page.width_inch, page.width_inch), layout="constrained")
         draw_rates(figure, [run], model=model)
         add_legend(figure)
-    save_figure(figure, data, kind, page)
-    with replace_file(path) as part:
-        part.write_bytes(data.getvalue())
-    return path
+    return write_figure(figure, path, page)
 
 
 def _tell(axes: tuple[AxisModel, ...]) -> str:

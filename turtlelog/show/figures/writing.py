@@ -28,6 +28,7 @@ from turtlelog.compare import (
 from turtlelog.errors import ShowError, suggest_names
 from turtlelog.measure import measure_run
 from turtlelog.processes import CAN_FORK, count_cores, map_in_processes
+from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 from turtlelog.show.documents import choose_essentials
 from turtlelog.show.figures.figure_kinds import (
@@ -42,7 +43,7 @@ from turtlelog.show.figures.marked_panels import mark_panels
 from turtlelog.show.figures.page import Page, use_looks
 from turtlelog.show.figures.plane_panels import has_one_plane, stress_window
 from turtlelog.show.figures.time_window import cut_time_axes, find_window, require_window
-from turtlelog.show.output_files import replace_together
+from turtlelog.show.output_files import replace_file, replace_together
 from turtlelog.show.table_formats import format_latex
 
 FIGURE_FORMATS: Final = ("pdf", "png", "svg")
@@ -238,6 +239,23 @@ def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None =
             FigureCanvasSVG(figure).print_svg(data, metadata=_NO_DATE[form])
         else:
             FigureCanvasAgg(figure).print_png(data, metadata=_NO_DATE[form])
+
+
+def require_figure_path(path: str | Path) -> Path:
+    """Return where a figure is written; refuse a name that ends in no format."""
+    path = make_path(path)
+    if path.suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
+        raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")
+    return path
+
+
+def write_figure(figure: Figure, path: Path, page: Page) -> Path:
+    """Write a figure in the format that the name ends in, and return its path."""
+    data = io.BytesIO()
+    save_figure(figure, data, path.suffix.lower().removeprefix("."), page)
+    with replace_file(path) as part:
+        part.write_bytes(data.getvalue())
+    return path
 
 
 @contextmanager
