@@ -26,7 +26,7 @@ from turtlelog.cli.options import (
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.page_options import TIMELESS, PageOptions
 from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.errors import UsageError
 from turtlelog.remote.urls import RemotePath
 
@@ -98,7 +98,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         _tell(_describe(files or [], {}, []) | {"left_out": []}, movie, json=json)
         return
     names = None if only is None else split_names(only, "--only")
-    is_file = output.suffix.lower() in _SUFFIXES
+    is_file = output.suffix.lower() in PICTURES
     if is_file:
         _require_one(output, names, formats)
         require_new_target(output, files or [], suffix=output.suffix.lower())
@@ -200,7 +200,6 @@ def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list
     return runs
 
 
-_SUFFIXES: Final = frozenset({".pdf", ".png", ".svg"})
 _OTHER_PICTURES: Final = frozenset(
     {".bmp", ".eps", ".gif", ".jpeg", ".jpg", ".ps", ".tif", ".tiff", ".webp"}
 )

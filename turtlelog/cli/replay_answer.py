@@ -28,7 +28,7 @@ def describe_difference(run: "Run", found: "Difference | None") -> dict[str, Any
         return None
     return {
         "signal": found.signal,
-        "time_s": _tell_time(run, found.time_ns),
+        "time_s": tell_time(run, found.time_ns),
         "recorded": found.recorded,
         "replayed": found.replayed,
     }
@@ -154,7 +154,7 @@ def _describe_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list
             "rows": found.rows,
             "differing": found.differing,
             "largest": found.largest,
-            "at_s": None if found.at_ns is None else _tell_time(run, found.at_ns),
+            "at_s": None if found.at_ns is None else tell_time(run, found.at_ns),
             "first_difference": describe_difference(run, found.first_difference),
         }
         for found in signals
@@ -178,7 +178,7 @@ def _tabulate(
             (
                 found.signal,
                 *_show(found),
-                None if found.at_ns is None else _tell_time(run, found.at_ns),
+                None if found.at_ns is None else tell_time(run, found.at_ns),
                 found.differing,
                 found.rows,
             )
@@ -233,11 +233,12 @@ def _format_difference(
 ) -> str:
     unit = next((signal.unit for signal in signals if signal.signal == found.signal), "1")
     was, now = format_pair(found.recorded, found.replayed, unit)
-    place = f"{found.signal.replace('_', ' ')} at {_tell_time(run, found.time_ns):.3f} s"
+    place = f"{found.signal.replace('_', ' ')} at {tell_time(run, found.time_ns):.3f} s"
     return f"{place}: recorded {was}, replayed {now}"
 
 
-def _tell_time(run: "Run", time_ns: int) -> float:
+def tell_time(run: "Run", time_ns: int) -> float:
+    """Return a time of a run from its first sample [s]."""
     return (time_ns - run.start_ns) / 1e9
 
 

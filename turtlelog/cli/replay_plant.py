@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table
-from turtlelog.cli.replay_answer import describe_difference, describe_pose_error
+from turtlelog.cli.replay_answer import describe_difference, describe_pose_error, tell_time
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -15,10 +15,6 @@ if TYPE_CHECKING:
 
 def describe_plant(run: "Run", found: "PlantReplay") -> dict[str, Any]:
     """Return the JSON answer."""
-
-    def tell_time(time_ns: int) -> float:
-        return (time_ns - run.start_ns) / 1e9
-
     return {
         "name": found.name,
         "mode": "plant",
@@ -29,8 +25,8 @@ def describe_plant(run: "Run", found: "PlantReplay") -> dict[str, Any]:
         "heading_bits": found.heading_bits,
         "stretches": [
             {
-                "start_s": tell_time(stretch.start_ns),
-                "end_s": tell_time(stretch.end_ns),
+                "start_s": tell_time(run, stretch.start_ns),
+                "end_s": tell_time(run, stretch.end_ns),
                 "ticks": stretch.ticks,
                 "max_abs_error": describe_pose_error(stretch.max_abs_error),
                 "rounding": {"position": stretch.rounding_m, "heading": stretch.rounding_rad},
@@ -40,7 +36,7 @@ def describe_plant(run: "Run", found: "PlantReplay") -> dict[str, Any]:
         ],
         "jumps": [
             {
-                "at_s": tell_time(jump.at_ns),
+                "at_s": tell_time(run, jump.at_ns),
                 "kind": jump.kind,
                 "from": dict(zip(("x", "y", "heading"), jump.from_pose, strict=True)),
                 "to": dict(zip(("x", "y", "heading"), jump.to_pose, strict=True)),
@@ -49,8 +45,8 @@ def describe_plant(run: "Run", found: "PlantReplay") -> dict[str, Any]:
         ],
         "gaps": [
             {
-                "start_s": tell_time(gap.start_ns),
-                "end_s": tell_time(gap.end_ns),
+                "start_s": tell_time(run, gap.start_ns),
+                "end_s": tell_time(run, gap.end_ns),
                 "missing_ticks": gap.missing_ticks,
             }
             for gap in found.gaps

@@ -15,7 +15,8 @@ from turtlelog.remote.urls import RemotePath
 _LIBRARIES: Final = MappingProxyType({".html": "bokeh", ".parquet": "pyarrow", ".rrd": "rerun"})
 """What writes files of a suffix, where a slim installation lacks it."""
 
-_PICTURES: Final = frozenset({".pdf", ".png", ".svg"})
+PICTURES: Final = frozenset({".pdf", ".png", ".svg"})
+"""How the names of figures end."""
 
 
 def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: str) -> None:
@@ -49,7 +50,7 @@ def require_pictures(
     for name, target in (("--plot", plot), ("--rrd", rrd)):
         if target is not None and len(drawn) > 1:
             raise UsageError(f"{name}: expected one {of} to draw, found {len(drawn)}")
-    if plot is not None and plot.suffix.lower() not in _PICTURES:
+    if plot is not None and plot.suffix.lower() not in PICTURES:
         expected = "a name that ends in .pdf, .png or .svg"
         raise UsageError(f"--plot {plot}: expected {expected}, found another")
     require_new_target(plot, inputs, suffix="" if plot is None else plot.suffix.lower())

@@ -27,8 +27,8 @@ _CHANCE: Final = 1e-3
 """Probability below which so few errors within the band are no chance [1]: for a robot with the
 right noise, one band of a thousand is judged wrongly."""
 
-_SHOWN: Final = {"position": ("mm", 1e3), "heading": ("deg", 180.0 / np.pi)}
-"""Unit and factor in which errors are shown; values hold m and rad."""
+SHOWN_UNITS: Final = {"position": ("mm", 1e3), "heading": ("deg", 180.0 / np.pi)}
+"""Unit and factor in which the errors of a quantity are shown; values hold m and rad."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -259,7 +259,7 @@ def tabulate_robots(found: Sequence[RobotComparison]) -> Table:
 
 
 def _list_cells(band: ErrorBand) -> tuple[Cell, ...]:
-    unit, factor = _SHOWN[band.quantity]
+    unit, factor = SHOWN_UNITS[band.quantity]
     simulated, share = band.simulated_median, band.within_share
     return (
         band.quantity,

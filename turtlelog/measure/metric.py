@@ -3,6 +3,7 @@
 import enum
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final
 
 from turtlelog.display import format_html, format_number
 
@@ -92,6 +93,11 @@ class Missing:
 
     status: Status
     reason: str
+
+
+NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the goal is not known")
+NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
+ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
 
 
 @dataclass(frozen=True, slots=True)

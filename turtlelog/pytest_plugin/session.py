@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from turtlelog.display import describe_count
 from turtlelog.errors import LawError, SimulationError, TurtlelogError
 from turtlelog.escapes import escape_controls
 from turtlelog.pytest_plugin.choosing import show_path
@@ -192,8 +193,8 @@ class SessionSummary:
             return ""
         failed = sum(check["verdict"] == "FAIL" for check in self._checks)
         parts = [
-            f"turtlelog: {_count(len(self._recordings), 'recording')}",
-            _count(len(self._checks), "check") + (f" ({failed} failed)" if failed else ""),
+            f"turtlelog: {describe_count(len(self._recordings), 'recording')}",
+            describe_count(len(self._checks), "check") + (f" ({failed} failed)" if failed else ""),
         ]
         worst = self._describe_worst()
         parts += [f"worst margins: {'; '.join(worst)}"] if worst else []
@@ -207,10 +208,6 @@ class SessionSummary:
 
         worst = find_worst(CheckResult(**check) for check in self._checks)
         return [_describe(result) for result in worst[:_MOST]]
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}" if number == 1 else f"{number} {word}s"
 
 
 def _describe(result: "CheckResult") -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.metric import NO_COMMANDS, ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates
 from turtlelog.measure.registry import run_metric
@@ -180,8 +180,6 @@ def _find_quantum(values: Values, initial: float, final: float) -> float:
     return float(levels.min(initial=high - low)) if len(levels) < len(steps) else 0.0
 
 
-_ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
-_NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
 _NO_STEPS: Final = Missing(
     status=Status.NO_STEP,
     reason=f"no command is held for {HELD_AFTER_S:g} s after one that was for {HELD_BEFORE_S:g} s",
@@ -197,10 +195,10 @@ _NOT_SEEN: Final = Missing(
 
 def _find_steps(context: RunContext, axis: Axis) -> list[CommandStep] | Missing:
     if not len(context.run.commands):
-        return _NO_COMMANDS
+        return NO_COMMANDS
     commands = context.get_commands(axis)
     if commands is None:
-        return _ONE_POSE
+        return ONE_POSE
     begin_s, end_s = float(context.pose_time_s[0]), float(context.pose_time_s[-1])
     return context.recall(("steps", axis), lambda: find_command_steps(commands, begin_s, end_s))
 
@@ -219,7 +217,7 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
     def compute(context: RunContext) -> Result:
         steps, rates = _find_steps(context, axis), context.get_rates(axis)
         if isinstance(steps, Missing) or rates is None:
-            return steps if isinstance(steps, Missing) else _ONE_POSE
+            return steps if isinstance(steps, Missing) else ONE_POSE
         if not steps:
             return _NO_STEPS
         period_s = compute_median(np.diff(rates.edges_s))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings, wrap_angle
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.metric import NO_GOAL, Found, Missing, Result, Status
 from turtlelog.measure.registry import run_metric
 
 PAPER_WINDOW_S: Final = 15.0
@@ -17,7 +17,6 @@ PAPER_WINDOW_S: Final = 15.0
 Values = NDArray[np.float64]
 
 
-_NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the goal is not known")
 _NO_BEARING: Final = Missing(status=Status.ABSENT, reason="the goal bearing is not known")
 _NO_HEADING: Final = Missing(status=Status.ABSENT, reason="the goal has no heading")
 
@@ -40,7 +39,7 @@ def _compute_heading_error(context: RunContext, at_s: float | None = None) -> Re
 def _compute_position_error(context: RunContext, at_s: float | None = None) -> Result:
     goal_xy_m = context.run.goal_xy_m
     if goal_xy_m is None:
-        return _NO_GOAL
+        return NO_GOAL
     x_m, y_m = (_read_at(context.pose_time_s, column, at_s) for column in context.run.poses.xy_m.T)
     error_m = float(np.hypot(goal_xy_m[0] - x_m, goal_xy_m[1] - y_m))
     return _find_cut(context, at_s) or Found(error_m, _tell_time(context, at_s))

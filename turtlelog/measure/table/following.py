@@ -10,14 +10,11 @@ from typing import Final
 import numpy as np
 
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.metric import NO_COMMANDS, ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates, Values
 from turtlelog.measure.registry import run_metric
 from turtlelog.measure.sums import sum_products
-
-_ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
-_NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
 
 EARLIEST_S: Final = -0.5
 LATEST_S: Final = 2.0
@@ -58,10 +55,10 @@ def _on_axis(
 ) -> Callable[[RunContext], Result]:
     def compute_on_axis(context: RunContext) -> Result:
         if not len(context.run.commands):
-            return _NO_COMMANDS
+            return NO_COMMANDS
         rates, commands = context.get_rates(axis), context.get_commands(axis)
         if rates is None or commands is None:
-            return _ONE_POSE
+            return ONE_POSE
         return compute(rates, commands)
 
     return compute_on_axis

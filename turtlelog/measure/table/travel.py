@@ -7,13 +7,11 @@ from typing import Final
 import numpy as np
 
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import Axis, Rates, Values, thin_poses
 from turtlelog.measure.registry import run_metric
 from turtlelog.measure.sums import sum_products
-
-_ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
 
 
 @run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
@@ -37,7 +35,7 @@ def _compute_turning(context: RunContext) -> Result:
 def _on_rates(axis: Axis, compute: Callable[[Rates], Result]) -> Callable[[RunContext], Result]:
     def compute_on_rates(context: RunContext) -> Result:
         rates = context.get_rates(axis)
-        return _ONE_POSE if rates is None else compute(rates)
+        return ONE_POSE if rates is None else compute(rates)
 
     return compute_on_rates
 
@@ -113,13 +111,13 @@ def _find_rest(context: RunContext) -> tuple[float, float] | None:
 )
 def _compute_rest_time(context: RunContext) -> Result:
     found = context.recall("rest", lambda: _find_rest(context))
-    return _ONE_POSE if found is None else Found(found[0])
+    return ONE_POSE if found is None else Found(found[0])
 
 
 @run_metric("run.rest_share", "1", "Share of the time at standstill.", better=None)
 def _compute_rest_share(context: RunContext) -> Result:
     found = context.recall("rest", lambda: _find_rest(context))
-    return _ONE_POSE if found is None else Found(found[0] / found[1])
+    return ONE_POSE if found is None else Found(found[0] / found[1])
 
 
 _HIGHEST_HZ: Final = 10.0
@@ -144,7 +142,7 @@ _MOST_ROWS: Final = 20_000
 def _compute_arc_length(context: RunContext) -> Result:
     rates = context.get_rates("speed")
     if rates is None:
-        return _ONE_POSE
+        return ONE_POSE
     period_s = max(compute_median(np.diff(rates.edges_s)), 0.04)
     if period_s > 1.0 / _LEAST_HZ:
         reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_LEAST_HZ:g} Hz"

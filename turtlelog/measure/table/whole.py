@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from turtlelog.loops import ControlLoop
 from turtlelog.measure import path, step_response
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.metric import NO_COMMANDS, NO_GOAL, Found, Missing, Result, Status
 from turtlelog.measure.registry import loop_metric, run_metric
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
 from turtlelog.measure.step_response import find_largest
@@ -25,8 +25,6 @@ from turtlelog.measure.table.loop_metrics import require_hold
 Values = NDArray[np.float64]
 
 NO_LINE: Final = Missing(status=Status.ABSENT, reason="the line from start to goal is not known")
-_NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the goal is not known")
-_NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
 
 
 @run_metric("run.duration", "s", "From the first sample to the end.", is_awaited=True)
@@ -42,7 +40,7 @@ def _on_distance(
     def compute_on_distance(context: RunContext) -> Result:
         signal = context.get_signal("distance")
         if signal is None:
-            return _NO_GOAL
+            return NO_GOAL
         first = int(np.searchsorted(signal.time_ns, context.run.start_ns))
         first = min(first, len(signal.values) - 1)
         return compute(context, context.pose_time_s[first:], signal.values[first:])
@@ -165,7 +163,7 @@ def _on_commands(
 
     def compute_on_commands(context: RunContext) -> Result:
         if not len(context.run.commands):
-            return _NO_COMMANDS
+            return NO_COMMANDS
         return compute(context.recall(column, lambda: _take_commands(context, column)))
 
     return compute_on_commands

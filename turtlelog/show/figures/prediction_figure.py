@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog.compare import ErrorGrowth, RobotComparison
+from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.identify import AxisTraces
 from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
 from turtlelog.show.figures.figure_curves import draw_thinned
@@ -24,7 +25,6 @@ _STACKED_HEIGHT: Final = 2.6
 _SIDE_BY_SIDE_INCH: Final = 5.0
 """Narrower than this, panels stand below each other: their labels would collide."""
 
-_UNITS: Final = {"position": ("mm", 1e3), "heading": ("deg", 180.0 / np.pi)}
 
 _BAND: Final[Mapping[str, Any]] = MappingProxyType(
     {"alpha": 0.25, "linewidth": 0.0, "label": "central 95 % of simulated errors"}
@@ -86,7 +86,7 @@ def _draw_paths(axes: Axes, found: RobotComparison) -> None:
 
 def _draw_growth(axes: Axes, growth: ErrorGrowth) -> None:
     recorded, simulated = choose_lines(2)
-    unit, factor = _UNITS[growth.quantity]
+    unit, factor = SHOWN_UNITS[growth.quantity]
     low, median, high = factor * growth.recorded.T
     if growth.simulated is not None:
         least, middle, most = factor * growth.simulated.T

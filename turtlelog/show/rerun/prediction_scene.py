@@ -9,13 +9,13 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from turtlelog.compare import ErrorBand, RobotComparison
+from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.show import palette
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun.layout import LinkedBlueprint
 from turtlelog.show.rerun.robot_scene import TIMELINE, draw_axis, list_views
 from turtlelog.show.rerun.rrd_file import open_recording
 
-_UNITS: Final = {"position": ("mm", 1e3), "heading": ("deg", 180.0 / np.pi)}
 _PLANE: Final = "/plane"
 _PATH_PIXELS: Final = 1.2
 
@@ -68,7 +68,7 @@ def _name_errors(band: ErrorBand) -> str:
 
 
 def _title_errors(band: ErrorBand) -> str:
-    unit, _ = _UNITS[band.quantity]
+    unit, _ = SHOWN_UNITS[band.quantity]
     return f"error of {band.quantity} after {band.horizon_s:g} s [{unit}]"
 
 
@@ -102,7 +102,7 @@ def _flip(xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _draw_errors(stream: rr.RecordingStream, band: ErrorBand, start_s: float) -> None:
-    _, factor = _UNITS[band.quantity]
+    _, factor = SHOWN_UNITS[band.quantity]
     time_ns = np.rint((band.time_s + start_s) * 1e9).astype("timedelta64[ns]")
     index = [rr.TimeColumn(TIMELINE, duration=time_ns)]
     curves: list[tuple[str, NDArray[np.float64] | None, Color]] = [
