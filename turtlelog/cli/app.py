@@ -100,6 +100,10 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
             "[FILE...] -o OUT",
             "Make the paper's figures from any recordings, and its tables as LaTeX.",
         ),
+        "map": (
+            "TABLE",
+            "Draw the table of a sweep: metrics over its keys, with theory's limits of the gain.",
+        ),
         "report": (
             "FILE... -o OUT",
             "Write a report on runs as one file of HTML, which opens without a network.",
@@ -124,7 +128,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
 }
 """The commands as help groups them, the words that each takes, and how its docstring begins."""
 
-_PLACES: Final = {"scenario": "run:scenario", "list": "list_names:list_"}
+_PLACES: Final = {"scenario": "run:scenario", "list": "list_names:list_", "map": "map:map_"}
 """Commands that stand elsewhere than in a module, and a function, of their name."""
 
 

@@ -6,6 +6,7 @@ from .figures import (
     list_left_out as list_left_out,
     list_unmarked as list_unmarked,
     write_figures as write_figures,
+    write_map_figure as write_map_figure,
     write_prediction_figure as write_prediction_figure,
     write_robot_figure as write_robot_figure,
     write_tables as write_tables,

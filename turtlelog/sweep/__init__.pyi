@@ -5,6 +5,15 @@ from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,
 )
+from .gain_borders import (
+    Border as Border,
+    ColumnLimits as ColumnLimits,
+    LoopLimits as LoopLimits,
+    describe_limits as describe_limits,
+    find_borders as find_borders,
+    find_loop_limits as find_loop_limits,
+    list_gain_keys as list_gain_keys,
+)
 from .metric_rows import (
     describe_values as describe_values,
     plan_metric_table as plan_metric_table,
@@ -39,4 +48,18 @@ from .sweep_rows import (
     estimate_sweep as estimate_sweep,
     prepare_sweep as prepare_sweep,
     run_sweep as run_sweep,
+)
+from .swept_results import (
+    SweptAxis as SweptAxis,
+    SweptMetric as SweptMetric,
+    SweptResults as SweptResults,
+    read_swept_results as read_swept_results,
+)
+from .swept_views import (
+    SweptCells as SweptCells,
+    SweptView as SweptView,
+    choose_view as choose_view,
+    fill_cells as fill_cells,
+    find_best_rows as find_best_rows,
+    require_values as require_values,
 )

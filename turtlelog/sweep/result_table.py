@@ -287,6 +287,18 @@ class StoredTable:
         return sum(chunk.statistics.num_values for chunk in chunks)
 
 
+def read_column_names(path: str | Path) -> tuple[str, ...]:
+    """Return the names of a file's columns, in their order.
+
+    Raises:
+        LogError: Where it is no Parquet file, or is cut.
+        LibraryError: Where pyarrow is not installed.
+    """
+    parquet = load_library("pyarrow.parquet")
+    with _name_table(path), open_file(path) as stream:
+        return tuple(parquet.read_schema(stream).names)
+
+
 def _name_table(path: str | Path) -> AbstractContextManager[None]:
     return name_file(path, expected="a complete Parquet file")
 

@@ -13,6 +13,7 @@ from turtlelog.show.figures.left_out import list_left_out, list_unmarked
 from turtlelog.show.figures.page import Page
 from turtlelog.show.figures.prediction_figure import write_prediction_figure
 from turtlelog.show.figures.robot_figure import write_robot_figure
+from turtlelog.show.figures.sweep_figures import write_map_figure
 from turtlelog.show.figures.writing import FIGURE_FORMATS, draw_figure, write_figures, write_tables
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "list_left_out",
     "list_unmarked",
     "write_figures",
+    "write_map_figure",
     "write_prediction_figure",
     "write_robot_figure",
     "write_tables",

@@ -1,0 +1,147 @@
+"""`turtlelog map`: the table of a sweep as maps, curves and sensitivities."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.list_names import complete_keys, complete_metrics
+from turtlelog.cli.map_answer import describe_map, list_map_lines
+from turtlelog.cli.options import Json, Place
+from turtlelog.cli.output import print_json, print_lines, print_note
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_new_target
+from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog.show import Page
+    from turtlelog.sweep import LoopLimits, SweptView
+
+_PICTURES: Final = frozenset({".pdf", ".png", ".svg"})
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewOptions:
+    """What is shown.
+
+    Attributes:
+        metrics: Ids or patterns of the table's metrics, as in translate.stable,*.overshoot;
+            otherwise up to four of them.
+        x: Key at the bottom.
+        y: Key at the side.
+        at: Hold a key that varies at a value, as in loop.transport_delay_ticks=4; may stand several
+            times.
+    """
+
+    metrics: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
+    x: Annotated[str | None, Parameter(metavar="KEY", completer=complete_keys)] = None
+    y: Annotated[str | None, Parameter(metavar="KEY", completer=complete_keys)] = None
+    at: Annotated[list[str] | None, Parameter(metavar="KEY=VALUE", completer=complete_keys)] = None
+
+    def list_patterns(self) -> list[str] | None:
+        """Return the metrics that are asked for, None where none are."""
+        if self.metrics is None:
+            return None
+        patterns = [name.strip() for name in self.metrics.split(",")]
+        if not all(patterns):
+            raise UsageError(f"--metrics: expected ids separated by commas, found {self.metrics!r}")
+        return patterns
+
+    def read_held(self) -> dict[str, Any]:
+        """Return what --at says."""
+        return tl.scenario.parse_assignments(self.at or [], source="--at")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureOptions:
+    """Where a figure will stand.
+
+    Attributes:
+        kind: column is one of two columns of a paper, page its whole width, slide 16:9 with large
+            lettering.
+        text_width: Width of the paper's text [mm], 120 to 1000; 181 unless given. Not of a slide.
+        dpi: Resolution of a PNG [dots per inch], 50 to 600; 300 unless given; 144 for a slide.
+    """
+
+    kind: Annotated[Literal["column", "page", "slide"], Parameter(name="--for")] = "page"
+    text_width: Annotated[float | None, Parameter(metavar="WIDTH")] = None
+    dpi: int | None = None
+
+    def build_page(self, suffix: str) -> "Page":
+        """Return the page of a figure whose file ends so."""
+        if self.text_width is not None and self.kind == "slide":
+            raise UsageError("--text-width: expected --for column or page, found slide")
+        if self.dpi is not None and suffix != ".png":
+            raise UsageError(f"--dpi: expected a .png file, found {suffix or 'none'}")
+        width = {} if self.text_width is None else {"text_width_mm": self.text_width}
+        return tl.show.Page(kind=self.kind, dpi=self.dpi, **width)
+
+
+def map_(
+    table: Place,
+    /,
+    *,
+    output: Annotated[Place | None, Parameter(name=("--output", "-o"))] = None,
+    view: ViewOptions | None = None,
+    picture: PictureOptions | None = None,
+    json: Json = False,
+) -> None:
+    """Draw the table of a sweep: metrics over its keys, with theory's limits of the gain.
+
+    Two keys that vary make a map of each metric; where a gain is one of them, theory's limits of
+    its loop are lines over it. One key makes curves. The other keys are held at the values of the
+    scenario that was varied, or in the middle; --at holds others. Over seeds values are means.
+
+    The lines name the best row of each metric, and the command that runs it again.
+
+    Example: turtlelog map results.parquet -o map.png
+
+    Example: turtlelog map results.parquet --metrics "*.stable" --at loop.transport_delay_ticks=4
+
+    Args:
+        table: What `turtlelog sweep` wrote (.parquet).
+        output: Write this .pdf, .png or .svg figure.
+        json: Print one JSON object instead of lines.
+    """
+    options, picture = view or ViewOptions(), picture or PictureOptions()
+    page = _require_output(output, table, picture)
+    patterns, held = options.list_patterns(), options.read_held()
+    results = tl.sweep.read_swept_results(table, patterns)
+    gains = tl.sweep.list_gain_keys(results)
+    shown = tl.sweep.choose_view(results, x=options.x, y=options.y, at=held, gains=gains)
+    tl.sweep.require_values(shown)
+    limits = tl.sweep.find_loop_limits(shown)
+    if output is not None and page is not None:
+        with show_progress("drawing"):
+            tl.show.write_map_figure(shown, limits, output, page=page)
+    _answer(shown, limits, output, json=json)
+
+
+def _require_output(output: Path | None, table: Path, picture: PictureOptions) -> "Page | None":
+    suffix = "" if output is None else output.suffix.lower()
+    if output is None:
+        if picture.dpi is not None:
+            raise UsageError("--dpi: expected --output beside it, found none")
+        return None
+    if suffix not in _PICTURES:
+        raise UsageError(
+            f"--output {output}: expected a name that ends in .pdf, .png or .svg, found another"
+        )
+    require_new_target(output, [table], suffix=suffix)
+    return picture.build_page(suffix)
+
+
+def _answer(
+    view: "SweptView", limits: "list[LoopLimits]", output: Path | None, *, json: bool
+) -> None:
+    told = describe_map(view, limits)
+    for note in told["notes"]:
+        print_note(f"map: {note}")
+    if json:
+        print_json({**told, "output": None if output is None else str(output)})
+        return
+    print_lines([*list_map_lines(view, told), *([] if output is None else [f"wrote {output}"])])

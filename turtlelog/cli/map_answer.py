@@ -1,0 +1,167 @@
+"""What `turtlelog map` says of a sweep: the best rows, borders of stability beside theory."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import turtlelog as tl
+from turtlelog.cli.output import find_command_name
+from turtlelog.display import describe_count, format_number, join_words
+
+if TYPE_CHECKING:
+    from turtlelog.sweep import LoopLimits, SweptMetric, SweptView
+
+
+def describe_map(view: "SweptView", limits: "Sequence[LoopLimits]") -> dict[str, Any]:
+    """Return what is drawn, for JSON."""
+    results = view.results
+    notes = [*view.notes, *(note for one in limits for note in one.notes)]
+    if results.others:
+        shown, all_ = len(results.metrics), len(results.metrics) + len(results.others)
+        notes.insert(0, f"{shown} of {all_} metrics; --metrics chooses")
+    return {
+        "file": str(results.path),
+        "rows": results.row_count,
+        "failed": results.failed,
+        "shown": len(view.rows),
+        "axes": [_describe_axis(axis) for axis in view.axes],
+        "held": {
+            key: value
+            for axis, place in view.held.items()
+            for key, value in zip(axis.keys, axis.values[place], strict=True)
+        },
+        "seeds": view.seeds,
+        "metrics": [_describe_metric(view, metric, limits) for metric in results.metrics],
+        "theory": [_describe_limits(view, one) for one in limits],
+        "notes": notes,
+    }
+
+
+def _describe_axis(axis: Any) -> dict[str, Any]:
+    return {"keys": list(axis.keys), "unit": axis.unit, "values": [list(v) for v in axis.values]}
+
+
+def _describe_limits(view: "SweptView", limits: "LoopLimits") -> dict[str, Any]:
+    other = next((axis for axis in view.axes if axis is not limits.gain), None)
+    return {
+        "loop": limits.loop,
+        "gain": list(limits.gain.keys),
+        "columns": [
+            {
+                "at": None if other is None else list(other.values[place]),
+                "limits": tl.sweep.describe_limits(limit),
+            }
+            for place, limit in enumerate(limits.columns)
+        ],
+    }
+
+
+def _describe_metric(
+    view: "SweptView", metric: "SweptMetric", limits: "Sequence[LoopLimits]"
+) -> dict[str, Any]:
+    values = metric.values[view.rows]
+    known = values[np.isfinite(values)]
+    reasons: dict[str, int] = {}
+    for row in view.rows[~np.isfinite(values)].tolist():
+        reason = str(metric.reasons[row])
+        reasons[reason] = reasons.get(reason, 0) + 1
+    return {
+        "id": metric.name,
+        "unit": metric.unit,
+        "values": len(known),
+        "least": float(known.min()) if len(known) else None,
+        "most": float(known.max()) if len(known) else None,
+        "no_value": reasons,
+        "best": _describe_best(view, metric),
+        "borders": _describe_borders(view, metric, limits),
+    }
+
+
+def _describe_best(view: "SweptView", metric: "SweptMetric") -> dict[str, Any] | None:
+    """Return the best row that is shown; of several that are as good the first."""
+    found = tl.sweep.find_best_rows(view, metric)
+    if not found:
+        return None
+    row, axes = found[0], view.results.axes
+    return {
+        "row": row,
+        "value": float(metric.values[row]),
+        "as_good": len(found),
+        "keys": {
+            key: value
+            for axis in axes
+            for key, value in zip(axis.keys, axis.values[axis.places[row]], strict=True)
+        },
+    }
+
+
+def _describe_borders(
+    view: "SweptView", metric: "SweptMetric", limits: "Sequence[LoopLimits]"
+) -> list[dict[str, Any]] | None:
+    own = next((one for one in limits if one.loop == metric.loop), None)
+    if not metric.is_verdict or own is None or view.results.is_sampled:
+        return None
+    other = next((axis for axis in view.axes if axis is not own.gain), None)
+    return [
+        {
+            "at": None if other is None else list(other.values[border.place]),
+            "last_stable": border.last_stable,
+            "first_unstable": border.first_unstable,
+            "theory": border.theory,
+            "within_one_cell": border.is_near,
+        }
+        for border in tl.sweep.find_borders(view, tl.sweep.fill_cells(view, metric), own)
+    ]
+
+
+def list_map_lines(view: "SweptView", told: Mapping[str, Any]) -> list[str]:
+    """Return what is printed of it."""
+    results = view.results
+    sides = " by ".join(axis.name for axis in view.axes)
+    rows = describe_count(told["rows"], "row")
+    rows += f", {told['failed']} failed" if told["failed"] else ""
+    held = view.tell_held()
+    lines = [f"{results.path}: {rows}; {sides}{f' at {held}' if held else ''}"]
+    if view.seeds > 1:
+        lines[0] += f", means over {view.seeds} seeds"
+    best: dict[int, list[str]] = {}
+    for one in told["metrics"]:
+        lines.append(_tell_metric(view, one))
+        if one["best"] is not None:
+            best.setdefault(one["best"]["row"], []).append(one["id"])
+    command, path = find_command_name(), shlex.quote(str(results.path))
+    for row, names in best.items():
+        again = f"{command} run --from {path} --row {row}"
+        lines.append(f"best {join_words(names)}: {again}")
+    return lines
+
+
+def _tell_metric(view: "SweptView", one: Mapping[str, Any]) -> str:
+    name, unit = one["id"], one["unit"]
+    missing = ", ".join(
+        f"{describe_count(count, 'row')} {reason}" for reason, count in one["no_value"].items()
+    )
+    tail = f"; no value: {missing}" if missing else ""
+    if not one["values"]:
+        return f"{name}: {tail.removeprefix('; ')}"
+    if one["borders"] is not None:
+        return f"{name}: {_tell_borders(one['borders'])}{tail}"
+    text = f"{name}: {format_number(one['least'], unit)} to {format_number(one['most'], unit)}"
+    best = one["best"]
+    if best is not None:
+        more = best["as_good"] - 1
+        text += f", best in row {best['row']}" + (f" and {more} more" if more else "")
+        text += f" ({view.results.tell_row(best['row'])})"
+    return text + tail
+
+
+def _tell_borders(borders: Sequence[Mapping[str, Any]]) -> str:
+    known = [one["within_one_cell"] for one in borders if one["within_one_cell"] is not None]
+    if not known:
+        return "no border beside a limit of theory"
+    return (
+        f"the border lies within one cell of theory's line in {sum(known)} of"
+        f" {describe_count(len(known), 'column')}"
+    )

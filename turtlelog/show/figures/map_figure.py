@@ -1,0 +1,274 @@
+"""Maps of a sweep: metrics over two keys, with theory's limits of the gain over them."""
+
+import math
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from turtlelog.show.figures.value_scale import (
+    VALUELESS,
+    VERDICT_COLORS,
+    VERDICT_WORDS,
+    ColorScale,
+    build_scale,
+    find_verdict_classes,
+    label_metric,
+    scale_values,
+)
+from turtlelog.sweep.gain_borders import ColumnLimits, LoopLimits, choose_limits
+from turtlelog.sweep.swept_results import SweptAxis, SweptMetric
+from turtlelog.sweep.swept_views import SweptView, fill_cells
+
+Values = NDArray[np.float64]
+
+_MOST_VECTORS: Final = 2_500
+"""Cells that a PDF or SVG holds as shapes, some 100 bytes each; more are pixels in it."""
+
+_MOST_WORDS: Final = 12
+"""Names of places along a side: each takes 4 mm of a column."""
+
+_LONGEST: Final = 16
+"""Letters of such a name."""
+
+_HALO: Final = 1.4
+"""Points of white around a line, which makes it stand out from every colour below."""
+
+LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
+    {
+        "instability (theory)": {"color": "#b3261e", "linewidth": 1.2},
+        "instability with the most dead time (theory)": {
+            "color": "#b3261e",
+            "linewidth": 1.0,
+            "linestyle": (0, (1.2, 1.2)),
+        },
+        "overshoot begins (theory)": {
+            "color": "#7a4b00",
+            "linewidth": 1.0,
+            "linestyle": (0, (5, 2)),
+        },
+    }
+)
+"""Theory's limits by their names in a legend, and how they look."""
+
+
+def draw_map(
+    axes: Axes,
+    view: SweptView,
+    metric: SweptMetric,
+    limits: Sequence[LoopLimits],
+    reasons: Mapping[str, tuple[str, str]],
+) -> dict[str, Any]:
+    """Draw a metric over the two axes of a view.
+
+    Args:
+        axes: To draw on.
+        view: Of two axes.
+        metric: One of its results.
+        limits: Of theory, as `find_loop_limits` returns them.
+        reasons: For each reason for no value its words and its hatch, as `group_reasons` has them.
+
+    Returns:
+        What a legend names, with how it looks.
+    """
+    if view.results.is_sampled:
+        named = _draw_points(axes, view, metric)
+    else:
+        named = _draw_cells(axes, view, metric, reasons)
+    ends = [_set_axis(axes, side, axis) for side, axis in zip("xy", view.axes, strict=True)]
+    axes.set_title(label_metric(metric), pad=4.0)
+    axes.grid(visible=False)
+    found = choose_limits(limits, metric)
+    if found is not None:
+        named |= _draw_limits(axes, view, found, ends)
+    return named
+
+
+def find_edges(axis: SweptAxis) -> Values:
+    """Return where the cells of an axis begin and end: halfway between its places."""
+    numbers = axis.numbers
+    if len(numbers) == 1:
+        half = abs(float(numbers[0])) * 0.1 or 0.5
+        return np.array([numbers[0] - half, numbers[0] + half])
+    if is_logarithmic(axis):
+        return np.exp(_find_middles(np.log(numbers)))
+    return _find_middles(numbers)
+
+
+def is_logarithmic(axis: SweptAxis) -> bool:
+    """Return whether the ratios of an axis's numbers are more alike than their differences."""
+    numbers = axis.numbers
+    if not axis.is_number or len(numbers) < 3 or numbers[0] <= 0.0:
+        return False
+    steps, ratios = np.diff(numbers), np.diff(np.log(numbers))
+    return bool(ratios.std() / ratios.mean() < 0.999 * steps.std() / steps.mean())
+
+
+def _find_middles(numbers: Values) -> Values:
+    middles = numbers[:-1] / 2.0 + numbers[1:] / 2.0
+    first, last = 2.0 * numbers[0] - middles[0], 2.0 * numbers[-1] - middles[-1]
+    return np.concatenate([[first], middles, [last]])
+
+
+def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
+    """Give a side its scale, name and ends; return the ends."""
+    edges = find_edges(axis)
+    low, high = float(edges[0]), float(edges[-1])
+    if is_logarithmic(axis):
+        axes.set(**{f"{side}scale": "log"})
+    axes.set(**{f"{side}lim": (low, high), f"{side}label": axis.label})
+    if not axis.is_number:
+        mark_places(axes, side, axis)
+    return low, high
+
+
+def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
+    """Write the words of an axis's places along a side; of many every second, third ..."""
+    places = range(0, len(axis), -(-len(axis) // _MOST_WORDS))
+    texts = [axis.tell_place(place) for place in places]
+    cut = [text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…" for text in texts]
+    drawn = axes.xaxis if side == "x" else axes.yaxis
+    drawn.set_ticks(list(places), labels=[text.replace("$", r"\$") for text in cut])
+
+
+def _draw_cells(
+    axes: Axes, view: SweptView, metric: SweptMetric, reasons: Mapping[str, tuple[str, str]]
+) -> dict[str, Any]:
+    cells = fill_cells(view, metric)
+    values = scale_values(metric, cells.values)
+    edges = find_edges(view.x), find_edges(view.axes[1])
+    looks: dict[str, Any] = {"rasterized": values.size > _MOST_VECTORS, "zorder": 1.0}
+    hatched = {cell: reasons[reason] for cell, reason in cells.reasons.items()}
+    named = _hatch_cells(axes, edges, hatched, looks)
+    if metric.is_verdict:
+        classes = find_verdict_classes(values)
+        colors = ListedColormap(list(VERDICT_COLORS))
+        norm = BoundaryNorm([-0.5, 0.5, 1.5, 2.5], 3)
+        axes.pcolormesh(*edges, np.ma.masked_invalid(classes), cmap=colors, norm=norm, **looks)
+        return _name_verdicts(classes) | named
+    scale = build_scale(values)
+    mesh = axes.pcolormesh(
+        *edges, np.ma.masked_invalid(values), cmap=scale.colors, norm=scale.norm, **looks
+    )
+    _add_bar(axes, mesh, scale)
+    return named
+
+
+def _draw_points(axes: Axes, view: SweptView, metric: SweptMetric) -> dict[str, Any]:
+    x, y = (axis.numbers[axis.places[view.rows]] for axis in view.axes)
+    values = scale_values(metric, metric.values[view.rows])
+    known = np.isfinite(values)
+    size = min(max(1500.0 / max(len(values), 1), 1.5), 22.0)
+    looks: dict[str, Any] = {"rasterized": len(values) > _MOST_VECTORS, "zorder": 2.0}
+    named: dict[str, Any] = {}
+    if not known.all():
+        cross = {"marker": "x", "color": "0.5", "s": size, "linewidth": 0.6}
+        axes.scatter(x[~known], y[~known], **cross, **looks)
+        reasons = dict.fromkeys(str(metric.reasons[row]) for row in view.rows[~known].tolist())
+        mark = Line2D([], [], color="0.5", marker="x", linestyle="", markersize=4.0)
+        named[f"no value: {', '.join(reasons)}"] = mark
+    looks |= {"s": size, "linewidth": 0.25, "edgecolor": "0.3"}
+    if metric.is_verdict:
+        classes = find_verdict_classes(values[known])
+        colors = [VERDICT_COLORS[int(one)] for one in classes]
+        axes.scatter(x[known], y[known], c=colors, **looks)
+        return _name_verdicts(classes) | named
+    scale = build_scale(values)
+    order = np.argsort(values[known], kind="stable")
+    points = axes.scatter(
+        x[known][order],
+        y[known][order],
+        c=values[known][order],
+        cmap=scale.colors,
+        norm=scale.norm,
+        **looks,
+    )
+    _add_bar(axes, points, scale)
+    return named
+
+
+def _add_bar(axes: Axes, drawn: Any, scale: ColorScale) -> None:
+    bar = axes.figure.colorbar(drawn, ax=axes, extend=scale.extend, fraction=0.06, pad=0.02)
+    bar.outline.set_linewidth(0.4)
+    bar.ax.tick_params(labelsize=6.5, width=0.5, length=2.0)
+    bar.ax.grid(visible=False)
+
+
+def _name_verdicts(classes: Values) -> dict[str, Any]:
+    return {
+        VERDICT_WORDS[number]: Patch(facecolor=VERDICT_COLORS[number], edgecolor="0.6", lw=0.4)
+        for number in (2, 1, 0)
+        if (classes == number).any()
+    }
+
+
+def _hatch_cells(
+    axes: Axes,
+    edges: tuple[Values, Values],
+    hatched: Mapping[int, tuple[str, str]],
+    looks: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Draw cells without a value, each reason in its own hatch."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for cell, one in hatched.items():
+        groups.setdefault(one, []).append(cell)
+    (x, y), named = edges, {}
+    for (text, hatch), cells in groups.items():
+        row, column = np.divmod(np.array(cells), len(x) - 1)
+        left, right, low, high = x[column], x[column + 1], y[row], y[row + 1]
+        corners = [[left, low], [right, low], [right, high], [left, high]]
+        shapes = np.array(corners).transpose(2, 0, 1)
+        grey = {**VALUELESS, "hatch": hatch, "linewidth": 0.0}
+        axes.add_collection(PolyCollection(list(shapes), **grey, **looks))
+        named[text] = Patch(**{**grey, "linewidth": 0.4})
+    return named
+
+
+def _draw_limits(
+    axes: Axes, view: SweptView, found: LoopLimits, ends: Sequence[tuple[float, float]]
+) -> dict[str, Any]:
+    """Draw theory's limits of a gain in the columns, or rows, of the other axis."""
+    is_upright = found.gain is view.x
+    other = view.axes[1] if is_upright else view.x
+    low, high = ends[0] if is_upright else ends[1]
+    named: dict[str, Any] = {}
+    for name, looks in LIMITS.items():
+        for branch in list_branches(found.columns, name):
+            if not ((branch > low) & (branch < high)).any():
+                continue
+            at, values = other.numbers, branch
+            if view.results.is_sampled:
+                at, values = at[np.isfinite(branch)], branch[np.isfinite(branch)]
+            else:
+                at, values = np.repeat(find_edges(other), 2)[1:-1], np.repeat(branch, 2)
+            line = (values, at) if is_upright else (at, values)
+            axes.plot(*line, color="white", linewidth=looks["linewidth"] + _HALO, zorder=2.9)
+            axes.plot(*line, **looks, zorder=3.0)
+            named[f"{found.loop}: {name}"] = Line2D([], [], **looks)
+    return named
+
+
+def list_branches(columns: Sequence[ColumnLimits | None], name: str) -> list[Values]:
+    """Return the values of a limit, one for each column, NaN where there is none.
+
+    Where a loop is stable in several ranges of its gain, or not from 0 on, each end is a branch.
+    """
+    ends = [() if one is None else _list_ends(one, name) for one in columns]
+    most = max(map(len, ends), default=0)
+    # Counted from the top: the highest end is there wherever there is one.
+    padded = [[*([math.nan] * (most - len(one))), *one] for one in ends]
+    return [np.array(values, dtype=np.float64) for values in zip(*padded, strict=True)]
+
+
+def _list_ends(limit: ColumnLimits, name: str) -> tuple[float, ...]:
+    if name.startswith("overshoot"):
+        return () if limit.overshoot is None else (limit.overshoot,)
+    ranges = limit.stable if "dead time" not in name else limit.grown or ()
+    return tuple(end for pair in ranges for end in pair if end > 0.0 and math.isfinite(end))

@@ -1,0 +1,95 @@
+"""Figures of a sweep as files: maps over two keys, curves over one, sensitivities of all."""
+
+import io
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from turtlelog.errors import ShowError
+from turtlelog.remote.urls import make_path
+from turtlelog.show.figures.map_figure import draw_map
+from turtlelog.show.figures.page import LOOKS, Page
+from turtlelog.show.figures.swept_curves import draw_curves
+from turtlelog.show.figures.value_scale import group_reasons
+from turtlelog.show.figures.writing import FIGURE_FORMATS, save_figure
+from turtlelog.show.output_files import replace_file
+from turtlelog.sweep.gain_borders import LoopLimits
+from turtlelog.sweep.swept_views import SweptView
+
+_PANEL_INCH: Final = 2.5
+"""Height of a map with its title and the name of its lower side."""
+
+_NARROWEST_INCH: Final = 2.6
+"""A map beside another is at least so wide: its bar and its side take an inch."""
+
+
+def write_map_figure(
+    view: SweptView, limits: Sequence[LoopLimits], path: str | Path, *, page: Page | None = None
+) -> Path:
+    """Write the metrics of a sweep over the axes of a view as one figure, and return its path.
+
+    Args:
+        view: As `choose_view` returns it.
+        limits: Of theory, as `find_loop_limits` returns them.
+        path: Ends in .pdf, .png or .svg.
+        page: Where it will stand.
+
+    Raises:
+        ShowError: Where the file cannot be written.
+    """
+    page = page or Page(kind="page")
+    with mpl.rc_context(dict(LOOKS)):
+        figure = _lay_out(view, limits, page)
+    return _write(figure, path, page)
+
+
+def _lay_out(view: SweptView, limits: Sequence[LoopLimits], page: Page) -> Figure:
+    metrics = view.results.metrics
+    columns = min(len(metrics), max(int(page.width_inch / _NARROWEST_INCH), 1))
+    rows = -(-len(metrics) // columns)
+    width = page.width_inch
+    figure = Figure(figsize=(width, _PANEL_INCH * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    named: dict[str, Any] = {}
+    reasons = group_reasons(metrics)
+    for number, axes in enumerate(grid.flat):
+        if number >= len(metrics):
+            axes.set_axis_off()
+            continue
+        if view.y is None:
+            named |= draw_curves(axes, view, metrics[number], limits)
+        else:
+            named |= draw_map(axes, view, metrics[number], limits, reasons)
+    _add_legend(figure, named, view)
+    page.fit(figure)
+    return figure
+
+
+def _add_legend(figure: Figure, named: dict[str, Any], view: SweptView) -> None:
+    held = view.tell_held()
+    words = [f"at {held}"] if held else []
+    words += [f"mean over {view.seeds} seeds"] if view.seeds > 1 else []
+    width, height = figure.get_size_inches()
+    if words:
+        figure.supxlabel(", ".join(words).replace("$", r"\$"), fontsize=7.0, color="0.4")
+    if named:
+        columns = max(1, min(len(named), int(width / 2.2)))
+        lines = math.ceil(len(named) / columns)
+        figure.set_size_inches(width, height + 0.16 * lines)
+        figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=columns)
+
+
+def _write(figure: Figure, path: str | Path, page: Page) -> Path:
+    path = make_path(path)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in FIGURE_FORMATS:
+        raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")
+    data = io.BytesIO()
+    save_figure(figure, data, kind, page)
+    with replace_file(path) as part:
+        part.write_bytes(data.getvalue())
+    return path

@@ -1,0 +1,253 @@
+"""Theory's limits of a gain in every column of a map, and where the measured border lies."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import TurtlelogError
+from turtlelog.loops import ControlLoop
+from turtlelog.run import Parameter
+from turtlelog.scenario import flatten_scenario, resolve_scenario
+from turtlelog.simulate import declare_scenario
+from turtlelog.sweep.swept_results import SweptAxis, SweptMetric, SweptResults
+from turtlelog.sweep.swept_views import SweptCells, SweptView, is_gain
+from turtlelog.theory import LoopModel, find_stable_gains, hides_stability, model_loops
+from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
+
+Values = NDArray[np.float64]
+
+_MOST_DRAWN: Final = 48
+"""Places of a sampled key at which theory is asked: each row is one, and one in 2 mm will do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnLimits:
+    """What theory says of the gain in one column.
+
+    Attributes:
+        stable: Intervals of the gain in which the loop is stable.
+        overshoot: Gain from which it overshoots; None where the loop is not proportional alone.
+        grown: The same intervals with the dead time that queues may let grow; None: it cannot.
+    """
+
+    stable: tuple[tuple[float, float], ...]
+    overshoot: float | None
+    grown: tuple[tuple[float, float], ...] | None = None
+
+    @property
+    def stability(self) -> float | None:
+        """Gain from which the loop is unstable for good; None where none is stable."""
+        return self.stable[-1][1] if self.stable else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LoopLimits:
+    """Theory's limits of a loop over the axes of a view.
+
+    Attributes:
+        loop: Its name.
+        gain: The axis of its gain.
+        columns: For each place of the other axis; None where theory does not speak.
+        notes: Why it does not, or what it leaves out, in sentences.
+    """
+
+    loop: str
+    gain: SweptAxis
+    columns: tuple[ColumnLimits | None, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Border:
+    """Where a loop becomes unstable along the gain, in one column.
+
+    Attributes:
+        place: Of the column on the other axis.
+        last_stable: Largest gain below the border at which it was measured as stable; None: none.
+        first_unstable: Smallest gain at which it was measured as unstable; None: none.
+        theory: Gain from which theory's loop is unstable; None where theory does not speak.
+        is_near: Whether both are within one cell; None where one is not known.
+    """
+
+    place: int
+    last_stable: float | None
+    first_unstable: float | None
+    theory: float | None
+    is_near: bool | None
+
+
+def list_gain_keys(results: SweptResults) -> tuple[str, ...]:
+    """Return the keys of the gains that the law declares; () of a law whose code is not loaded."""
+    return tuple(loop.gain for loop in _list_loops(results) if loop.gain)
+
+
+def _list_loops(results: SweptResults) -> Sequence[ControlLoop]:
+    try:
+        return declare_scenario(resolve_scenario(results.build_scenario(0))).loops
+    except TurtlelogError:
+        return ()
+
+
+def find_loop_limits(view: SweptView) -> list[LoopLimits]:
+    """Return theory's limits of the loops whose gain is an axis of a view."""
+    if view.results.is_sampled and len(view.results.axes) > len(view.axes):
+        return []
+    found = []
+    gains = list_gain_keys(view.results)
+    for loop in _list_loops(view.results):
+        axis = next((axis for axis in view.axes if loop.gain in axis.keys), None)
+        if axis is None or not axis.is_number or loop.gain is None or not is_gain(axis, gains):
+            continue
+        column = axis.keys.index(loop.gain)
+        if all(value[column] == value[0] for value in axis.values):
+            found.append(_find_limits(view, loop.name, axis))
+    return found
+
+
+def choose_limits(limits: Sequence[LoopLimits], metric: SweptMetric) -> LoopLimits | None:
+    """Return the limits that concern a metric: those of its loop; of a run's, of the first."""
+    own = [one for one in limits if one.loop == metric.loop]
+    if own:
+        return own[0]
+    return limits[0] if limits and metric.loop in {"final", "run"} else None
+
+
+def _find_limits(view: SweptView, name: str, gain: SweptAxis) -> LoopLimits:
+    other = next((axis for axis in view.axes if axis is not gain), None)
+    columns: list[ColumnLimits | None] = []
+    notes: dict[str, list[int]] = {}
+    known: dict[Any, ColumnLimits] = {}
+    count = 1 if other is None else len(other)
+    every = -(-count // _MOST_DRAWN) if view.results.is_sampled else 1
+    for place in range(count):
+        if place % every:
+            columns.append(None)
+            continue
+        there = view.rows if other is None else view.rows[other.places[view.rows] == place]
+        model = _model(view.results, there, name)
+        if isinstance(model, str):
+            notes.setdefault(model, []).append(place)
+            columns.append(None)
+            continue
+        pid, settings = model.require()
+        key = (
+            replace(pid, kp=1.0),
+            settings["process"],
+            settings["period_s"],
+            model.most_dead_time_s,
+        )
+        if key not in known:
+            known[key] = _compute(model)
+        columns.append(known[key])
+        if model.most_dead_time_s is not None:
+            notes.setdefault(f"the dead time is the least; {model.growth} may let it grow", [])
+    told = []
+    for text, places in notes.items():
+        where = (
+            ""
+            if other is None or not places or len(places) == len(columns)
+            else (f" where {other.name} is {_tell_places(other, places)}")
+        )
+        told.append(f"{name}: {text}{where}")
+    return LoopLimits(loop=name, gain=gain, columns=tuple(columns), notes=tuple(told))
+
+
+def _tell_places(axis: SweptAxis, places: Sequence[int]) -> str:
+    texts = [axis.tell_place(place) for place in places]
+    return ", ".join(texts) if len(texts) <= 4 else f"{texts[0]}, {texts[1]} ... {texts[-1]}"
+
+
+def _model(results: SweptResults, rows: Values, name: str) -> LoopModel | str:
+    """Return the loop in one of the rows, or why theory draws no line for it."""
+    reason = "no row makes a scenario"
+    for row in rows.tolist():
+        try:
+            scenario = resolve_scenario(results.build_scenario(row))
+            parameters = flatten_scenario(scenario)
+            models = model_loops(declare_scenario(scenario), parameters)
+        except TurtlelogError as err:
+            reason = str(err)
+            continue
+        model = next((one for one in models if one.loop.name == name), None)
+        if model is None:
+            return "theory draws no line, as the law has no such loop"
+        if model.reason:
+            return f"theory draws no line: {model.reason}"
+        if hides_stability(parameters):
+            hidden = [text for text in model.left_out if _hides(text, parameters)]
+            return f"theory draws no line, as it leaves out {', '.join(hidden)}"
+        return model
+    return f"theory draws no line: {reason}"
+
+
+def _hides(text: str, parameters: Mapping[str, Parameter]) -> bool:
+    """Return whether what theory leaves out, as `key = value`, may steady an unstable loop."""
+    key = text.partition(" = ")[0]
+    return hides_stability({key: parameters[key]})
+
+
+def _compute(model: LoopModel) -> ColumnLimits:
+    pid, settings = model.require()
+    process, period_s = settings["process"], settings["period_s"]
+    grown = None
+    if model.most_dead_time_s is not None:
+        longest = replace(process, dead_time_s=model.most_dead_time_s)
+        grown = find_stable_gains(pid, period_s=period_s, process=longest)
+    is_proportional = not pid.ki and not pid.kd
+    design = LoopDesign(process=process, period_s=period_s, filter_s=pid.filter_s)
+    return ColumnLimits(
+        stable=find_stable_gains(pid, **settings),
+        overshoot=find_p_without_overshoot(design) if is_proportional else None,
+        grown=grown,
+    )
+
+
+def find_borders(view: SweptView, cells: SweptCells, limits: LoopLimits) -> list[Border]:
+    """Return where a measured verdict changes along the gain, beside theory, column by column.
+
+    Args:
+        view: With the gain of the loop as an axis.
+        cells: Of a verdict: 1 stable, 0 not.
+        limits: Of its loop.
+    """
+    gains = limits.gain.numbers
+    columns = cells.values.T if limits.gain is view.y else cells.values
+    return [
+        _find_border(place, column, gains, limit)
+        for place, (column, limit) in enumerate(zip(columns, limits.columns, strict=True))
+    ]
+
+
+def _find_border(place: int, verdicts: Values, gains: Values, limit: ColumnLimits | None) -> Border:
+    unstable = np.flatnonzero(verdicts < 0.5)
+    first = int(unstable[0]) if len(unstable) else len(gains)
+    stable = np.flatnonzero(verdicts[:first] >= 0.5)
+    last = int(stable[-1]) if len(stable) else -1
+    theory = None if limit is None or len(limit.stable) != 1 else limit.stability
+    near = None
+    if theory is not None and np.isfinite(verdicts).any():
+        step = int(np.searchsorted(gains, theory))
+        # Between two neighbouring gains the border is where theory has it; a cell more each way.
+        near = last <= step <= first + 1 and not (verdicts[first:] >= 0.5).any()
+    return Border(
+        place=place,
+        last_stable=None if last < 0 else float(gains[last]),
+        first_unstable=None if first == len(gains) else float(gains[first]),
+        theory=theory,
+        is_near=near,
+    )
+
+
+def describe_limits(limit: ColumnLimits | None) -> Mapping[str, Any] | None:
+    """Return a column's limits for JSON."""
+    if limit is None:
+        return None
+    return {
+        "stability": limit.stability,
+        "overshoot": limit.overshoot,
+        "stable": [list(ends) for ends in limit.stable],
+        "stable_with_most_dead_time": limit.grown and [list(ends) for ends in limit.grown],
+    }

@@ -1,0 +1,293 @@
+"""A table of a sweep as what a picture needs of it: axes on which its rows have places, metrics."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import LogError, SweepError, TurtlelogError, suggest_names
+from turtlelog.scenario import Scenario, build_scenario, flatten_scenario
+from turtlelog.sweep.assemble import STATUS
+from turtlelog.sweep.plan import build_row_scenario
+from turtlelog.sweep.result_table import ResultTable, read_column_names, read_result_table
+from turtlelog.text_files import parse_toml
+
+Values = NDArray[np.float64]
+
+SEED: Final = "seed"
+"""The key over whose values runs are repeated, not compared."""
+
+_FIRST: Final = ("stable", "overshoot", "settling_time", "position_error")
+"""What maps are asked for most, by the last part of an id, in this order."""
+
+_USUAL_METRICS: Final = 4
+"""Panels where nobody chooses: two rows of two, each as wide as a column of a paper."""
+
+MOST_METRICS: Final = 12
+"""Panels of one picture: of more, the lettering would be higher than the cells."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweptAxis:
+    """What rows differ in: a key, or keys that go together.
+
+    Attributes:
+        keys: Dotted; the first gives the axis its numbers.
+        values: Of each place, one for each key: numbers ascending, words in the order of rows.
+        places: Of each row, shape (n,).
+        unit: Of the numbers; None where they have none.
+        is_number: Whether places have numbers, all finite; otherwise they stand side by side.
+    """
+
+    keys: tuple[str, ...]
+    values: tuple[tuple[Any, ...], ...]
+    places: NDArray[np.int64]
+    unit: str | None
+    is_number: bool
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def name(self) -> str:
+        """The keys, as the axis is called."""
+        return ", ".join(self.keys)
+
+    @property
+    def label(self) -> str:
+        """Its name for a picture, with the unit."""
+        rest = f" (with {', '.join(self.keys[1:])})" if self.keys[1:] else ""
+        return f"{self.keys[0]}{f' [{self.unit}]' if self.unit else ''}{rest}"
+
+    @property
+    def numbers(self) -> Values:
+        """Where the places stand; 0, 1, 2 ... of words."""
+        if self.is_number:
+            return np.array([value[0] for value in self.values], dtype=np.float64)
+        return np.arange(len(self.values), dtype=np.float64)
+
+    def tell_place(self, place: int) -> str:
+        """Return the values of a place in words."""
+        return ", ".join(format_value(value) for value in self.values[place])
+
+    def tell_row(self, row: int) -> str:
+        """Return keys and values of a row, as in `law.kp_linear = 4`."""
+        values = self.values[self.places[row]]
+        pairs = zip(self.keys, values, strict=True)
+        return ", ".join(f"{key} = {format_value(value)}" for key, value in pairs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweptMetric:
+    """A metric of every row.
+
+    Attributes:
+        name: Its id.
+        unit: Of its values.
+        values: NaN where there is none, shape (n,).
+        reasons: Why there is none, one for each row; None where there is a value.
+    """
+
+    name: str
+    unit: str
+    values: Values
+    reasons: Sequence[str | None]
+
+    @property
+    def is_verdict(self) -> bool:
+        """Whether its values are 0 and 1 by its definition: a class, not a size."""
+        return self.name.rpartition(".")[2] == _FIRST[0]
+
+    @property
+    def loop(self) -> str:
+        """The loop that it may be of: what stands before the point."""
+        return self.name.rpartition(".")[0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweptResults:
+    """The rows of a sweep.
+
+    Attributes:
+        path: The table.
+        axes: In the order of the plan.
+        metrics: Those that were asked for.
+        others: Ids of the metrics that were not.
+        is_sampled: Whether rows were drawn, so that few share a place.
+        failed: How many rows have no run.
+        row_count: How many there are.
+        base: What the rows vary.
+    """
+
+    path: Path | str
+    axes: tuple[SweptAxis, ...]
+    metrics: tuple[SweptMetric, ...]
+    others: tuple[str, ...]
+    is_sampled: bool
+    failed: int
+    row_count: int
+    base: Scenario
+    _known: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def find_axis(self, key: str) -> SweptAxis | None:
+        """Return the axis that a key is on, None where it does not vary."""
+        return next((axis for axis in self.axes if key in axis.keys), None)
+
+    def find_base_value(self, key: str) -> Any:
+        """Return the value of a key in the scenario that the rows vary, None where it has none."""
+        if not self._known:
+            self._known.update(flatten_scenario(self.base))
+        return self._known.get(key)
+
+    def build_scenario(self, row: int) -> Scenario:
+        """Return the scenario of a row. Loads no code, and trusts none.
+
+        Raises:
+            ScenarioError: Where its values make none.
+        """
+        changes = [
+            (key, value)
+            for axis in self.axes
+            for key, value in zip(axis.keys, axis.values[axis.places[row]], strict=True)
+        ]
+        keys, values = [key for key, _ in changes], [value for _, value in changes]
+        return build_row_scenario(
+            self.base, keys, values, row, source=f"{self.path}", trust_law=False
+        )
+
+    def tell_row(self, row: int) -> str:
+        """Return what a row has of every key that varies."""
+        return ", ".join(axis.tell_row(row) for axis in self.axes)
+
+
+def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) -> SweptResults:
+    """Return the rows of a table that `turtlelog sweep` wrote, as pictures show them.
+
+    Args:
+        path: The table.
+        patterns: Ids of metrics, or patterns; None: up to four, the usual ones first.
+
+    Raises:
+        LogError: Where it is no table of a sweep, or has no rows.
+        SweepError: Where it has no such metric, or the patterns name too many.
+        LibraryError: Where pyarrow is not installed.
+    """
+    head = read_result_table(path, kind="sweep", columns=[])
+    try:
+        plan, base = json.loads(head.facts["plan"]), parse_toml(head.facts["base"])
+        groups = [*((key,) for key in plan["grid"]), *([tuple(plan["zip"])] if plan["zip"] else [])]
+        is_sampled = plan["sample"] is not None
+    except (KeyError, TypeError, ValueError) as err:
+        raise LogError(f"{path}: expected the plan and the base of a sweep, found none") from err
+    names = read_column_names(path)
+    known = [name for name in names if f"{name}{STATUS}" in names]
+    missing = [key for group in groups for key in group if key not in names]
+    if missing:
+        raise LogError(f"{path}: expected a column of every key that varies, found no {missing[0]}")
+    asked = known if patterns is None else _match(path, patterns, known)
+    wanted = [*(key for group in groups for key in group), *asked]
+    wanted += [*(f"{name}{STATUS}" for name in asked), "failed"]
+    table = read_result_table(path, kind="sweep", columns=list(dict.fromkeys(wanted)))
+    count = table.row_count
+    if not count:
+        raise LogError(f"{path}: expected at least one row, found none")
+    failed = table.find("failed")
+    reasons: Sequence[Any] = [None] * count if failed is None else failed.cells
+    metrics = [_build_metric(table, name, reasons) for name in asked]
+    if patterns is None:
+        metrics = _choose_usual(metrics)
+    shown = [metric.name for metric in metrics]
+    return SweptResults(
+        path=path,
+        axes=tuple(_build_axis(table, group) for group in groups),
+        metrics=tuple(metrics),
+        others=tuple(name for name in known if name not in shown),
+        is_sampled=is_sampled,
+        failed=sum(reason is not None for reason in reasons),
+        row_count=count,
+        base=_build_base(path, base),
+    )
+
+
+def format_value(value: Any) -> str:
+    """Return a key's value as text."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _build_base(path: str | Path, tables: dict[str, Any]) -> Scenario:
+    try:
+        return build_scenario(tables, source=f"{path}")
+    except TurtlelogError as err:
+        raise LogError(f"{path}: expected the base scenario of a sweep, found: {err}") from err
+
+
+def _match(path: str | Path, patterns: Sequence[str], known: Sequence[str]) -> list[str]:
+    found: dict[str, None] = {}
+    for pattern in patterns:
+        own = [name for name in known if name == pattern or fnmatchcase(name, pattern)]
+        if not own:
+            near = suggest_names(pattern, known)
+            raise SweepError(f"--metrics: expected {near} of {path}, found {pattern!r}")
+        found |= dict.fromkeys(own)
+    if len(found) > MOST_METRICS:
+        raise SweepError(f"--metrics: expected at most {MOST_METRICS} metrics, found {len(found)}")
+    return [*found]
+
+
+def _choose_usual(metrics: Sequence[SweptMetric]) -> list[SweptMetric]:
+    """Return the metrics that are asked for most, of those that have values; else the first."""
+    valued = [metric for metric in metrics if np.isfinite(metric.values).any()]
+
+    def rank(metric: SweptMetric) -> int:
+        last = metric.name.rpartition(".")[2]
+        return _FIRST.index(last) if last in _FIRST else len(_FIRST)
+
+    return sorted(valued or metrics[:1], key=rank)[:_USUAL_METRICS]
+
+
+def _build_metric(table: ResultTable, name: str, failed: Sequence[str | None]) -> SweptMetric:
+    column, statuses = table.find(name), table.find(f"{name}{STATUS}")
+    if column is None or statuses is None or column.type != "real":
+        raise LogError(f"{name}: expected a column of numbers with their statuses, found none")
+    values = np.array([math.nan if cell is None else cell for cell in column.cells], np.float64)
+    reasons: list[str | None] = [None] * len(values)
+    for row in np.flatnonzero(~np.isfinite(values)).tolist():
+        has_infinity = math.isinf(values[row])
+        status = "not finite" if has_infinity else statuses.cells[row]
+        reasons[row] = "failed" if failed[row] is not None else _tell_status(status)
+    values[~np.isfinite(values)] = math.nan
+    return SweptMetric(name=name, unit=column.unit or "", values=values, reasons=reasons)
+
+
+def _tell_status(status: str | None) -> str:
+    if status is None:
+        return "no such loop"
+    return "not finite" if status == "ok" else status.replace("_", " ")
+
+
+def _build_axis(table: ResultTable, keys: tuple[str, ...]) -> SweptAxis:
+    columns = [column for key in keys if (column := table.find(key)) is not None]
+    rows = list(zip(*(column.cells for column in columns), strict=True))
+    distinct = list(dict.fromkeys(rows))
+    is_number = columns[0].type in {"whole", "real"} and all(
+        value[0] is not None and math.isfinite(value[0]) for value in distinct
+    )
+    is_number = is_number and len({value[0] for value in distinct}) == len(distinct)
+    if is_number:
+        distinct.sort(key=lambda value: value[0])
+    order = {value: place for place, value in enumerate(distinct)}
+    return SweptAxis(
+        keys=keys,
+        values=tuple(distinct),
+        places=np.array([order[row] for row in rows], dtype=np.int64),
+        unit=columns[0].unit,
+        is_number=is_number,
+    )

@@ -1,0 +1,289 @@
+"""What a picture shows of a sweep: two axes, what the others are held at, the value of a cell."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import SweepError, suggest_names
+from turtlelog.measure import find_metric_kind
+from turtlelog.sweep.swept_results import SEED, SweptAxis, SweptMetric, SweptResults, format_value
+
+Values = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweptView:
+    """Rows of a sweep over one or two axes.
+
+    Attributes:
+        results: Whose rows they are.
+        x: What stands at the bottom.
+        y: What stands at the side; None where one axis is shown.
+        held: Places of axes that are shown at one value alone.
+        seeds: How many seeds a cell is the mean over; 1 where they are not repeated.
+        rows: Those that are shown, ascending.
+        notes: What was chosen where nobody did, in sentences.
+    """
+
+    results: SweptResults
+    x: SweptAxis
+    y: SweptAxis | None
+    held: Mapping[SweptAxis, int]
+    seeds: int
+    rows: Places
+    notes: tuple[str, ...]
+
+    @property
+    def axes(self) -> tuple[SweptAxis, ...]:
+        """The one or two axes."""
+        return (self.x,) if self.y is None else (self.x, self.y)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Places of y, and of x."""
+        return (1 if self.y is None else len(self.y), len(self.x))
+
+    @property
+    def cells(self) -> Places:
+        """The cell of each row that is shown, counted along x first."""
+        beside = 0 if self.y is None else self.y.places[self.rows] * len(self.x)
+        return np.asarray(self.x.places[self.rows] + beside, dtype=np.int64)
+
+    def find_first_rows(self) -> Places:
+        """Return the first row of each cell, -1 where there is none, shape as `shape`."""
+        found = np.full(self.shape[0] * self.shape[1], -1, dtype=np.int64)
+        found[self.cells[::-1]] = self.rows[::-1]
+        return found.reshape(self.shape)
+
+    def tell_held(self) -> str:
+        """Return what is held, as in `loop.transport_delay_ticks = 4`."""
+        return ", ".join(
+            f"{key} = {format_value(value)}"
+            for axis, place in self.held.items()
+            for key, value in zip(axis.keys, axis.values[place], strict=True)
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweptCells:
+    """A metric in the cells of a view.
+
+    Attributes:
+        values: Means over the rows that have a value, NaN where none has; shape as the view's.
+        least: The smallest of those.
+        most: The largest of those.
+        counts: How many rows have a value.
+        reasons: Why a cell has none, by its number; what no row is in is not there.
+    """
+
+    values: Values
+    least: Values
+    most: Values
+    counts: Places
+    reasons: Mapping[int, str]
+
+
+def choose_view(
+    results: SweptResults,
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    at: Mapping[str, Any] | None = None,
+    gains: Sequence[str] = (),
+    most_axes: int = 2,
+) -> SweptView:
+    """Return the rows that a picture of one or two axes shows.
+
+    Args:
+        results: Of a sweep.
+        x: Key at the bottom; None: chosen.
+        y: Key at the side; None: chosen.
+        at: Values of keys that are held.
+        gains: Keys that stand at the side where they are shown with another.
+        most_axes: 1 or 2.
+
+    Raises:
+        SweepError: Where a key does not vary, or has no such value.
+    """
+    held = {_require_axis(results, key, "--at"): 0 for key in at or {}}
+    for key, value in (at or {}).items():
+        axis = _require_axis(results, key, "--at")
+        held[axis] = _find_place(axis, key, value)
+    asked = [
+        None if key is None else _require_axis(results, key, option)
+        for key, option in ((x, "--x"), (y, "--y"))
+    ]
+    for axis, option in zip(asked, ("--x", "--y"), strict=True):
+        if axis is not None and axis in held:
+            raise SweepError(f"{option}: expected a key that --at does not hold, found {axis.name}")
+    if asked[0] is not None and asked[0] is asked[1]:
+        raise SweepError(f"--y: expected another key than --x, found {asked[0].name}")
+    shown = _choose_axes(results, asked, held, gains, most_axes)
+    return _hold_others(results, shown, held)
+
+
+def _require_axis(results: SweptResults, key: str, option: str) -> SweptAxis:
+    found = results.find_axis(key)
+    if found is None:
+        near = suggest_names(key, [key for axis in results.axes for key in axis.keys])
+        raise SweepError(f"{option}: expected a key that varies ({near}), found {key}")
+    return found
+
+
+def _find_place(axis: SweptAxis, key: str, value: Any) -> int:
+    column = axis.keys.index(key)
+    values = [one[column] for one in axis.values]
+    if value in values:
+        return values.index(value)
+    near = _suggest_near(value, values)
+    raise SweepError(f"--at: expected a value of {key} in the table, as {near}, found {value}")
+
+
+def _suggest_near(value: Any, values: Sequence[Any]) -> str:
+    """Return the values nearest to a number, or the first of words."""
+    is_number = isinstance(value, int | float) and all(isinstance(v, int | float) for v in values)
+    listed = sorted(values, key=lambda one: abs(one - value)) if is_number else values
+    return " or ".join(format_value(one) for one in dict.fromkeys(listed[:3]))
+
+
+def _choose_axes(
+    results: SweptResults,
+    asked: Sequence[SweptAxis | None],
+    held: Mapping[SweptAxis, int],
+    gains: Sequence[str],
+    most: int,
+) -> list[SweptAxis]:
+    """Return x, and y if there is one."""
+    given = [axis for axis in asked if axis is not None]
+    free = [
+        axis for axis in results.axes if axis not in held and axis not in given and len(axis) > 1
+    ]
+    free = [axis for axis in free if axis.keys != (SEED,)] or ([] if given else free)
+    if not free and not given:
+        free = [axis for axis in results.axes if axis not in held] or [results.axes[0]]
+    if asked[0] is not None or asked[1] is not None:
+        most = 2 if asked[1] is not None else most
+    # Words have few places: they are held rather than a range of numbers.
+    ranked = sorted(free, key=lambda axis: not axis.is_number)
+    added = ranked[: max(most - len(given), 0)]
+    if asked[1] is not None:
+        first = asked[0] or (added[0] if added else None)
+        if first is None:
+            raise SweepError(f"--y: expected a second key that varies, found {asked[1].name} alone")
+        return [first, asked[1]]
+    if asked[0] is not None:
+        return [asked[0], *added]
+    added.sort(key=results.axes.index)
+    if len(added) == 2 and is_gain(added[0], gains) and not is_gain(added[1], gains):
+        added.reverse()
+    return added
+
+
+def is_gain(axis: SweptAxis, gains: Sequence[str]) -> bool:
+    """Return whether an axis is one of gains alone."""
+    return set(axis.keys) <= set(gains)
+
+
+def _hold_others(
+    results: SweptResults, shown: Sequence[SweptAxis], held: Mapping[SweptAxis, int]
+) -> SweptView:
+    notes, held, seeds = [], dict(held), 1
+    for axis in results.axes:
+        if axis in shown or axis in held:
+            continue
+        if axis.keys == (SEED,):
+            seeds = len(axis)
+        elif not results.is_sampled:
+            held[axis], how = find_usual_place(results, axis)
+            if len(axis) > 1:
+                notes.append(
+                    f"{axis.tell_row(_find_row(axis, held[axis]))} ({how}); --at holds another"
+                )
+    chosen = np.ones(results.row_count, dtype=bool)
+    for axis, place in held.items():
+        chosen &= axis.places == place
+    rows = np.flatnonzero(chosen)
+    if not len(rows):
+        raise SweepError("--at: expected values that a row has together, found none")
+    return SweptView(
+        results=results,
+        x=shown[0],
+        y=shown[1] if len(shown) > 1 else None,
+        held=held,
+        seeds=seeds,
+        rows=rows,
+        notes=tuple(notes),
+    )
+
+
+def find_usual_place(results: SweptResults, axis: SweptAxis) -> tuple[int, str]:
+    """Return where an axis is held, and why: at the base's values, else in the middle."""
+    base = tuple(results.find_base_value(key) for key in axis.keys)
+    if base in axis.values:
+        return axis.values.index(base), "as in the base"
+    return (len(axis) - 1) // 2, "the middle of its values"
+
+
+def _find_row(axis: SweptAxis, place: int) -> int:
+    return int(np.flatnonzero(axis.places == place)[0])
+
+
+def fill_cells(view: SweptView, metric: SweptMetric) -> SweptCells:
+    """Return the values of a metric in the cells of a view."""
+    count = view.shape[0] * view.shape[1]
+    cells, values = view.cells, metric.values[view.rows]
+    has_value = np.isfinite(values)
+    counts = np.bincount(cells[has_value], minlength=count)
+    least, most = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(least, cells[has_value], values[has_value])
+    np.maximum.at(most, cells[has_value], values[has_value])
+    scale = np.maximum(np.abs(values[has_value]).max(initial=0.0), 1.0)
+    sums = np.bincount(cells[has_value], weights=values[has_value] / scale, minlength=count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = np.where(counts == 1, least, sums / counts * scale)
+    is_empty = counts == 0
+    for array in (means, least, most):
+        array[is_empty] = np.nan
+    reasons = {
+        int(cell): metric.reasons[row] or "no value"
+        for cell, row in zip(cells[::-1].tolist(), view.rows[::-1].tolist(), strict=True)
+        if is_empty[cell]
+    }
+    return SweptCells(
+        values=means.reshape(view.shape),
+        least=least.reshape(view.shape),
+        most=most.reshape(view.shape),
+        counts=counts.reshape(view.shape),
+        reasons=reasons,
+    )
+
+
+def require_values(view: SweptView) -> None:
+    """Refuse metrics of which no row that is shown has a value.
+
+    Raises:
+        SweepError: Where all are such.
+    """
+    metrics, path = view.results.metrics, view.results.path
+    if not metrics:
+        raise SweepError(f"{path}: expected a metric, found none")
+    if any(np.isfinite(metric.values[view.rows]).any() for metric in metrics):
+        return
+    reasons = dict.fromkeys(str(one.reasons[row]) for one in metrics for row in view.rows.tolist())
+    names = ", ".join(metric.name for metric in metrics)
+    raise SweepError(f"{path}: expected a row with a value of {names}, found {', '.join(reasons)}")
+
+
+def find_best_rows(view: SweptView, metric: SweptMetric) -> list[int]:
+    """Return the rows that are shown whose value is the best; () where no direction is better."""
+    kind, values = find_metric_kind(metric.name), metric.values[view.rows]
+    if kind is None or kind.better is None or metric.is_verdict or not np.isfinite(values).any():
+        return []
+    if kind.floor is not None:
+        values = np.maximum(values, kind.floor)
+    best = np.nanmin(values) if kind.better == "lower" else np.nanmax(values)
+    return [int(row) for row in view.rows[values == best]]
