@@ -1,6 +1,6 @@
 """`turtlelog map`: the table of a sweep as maps, curves and sensitivities."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -28,6 +28,8 @@ class ViewOptions:
     """What is shown.
 
     Attributes:
+        kind: A map over two keys (curves where one varies), curves over one key, with a line for
+            each value of a second, or how far each key moves each metric.
         metrics: Ids or patterns of the table's metrics, as in translate.stable,*.overshoot;
             otherwise up to four of them.
         x: Key at the bottom.
@@ -36,6 +38,7 @@ class ViewOptions:
             times.
     """
 
+    kind: Literal["map", "curves", "tornado"] = "map"
     metrics: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
     x: Annotated[str | None, Parameter(metavar="KEY", completer=complete_keys)] = None
     y: Annotated[str | None, Parameter(metavar="KEY", completer=complete_keys)] = None
@@ -61,24 +64,24 @@ class PictureOptions:
     """Where a figure will stand.
 
     Attributes:
-        kind: column is one of two columns of a paper, page its whole width, slide 16:9 with large
+        place: column is one of two columns of a paper, page its whole width, slide 16:9 with large
             lettering.
         text_width: Width of the paper's text [mm], 120 to 1000; 181 unless given. Not of a slide.
         dpi: Resolution of a PNG [dots per inch], 50 to 600; 300 unless given; 144 for a slide.
     """
 
-    kind: Annotated[Literal["column", "page", "slide"], Parameter(name="--for")] = "page"
+    place: Annotated[Literal["column", "page", "slide"], Parameter(name="--for")] = "page"
     text_width: Annotated[float | None, Parameter(metavar="WIDTH")] = None
     dpi: int | None = None
 
     def build_page(self, suffix: str) -> "Page":
         """Return the page of a figure whose file ends so."""
-        if self.text_width is not None and self.kind == "slide":
+        if self.text_width is not None and self.place == "slide":
             raise UsageError("--text-width: expected --for column or page, found slide")
         if self.dpi is not None and suffix != ".png":
             raise UsageError(f"--dpi: expected a .png file, found {suffix or 'none'}")
-        width = {} if self.text_width is None else {"text_width_mm": self.text_width}
-        return tl.show.Page(kind=self.kind, dpi=self.dpi, **width)
+        page = tl.show.Page(kind=self.place, dpi=self.dpi)
+        return page if self.text_width is None else replace(page, text_width_mm=self.text_width)
 
 
 def map_(
@@ -117,7 +120,7 @@ def map_(
     limits = tl.sweep.find_loop_limits(shown)
     if output is not None and page is not None:
         with show_progress("drawing"):
-            tl.show.write_map_figure(shown, limits, output, page=page)
+            tl.show.write_map_figure(shown, limits, output, kind=options.kind, page=page)
     _answer(shown, limits, output, json=json)
 
 

@@ -38,6 +38,11 @@ from .result_table import (
     read_result_table as read_result_table,
     write_result_table as write_result_table,
 )
+from .sensitivities import (
+    Sensitivities as Sensitivities,
+    Sensitivity as Sensitivity,
+    find_sensitivities as find_sensitivities,
+)
 from .simulate_rows import (
     RowRecords as RowRecords,
 )

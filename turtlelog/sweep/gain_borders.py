@@ -160,7 +160,7 @@ def _tell_places(axis: SweptAxis, places: Sequence[int]) -> str:
     return ", ".join(texts) if len(texts) <= 4 else f"{texts[0]}, {texts[1]} ... {texts[-1]}"
 
 
-def _model(results: SweptResults, rows: Values, name: str) -> LoopModel | str:
+def _model(results: SweptResults, rows: NDArray[np.int64], name: str) -> LoopModel | str:
     """Return the loop in one of the rows, or why theory draws no line for it."""
     reason = "no row makes a scenario"
     for row in rows.tolist():

@@ -243,12 +243,14 @@ def _match(path: str | Path, patterns: Sequence[str], known: Sequence[str]) -> l
 
 
 def _choose_usual(metrics: Sequence[SweptMetric]) -> list[SweptMetric]:
-    """Return the metrics that are asked for most, of those that have values; else the first."""
+    """Return the metrics that are asked for most, those that vary first; else the first."""
     valued = [metric for metric in metrics if np.isfinite(metric.values).any()]
 
-    def rank(metric: SweptMetric) -> int:
+    def rank(metric: SweptMetric) -> tuple[bool, int]:
         last = metric.name.rpartition(".")[2]
-        return _FIRST.index(last) if last in _FIRST else len(_FIRST)
+        known = metric.values[np.isfinite(metric.values)]
+        is_constant = not len(known) or bool(known.min() == known.max())
+        return is_constant, _FIRST.index(last) if last in _FIRST else len(_FIRST)
 
     return sorted(valued or metrics[:1], key=rank)[:_USUAL_METRICS]
 

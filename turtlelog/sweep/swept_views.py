@@ -109,17 +109,14 @@ def choose_view(
     Raises:
         SweepError: Where a key does not vary, or has no such value.
     """
-    held = {_require_axis(results, key, "--at"): 0 for key in at or {}}
-    for key, value in (at or {}).items():
-        axis = _require_axis(results, key, "--at")
-        held[axis] = _find_place(axis, key, value)
+    held = _hold(results, at or {})
     asked = [
         None if key is None else _require_axis(results, key, option)
         for key, option in ((x, "--x"), (y, "--y"))
     ]
-    for axis, option in zip(asked, ("--x", "--y"), strict=True):
-        if axis is not None and axis in held:
-            raise SweepError(f"{option}: expected a key that --at does not hold, found {axis.name}")
+    for one, option in zip(asked, ("--x", "--y"), strict=True):
+        if one is not None and one in held:
+            raise SweepError(f"{option}: expected a key that --at does not hold, found {one.name}")
     if asked[0] is not None and asked[0] is asked[1]:
         raise SweepError(f"--y: expected another key than --x, found {asked[0].name}")
     shown = _choose_axes(results, asked, held, gains, most_axes)
@@ -134,13 +131,26 @@ def _require_axis(results: SweptResults, key: str, option: str) -> SweptAxis:
     return found
 
 
-def _find_place(axis: SweptAxis, key: str, value: Any) -> int:
-    column = axis.keys.index(key)
-    values = [one[column] for one in axis.values]
-    if value in values:
-        return values.index(value)
-    near = _suggest_near(value, values)
-    raise SweepError(f"--at: expected a value of {key} in the table, as {near}, found {value}")
+def _hold(results: SweptResults, at: Mapping[str, Any]) -> dict[SweptAxis, int]:
+    """Return the places at which values hold axes."""
+    held: dict[SweptAxis, int] = {}
+    for key, value in at.items():
+        axis = _require_axis(results, key, "--at")
+        column = axis.keys.index(key)
+        values = [one[column] for one in axis.values]
+        if value not in values:
+            near = _suggest_near(value, values)
+            raise SweepError(f"--at: expected a value of {key}, as {near}, found {value}")
+        wanted = [(axis.keys.index(other), at[other]) for other in axis.keys if other in at]
+        places = [
+            place
+            for place, one in enumerate(axis.values)
+            if all(one[column] == wish for column, wish in wanted)
+        ]
+        if not places:
+            raise SweepError(f"--at: expected values of {axis.name} in one row, found none")
+        held[axis] = places[0]
+    return held
 
 
 def _suggest_near(value: Any, values: Sequence[Any]) -> str:
@@ -158,6 +168,7 @@ def _choose_axes(
     most: int,
 ) -> list[SweptAxis]:
     """Return x, and y if there is one."""
+    first, second = asked
     given = [axis for axis in asked if axis is not None]
     free = [
         axis for axis in results.axes if axis not in held and axis not in given and len(axis) > 1
@@ -165,18 +176,16 @@ def _choose_axes(
     free = [axis for axis in free if axis.keys != (SEED,)] or ([] if given else free)
     if not free and not given:
         free = [axis for axis in results.axes if axis not in held] or [results.axes[0]]
-    if asked[0] is not None or asked[1] is not None:
-        most = 2 if asked[1] is not None else most
+    most = 2 if second is not None else most
     # Words have few places: they are held rather than a range of numbers.
     ranked = sorted(free, key=lambda axis: not axis.is_number)
     added = ranked[: max(most - len(given), 0)]
-    if asked[1] is not None:
-        first = asked[0] or (added[0] if added else None)
-        if first is None:
-            raise SweepError(f"--y: expected a second key that varies, found {asked[1].name} alone")
-        return [first, asked[1]]
-    if asked[0] is not None:
-        return [asked[0], *added]
+    if second is not None:
+        if first is None and not added:
+            raise SweepError(f"--y: expected a second key that varies, found {second.name} alone")
+        return [first or added[0], second]
+    if first is not None:
+        return [first, *added]
     added.sort(key=results.axes.index)
     if len(added) == 2 and is_gain(added[0], gains) and not is_gain(added[1], gains):
         added.reverse()

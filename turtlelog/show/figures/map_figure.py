@@ -35,6 +35,10 @@ _MOST_VECTORS: Final = 2_500
 _MOST_WORDS: Final = 12
 """Names of places along a side: each takes 4 mm of a column."""
 
+_FEW_NUMBERS: Final = 6
+"""Numbers of an axis up to which each stands below its cell; a scale between them would say that
+there are cells where there are none."""
+
 _LONGEST: Final = 16
 """Letters of such a name."""
 
@@ -124,18 +128,25 @@ def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
     if is_logarithmic(axis):
         axes.set(**{f"{side}scale": "log"})
     axes.set(**{f"{side}lim": (low, high), f"{side}label": axis.label})
-    if not axis.is_number:
-        mark_places(axes, side, axis)
+    mark_places(axes, side, axis)
     return low, high
 
 
 def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
-    """Write the words of an axis's places along a side; of many every second, third ..."""
+    """Write the values of an axis's places along a side: words, of many every second, third ...
+
+    Of numbers a few stand where they are; more are a scale.
+    """
+    if axis.is_number and len(axis) > _FEW_NUMBERS:
+        return
     places = range(0, len(axis), -(-len(axis) // _MOST_WORDS))
     texts = [axis.tell_place(place) for place in places]
     cut = [text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…" for text in texts]
     drawn = axes.xaxis if side == "x" else axes.yaxis
-    drawn.set_ticks(list(places), labels=[text.replace("$", r"\$") for text in cut])
+    numbers = axis.numbers.tolist()
+    labels = [text.replace("$", r"\$") for text in cut]
+    drawn.set_ticks([], minor=True)
+    drawn.set_ticks([numbers[place] for place in places], labels=labels)
 
 
 def _draw_cells(
@@ -169,7 +180,7 @@ def _draw_points(axes: Axes, view: SweptView, metric: SweptMetric) -> dict[str, 
     looks: dict[str, Any] = {"rasterized": len(values) > _MOST_VECTORS, "zorder": 2.0}
     named: dict[str, Any] = {}
     if not known.all():
-        cross = {"marker": "x", "color": "0.5", "s": size, "linewidth": 0.6}
+        cross: dict[str, Any] = {"marker": "x", "color": "0.5", "s": size, "linewidth": 0.6}
         axes.scatter(x[~known], y[~known], **cross, **looks)
         reasons = dict.fromkeys(str(metric.reasons[row]) for row in view.rows[~known].tolist())
         mark = Line2D([], [], color="0.5", marker="x", linestyle="", markersize=4.0)

@@ -4,7 +4,7 @@ import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -14,28 +14,51 @@ from turtlelog.remote.urls import make_path
 from turtlelog.show.figures.map_figure import draw_map
 from turtlelog.show.figures.page import LOOKS, Page
 from turtlelog.show.figures.swept_curves import draw_curves
+from turtlelog.show.figures.tornado_figure import draw_tornado
 from turtlelog.show.figures.value_scale import group_reasons
 from turtlelog.show.figures.writing import FIGURE_FORMATS, save_figure
 from turtlelog.show.output_files import replace_file
 from turtlelog.sweep.gain_borders import LoopLimits
+from turtlelog.sweep.sensitivities import find_sensitivities
 from turtlelog.sweep.swept_views import SweptView
 
 _PANEL_INCH: Final = 2.5
 """Height of a map with its title and the name of its lower side."""
 
+_TORNADO_INCH: Final = 0.75
+_BAR_INCH: Final = 0.24
+"""Heights of a tornado without bars, and of a bar: a line of its name, and room."""
+
 _NARROWEST_INCH: Final = 2.6
 """A map beside another is at least so wide: its bar and its side take an inch."""
 
 
+MapKind = Literal["map", "curves", "tornado"]
+"""What a figure of a sweep shows."""
+
+_METHODS: Final = (
+    "range along each key, the others held at the line; at the ends the key's values",
+    "Spearman's rank correlation; grey: 95 % of independent keys",
+)
+"""Of sensitivities, in a grid and in a sample."""
+
+
 def write_map_figure(
-    view: SweptView, limits: Sequence[LoopLimits], path: str | Path, *, page: Page | None = None
+    view: SweptView,
+    limits: Sequence[LoopLimits],
+    path: str | Path,
+    *,
+    kind: MapKind = "map",
+    page: Page | None = None,
 ) -> Path:
-    """Write the metrics of a sweep over the axes of a view as one figure, and return its path.
+    """Write the metrics of a sweep as one figure, and return its path.
 
     Args:
         view: As `choose_view` returns it.
         limits: Of theory, as `find_loop_limits` returns them.
         path: Ends in .pdf, .png or .svg.
+        kind: Maps over two axes (over one, curves), curves over one of them, or how far each key
+            moves a metric.
         page: Where it will stand.
 
     Raises:
@@ -43,28 +66,36 @@ def write_map_figure(
     """
     page = page or Page(kind="page")
     with mpl.rc_context(dict(LOOKS)):
-        figure = _lay_out(view, limits, page)
+        figure = _lay_out(
+            view, limits, "curves" if view.y is None and kind == "map" else kind, page
+        )
     return _write(figure, path, page)
 
 
-def _lay_out(view: SweptView, limits: Sequence[LoopLimits], page: Page) -> Figure:
+def _lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
     metrics = view.results.metrics
     columns = min(len(metrics), max(int(page.width_inch / _NARROWEST_INCH), 1))
     rows = -(-len(metrics) // columns)
-    width = page.width_inch
-    figure = Figure(figsize=(width, _PANEL_INCH * rows), layout="constrained")
+    found = [find_sensitivities(view.results, one, dict(view.held)) for one in metrics]
+    most = max(len(one.keys) for one in found)
+    height = _TORNADO_INCH + _BAR_INCH * most if kind == "tornado" else _PANEL_INCH
+    figure = Figure(figsize=(page.width_inch, height * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     named: dict[str, Any] = {}
     reasons = group_reasons(metrics)
     for number, axes in enumerate(grid.flat):
         if number >= len(metrics):
             axes.set_axis_off()
-            continue
-        if view.y is None:
+        elif kind == "tornado":
+            draw_tornado(axes, found[number])
+        elif kind == "curves":
             named |= draw_curves(axes, view, metrics[number], limits)
         else:
             named |= draw_map(axes, view, metrics[number], limits, reasons)
-    _add_legend(figure, named, view)
+    if kind == "tornado":
+        figure.supxlabel(_METHODS[view.results.is_sampled], fontsize=7.0, color="0.4")
+    else:
+        _add_legend(figure, named, view)
     page.fit(figure)
     return figure
 

@@ -139,8 +139,7 @@ def _set_axes(axes: Axes, along: SweptAxis, metric: SweptMetric, values: Values)
     if is_logarithmic(along):
         axes.set_xscale("log")
     axes.set(xlabel=along.label, ylabel=label_metric(metric))
-    if not along.is_number:
-        mark_places(axes, "x", along)
+    mark_places(axes, "x", along)
     known = values[np.isfinite(values)]
     if metric.is_verdict:
         axes.set_yticks([0.0, 1.0], labels=[VERDICT_WORDS[0], VERDICT_WORDS[2]])

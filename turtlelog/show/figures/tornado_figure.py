@@ -1,0 +1,73 @@
+"""Tornados: how far each key of a sweep moves a metric, the furthest on top."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from matplotlib.axes import Axes
+
+from turtlelog.show.figures.page import REFERENCE, choose_lines
+from turtlelog.show.figures.value_scale import label_metric, scale_values
+from turtlelog.sweep.sensitivities import Sensitivities, Sensitivity
+
+_MOST_KEYS: Final = 12
+"""Bars of a panel: each has 4 mm of a column."""
+
+_HEIGHT: Final = 0.62
+
+
+def draw_tornado(axes: Axes, found: Sensitivities) -> None:
+    """Draw a bar for each key: the metric's range along it, or its rank correlation."""
+    keys = found.keys[:_MOST_KEYS]
+    axes.set_title(label_metric(found.metric) if found.chance is None else found.metric.name)
+    axes.grid(visible=False, axis="y")
+    axes.set_yticks(range(len(keys)), labels=[_name(one) for one in keys])
+    axes.set_ylim(max(len(keys), 1) - 0.4, -0.6)
+    if not keys or not any(one.size for one in keys):
+        text = "no key moves it" if keys and found.chance is None else "not known"
+        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", fontsize=7.0, color="0.4")
+    if found.chance is None:
+        _draw_ranges(axes, found, keys)
+    else:
+        _draw_correlations(axes, found, keys)
+
+
+def _name(one: Sensitivity) -> str:
+    return one.axis.name.replace("$", r"\$").replace(", ", ",\n")
+
+
+def _draw_ranges(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) -> None:
+    (looks,) = choose_lines(1)
+    for number, one in enumerate(keys):
+        if one.least is None or one.most is None:
+            continue
+        low, high = (float(scale_values(found.metric, end)) for end in (one.least, one.most))
+        axes.barh(number, high - low, _HEIGHT, left=low, color=looks["color"], alpha=0.75)
+        if high == low:
+            axes.plot([low], [number], "|", color=looks["color"], markersize=7.0)
+            continue
+        for at, place, side in ((low, one.least_place, "left"), (high, one.most_place, "right")):
+            if place is not None:
+                text = f" {one.axis.tell_place(place)} "
+                ha = "right" if side == "left" else "left"
+                axes.text(at, number, text, fontsize=6.2, ha=ha, va="center", color="0.25")
+    if found.center is not None:
+        axes.axvline(float(scale_values(found.metric, found.center)), **REFERENCE)
+    axes.margins(x=0.22)
+
+
+def _draw_correlations(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) -> None:
+    positive, negative = choose_lines(2)
+    if found.chance is not None:
+        axes.axvspan(-found.chance, found.chance, color="0.92", linewidth=0.0, zorder=0.5)
+    for number, one in enumerate(keys):
+        value = one.correlation or 0.0
+        color = (positive if value >= 0.0 else negative)["color"]
+        axes.barh(number, value, _HEIGHT, color=color, zorder=2.0)
+        ha = "left" if value >= 0.0 else "right"
+        axes.text(value, number, f" {value:.2f} ", fontsize=6.2, ha=ha, va="center", color="0.25")
+    axes.axvline(0.0, **REFERENCE)
+    axes.set_xlim(-1.15, 1.15)
+    share = (
+        "" if found.explained is None else f"; all together explain {100 * found.explained:.0f} %"
+    )
+    axes.set_xlabel(f"rank correlation, {found.rows} rows{share}", fontsize=7.0)

@@ -1,0 +1,218 @@
+"""How far each key of a sweep moves a metric: over its values in a grid, by ranks in a sample.
+
+A grid has the metric along each key with the others held. A sample has Spearman's rank correlation
+of each key with the metric (C. Spearman, American Journal of Psychology 15 (1904) 72-101), and
+how much of the metric's ranks all keys together explain in a linear regression of ranks (R. L. Iman
+and W. J. Conover, Technometrics 21 (1979) 499-509): what is left is interaction, what rises and
+falls again, and noise.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.sweep.swept_results import SEED, SweptAxis, SweptMetric, SweptResults
+from turtlelog.sweep.swept_views import find_usual_place
+
+Values = NDArray[np.float64]
+
+_LEAST_ROWS: Final = 10
+"""Of a sample, with a value: of fewer, correlations of chance alone reach 0.65 in one of 20."""
+
+_NORMAL_95: Final = 1.959964
+"""Central 95 % of the normal distribution. Ranks of n independent rows correlate by chance with
+the standard deviation 1 / sqrt(n - 1)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sensitivity:
+    """How far a key moves a metric.
+
+    Attributes:
+        axis: The key, or keys that go together.
+        least: Smallest value of the metric along the key; None of a sample.
+        most: Largest value; None of a sample.
+        least_place: Where that is on the axis; None of a sample.
+        most_place: Where that is; None of a sample.
+        correlation: Spearman's, of a sample; None of a grid.
+        left_out: Rows along the key that have no value.
+        others: Smallest and largest range (most less least) along the key with the others held
+            elsewhere; None where there is no elsewhere, or of a sample.
+    """
+
+    axis: SweptAxis
+    least: float | None = None
+    most: float | None = None
+    least_place: int | None = None
+    most_place: int | None = None
+    correlation: float | None = None
+    left_out: int = 0
+    others: tuple[float, float] | None = None
+
+    @property
+    def size(self) -> float:
+        """By how much the key counts: range, or magnitude of the correlation."""
+        if self.correlation is not None:
+            return abs(self.correlation)
+        return 0.0 if self.least is None or self.most is None else self.most - self.least
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sensitivities:
+    """How far the keys of a sweep move a metric.
+
+    Attributes:
+        metric: Which.
+        keys: Largest first.
+        center: Its value where all keys are held; None of a sample, or where it has none.
+        chance: Magnitude up to which 95 % of correlations of independent keys lie; None of a grid.
+        explained: Share of the metric's ranks that those of all keys explain together, 0 to 1;
+            None of a grid, or where a key has words.
+        rows: That have a value, of a sample.
+        notes: What was left out, in sentences.
+    """
+
+    metric: SweptMetric
+    keys: tuple[Sensitivity, ...]
+    center: float | None = None
+    chance: float | None = None
+    explained: float | None = None
+    rows: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def find_sensitivities(
+    results: SweptResults, metric: SweptMetric, held: dict[SweptAxis, int] | None = None
+) -> Sensitivities:
+    """Return how far the keys of a sweep move a metric.
+
+    Args:
+        results: Of a grid or a sample.
+        metric: One of its metrics.
+        held: Places at which keys of a grid are held; the others are held at the base's values,
+            else in the middle.
+    """
+    if results.is_sampled:
+        return _correlate(results, metric)
+    axes = [axis for axis in results.axes if len(axis) > 1 and axis.keys != (SEED,)]
+    center = {axis: find_usual_place(results, axis)[0] for axis in axes} | (held or {})
+    center = {axis: place for axis, place in center.items() if axis in axes}
+    cube = _fill_cube(axes, metric)
+    found = [_range_along(axes, number, center, cube) for number in range(len(axes))]
+    value = float(cube[tuple(center[axis] for axis in axes)]) if axes else math.nan
+    notes = [
+        f"{metric.name}: {one.left_out} of {len(one.axis)} values of {one.axis.name} have no value"
+        " and are left out"
+        for one in found
+        if one.left_out
+    ]
+    return Sensitivities(
+        metric=metric,
+        keys=tuple(sorted(found, key=lambda one: -one.size)),
+        center=None if math.isnan(value) else value,
+        notes=tuple(notes),
+    )
+
+
+def _fill_cube(axes: Sequence[SweptAxis], metric: SweptMetric) -> Values:
+    """Return the metric by places of all axes, means over seeds; NaN where there is none."""
+    shape = tuple(len(axis) for axis in axes)
+    known = np.isfinite(metric.values)
+    count = math.prod(shape)
+    cells = np.zeros(len(metric.values), dtype=np.int64)
+    for axis in axes:
+        cells = cells * len(axis) + axis.places
+    counts = np.bincount(cells[known], minlength=count)
+    sums = np.bincount(cells[known], weights=metric.values[known], minlength=count)
+    means = np.full(count, np.nan)
+    np.divide(sums, counts, out=means, where=counts > 0)
+    return means.reshape(shape)
+
+
+def _range_along(
+    axes: Sequence[SweptAxis], number: int, center: dict[SweptAxis, int], cube: Values
+) -> Sensitivity:
+    places = tuple(center[axis] for axis in axes)
+    line = cube[(*places[:number], slice(None), *places[number + 1 :])]
+    known = np.flatnonzero(np.isfinite(line))
+    left_out = len(line) - len(known)
+    if not len(known):
+        return Sensitivity(axis=axes[number], left_out=left_out)
+    low, high = (int(known[find(line[known])]) for find in (np.argmin, np.argmax))
+    return Sensitivity(
+        axis=axes[number],
+        least=float(line[low]),
+        most=float(line[high]),
+        least_place=low,
+        most_place=high,
+        left_out=left_out,
+        others=_find_other_ranges(np.moveaxis(cube, number, 0).reshape(len(line), -1)),
+    )
+
+
+def _find_other_ranges(lines: Values) -> tuple[float, float] | None:
+    """Return the smallest and largest range over all lines that have a value at every place."""
+    whole = lines[:, np.isfinite(lines).all(axis=0)]
+    if lines.shape[1] < 2 or not whole.shape[1]:
+        return None
+    ranges = whole.max(axis=0) - whole.min(axis=0)
+    return float(ranges.min()), float(ranges.max())
+
+
+def _correlate(results: SweptResults, metric: SweptMetric) -> Sensitivities:
+    known = np.isfinite(metric.values)
+    rows = int(known.sum())
+    axes = [axis for axis in results.axes if len(axis) > 1]
+    numeric = [axis for axis in axes if axis.is_number]
+    notes = [
+        f"{metric.name}: {axis.name} has words, which have no ranks" for axis in axes
+        if not axis.is_number
+    ]  # fmt: skip
+    if rows < len(known):
+        left = len(known) - rows
+        notes.append(f"{metric.name}: {left} of {len(known)} rows have no value and are left out")
+    values = metric.values[known]
+    if rows < _LEAST_ROWS or values.min() == values.max():
+        found = f"{rows} rows" if rows < _LEAST_ROWS else "one value in all rows"
+        notes.append(f"{metric.name}: no correlation of {found}")
+        return Sensitivities(metric=metric, keys=(), rows=rows, notes=tuple(notes))
+    ranks = _rank(values)
+    columns = [_rank(axis.numbers[axis.places[known]]) for axis in numeric]
+    found = [
+        Sensitivity(axis=axis, correlation=_find_correlation(column, ranks))
+        for axis, column in zip(numeric, columns, strict=True)
+    ]
+    return Sensitivities(
+        metric=metric,
+        keys=tuple(sorted(found, key=lambda one: -one.size)),
+        chance=_NORMAL_95 / math.sqrt(rows - 1),
+        explained=_find_explained(columns, ranks) if len(numeric) == len(axes) else None,
+        rows=rows,
+        notes=tuple(notes),
+    )
+
+
+def _rank(values: Values) -> Values:
+    """Return ranks from 0; equal values share their mean."""
+    _, places, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ends = np.cumsum(counts)
+    return np.asarray((ends - (counts + 1) / 2.0)[places], dtype=np.float64)
+
+
+def _find_correlation(first: Values, second: Values) -> float:
+    """Return the correlation of ranks; 0 where one is constant."""
+    a, b = first - first.mean(), second - second.mean()
+    scale = math.sqrt(float(a @ a) * float(b @ b))
+    return float(a @ b) / scale if scale else 0.0
+
+
+def _find_explained(columns: Sequence[Values], ranks: Values) -> float:
+    design = np.column_stack([np.ones(len(ranks)), *columns])
+    solution, *_ = np.linalg.lstsq(design, ranks, rcond=None)
+    rest = ranks - design @ solution
+    whole = ranks - ranks.mean()
+    return 1.0 - float(rest @ rest) / float(whole @ whole)
