@@ -230,16 +230,26 @@ def _hatch_cells(
     groups: dict[tuple[str, str], list[int]] = {}
     for cell, one in hatched.items():
         groups.setdefault(one, []).append(cell)
-    (x, y), named = edges, {}
+    named = {}
     for (text, hatch), cells in groups.items():
-        row, column = np.divmod(np.array(cells), len(x) - 1)
-        left, right, low, high = x[column], x[column + 1], y[row], y[row + 1]
-        corners = [[left, low], [right, low], [right, high], [left, high]]
-        shapes = np.array(corners).transpose(2, 0, 1)
+        shapes = _join_cells(edges, np.array(cells))
         grey = {**VALUELESS, "hatch": hatch, "linewidth": 0.0}
-        axes.add_collection(PolyCollection(list(shapes), **grey, **looks))
+        axes.add_collection(PolyCollection(shapes, **grey, **looks))
         named[text] = Patch(**{**grey, "linewidth": 0.4})
     return named
+
+
+def _join_cells(edges: tuple[Values, Values], cells: NDArray[np.int64]) -> list[Values]:
+    """Return the corners of rectangles that cover cells: those above each other are one."""
+    x, y = edges
+    column, row = np.divmod(np.sort(cells % (len(x) - 1) * len(y) + cells // (len(x) - 1)), len(y))
+    is_first = np.r_[True, (np.diff(row) != 1) | (np.diff(column) != 0)]
+    first = np.flatnonzero(is_first)
+    last = np.r_[first[1:], len(row)] - 1
+    left, right = x[column[first]], x[column[first] + 1]
+    low, high = y[row[first]], y[row[last] + 1]
+    corners = np.array([[left, low], [right, low], [right, high], [left, high]])
+    return list(corners.transpose(2, 0, 1))
 
 
 def _draw_limits(

@@ -26,8 +26,8 @@ _PANEL_INCH: Final = 2.5
 """Height of a map with its title and the name of its lower side."""
 
 _TORNADO_INCH: Final = 0.75
-_BAR_INCH: Final = 0.24
-"""Heights of a tornado without bars, and of a bar: a line of its name, and room."""
+_BAR_INCH: Final = 0.34
+"""Heights of a tornado without bars, and of a bar: two lines of lettering."""
 
 _NARROWEST_INCH: Final = 2.6
 """A map beside another is at least so wide: its bar and its side take an inch."""
@@ -37,7 +37,7 @@ MapKind = Literal["map", "curves", "tornado"]
 """What a figure of a sweep shows."""
 
 _METHODS: Final = (
-    "range along each key, the others held at the line; at the ends the key's values",
+    "range along each key, the others held where the line is; below it, its values at both ends",
     "Spearman's rank correlation; grey: 95 % of independent keys",
 )
 """Of sensitivities, in a grid and in a sample."""

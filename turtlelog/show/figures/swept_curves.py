@@ -70,6 +70,7 @@ def draw_curves(
         for one in (cells.values, cells.least, cells.most)
     ]
     named: dict[str, Any] = {}
+    theory: dict[str, Any] = {}
     places = choose_series(series)
     for looks, place in zip(choose_lines(len(places)), places, strict=True):
         mean, least, most = (part[place] for part in parts)
@@ -82,9 +83,11 @@ def draw_curves(
             named["least to greatest over the seeds"] = Patch(facecolor="0.8")
         color = None if series is None else looks["color"]
         if found is not None:
-            named |= _draw_limits(axes, found, along, place, color)
+            theory |= _draw_limits(axes, found, along, place, color)
     _set_axes(axes, along, metric, parts[0][places])
-    return named
+    if series is not None and len(places) < len(series):
+        named[f"{len(places)} of {len(series)} values"] = Line2D([], [], linestyle="")
+    return named | theory
 
 
 def _find_row(axis: SweptAxis, place: int) -> int:
@@ -106,10 +109,10 @@ def _draw_line(
     if name is not None:
         named[name] = Line2D([], [], color=color, marker="o", markersize=2.6, linewidth=0.9)
     if not known.all():
-        mark: dict[str, Any] = {"color": "#b3261e", "marker": "x", "linestyle": "", "ms": 3.0}
+        mark: dict[str, Any] = {"color": color, "marker": "x", "linestyle": "", "ms": 3.0}
         at = np.full((~known).sum(), 0.985)
         axes.plot(numbers[~known], at, transform=axes.get_xaxis_transform(), **mark)
-        named["no value"] = Line2D([], [], **mark)
+        named["no value"] = Line2D([], [], **{**mark, "color": "0.4"})
     return named
 
 
