@@ -74,12 +74,17 @@ class PictureOptions:
     text_width: Annotated[float | None, Parameter(metavar="WIDTH")] = None
     dpi: int | None = None
 
+    @property
+    def is_given(self) -> bool:
+        """Whether any of it was asked for."""
+        return self != PictureOptions()
+
     def build_page(self, suffix: str) -> "Page":
         """Return the page of a figure whose file ends so."""
         if self.text_width is not None and self.place == "slide":
             raise UsageError("--text-width: expected --for column or page, found slide")
         if self.dpi is not None and suffix != ".png":
-            raise UsageError(f"--dpi: expected a .png file, found {suffix or 'none'}")
+            raise UsageError(f"--dpi: expected a .png file, found {suffix}")
         page = tl.show.Page(kind=self.place, dpi=self.dpi)
         return page if self.text_width is None else replace(page, text_width_mm=self.text_width)
 
@@ -107,35 +112,55 @@ def map_(
 
     Args:
         table: What `turtlelog sweep` wrote (.parquet).
-        output: Write this .pdf, .png or .svg figure.
+        output: Write this figure (.pdf, .png, .svg), report (.html) or Rerun recording (.rrd).
         json: Print one JSON object instead of lines.
     """
     options, picture = view or ViewOptions(), picture or PictureOptions()
-    page = _require_output(output, table, picture)
+    page = _require_output(output, table, options.kind, picture)
     patterns, held = options.list_patterns(), options.read_held()
     results = tl.sweep.read_swept_results(table, patterns)
     gains = tl.sweep.list_gain_keys(results)
     shown = tl.sweep.choose_view(results, x=options.x, y=options.y, at=held, gains=gains)
     tl.sweep.require_values(shown)
     limits = tl.sweep.find_loop_limits(shown)
-    if output is not None and page is not None:
+    if output is not None:
         with show_progress("drawing"):
-            tl.show.write_map_figure(shown, limits, output, kind=options.kind, page=page)
+            _write(shown, limits, output, options, page)
     _answer(shown, limits, output, json=json)
 
 
-def _require_output(output: Path | None, table: Path, picture: PictureOptions) -> "Page | None":
+def _require_output(
+    output: Path | None, table: Path, kind: str, picture: PictureOptions
+) -> "Page | None":
+    """Refuse an output that cannot be written; return the page of a figure."""
     suffix = "" if output is None else output.suffix.lower()
+    if suffix not in _PICTURES and picture.is_given:
+        raise UsageError("--for, --text-width, --dpi: expected a figure to write, found none")
     if output is None:
-        if picture.dpi is not None:
-            raise UsageError("--dpi: expected --output beside it, found none")
         return None
-    if suffix not in _PICTURES:
-        raise UsageError(
-            f"--output {output}: expected a name that ends in .pdf, .png or .svg, found another"
-        )
+    if suffix not in {*_PICTURES, ".html", ".rrd"}:
+        expected = "a name that ends in .pdf, .png, .svg, .html or .rrd"
+        raise UsageError(f"--output {output}: expected {expected}, found another")
+    if suffix in {".html", ".rrd"} and kind != "map":
+        raise UsageError(f"--kind {kind}: expected a figure to write, found {output}")
     require_new_target(output, [table], suffix=suffix)
-    return picture.build_page(suffix)
+    return picture.build_page(suffix) if suffix in _PICTURES else None
+
+
+def _write(
+    view: "SweptView",
+    limits: "list[LoopLimits]",
+    output: Path,
+    options: ViewOptions,
+    page: "Page | None",
+) -> None:
+    suffix = output.suffix.lower()
+    if suffix == ".rrd":
+        tl.show.write_map_rrd(view, limits, output)
+    elif suffix == ".html":
+        raise NotImplementedError
+    else:
+        tl.show.write_map_figure(view, limits, output, kind=options.kind, page=page)
 
 
 def _answer(

@@ -1,6 +1,5 @@
 """Maps of a sweep: metrics over two keys, with theory's limits of the gain over them."""
 
-import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
@@ -13,17 +12,21 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from turtlelog.show.figures.value_scale import (
-    VALUELESS,
+from turtlelog.show.figures.value_scale import VALUELESS, ColorScale, build_scale
+from turtlelog.show.map_values import (
+    GROWN,
+    OVERSHOOT,
+    STABILITY,
     VERDICT_COLORS,
     VERDICT_WORDS,
-    ColorScale,
-    build_scale,
+    find_edges,
     find_verdict_classes,
+    is_logarithmic,
     label_metric,
+    list_branches,
     scale_values,
 )
-from turtlelog.sweep.gain_borders import ColumnLimits, LoopLimits, choose_limits
+from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
 from turtlelog.sweep.swept_results import SweptAxis, SweptMetric
 from turtlelog.sweep.swept_views import SweptView, fill_cells
 
@@ -47,13 +50,13 @@ _HALO: Final = 1.4
 
 LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
-        "instability (theory)": {"color": "#b3261e", "linewidth": 1.2},
-        "instability with the most dead time (theory)": {
+        STABILITY: {"color": "#b3261e", "linewidth": 1.2},
+        GROWN: {
             "color": "#b3261e",
             "linewidth": 1.0,
             "linestyle": (0, (1.2, 1.2)),
         },
-        "overshoot begins (theory)": {
+        OVERSHOOT: {
             "color": "#7a4b00",
             "linewidth": 1.0,
             "linestyle": (0, (5, 2)),
@@ -93,32 +96,6 @@ def draw_map(
     if found is not None:
         named |= _draw_limits(axes, view, found, ends)
     return named
-
-
-def find_edges(axis: SweptAxis) -> Values:
-    """Return where the cells of an axis begin and end: halfway between its places."""
-    numbers = axis.numbers
-    if len(numbers) == 1:
-        half = abs(float(numbers[0])) * 0.1 or 0.5
-        return np.array([numbers[0] - half, numbers[0] + half])
-    if is_logarithmic(axis):
-        return np.exp(_find_middles(np.log(numbers)))
-    return _find_middles(numbers)
-
-
-def is_logarithmic(axis: SweptAxis) -> bool:
-    """Return whether the ratios of an axis's numbers are more alike than their differences."""
-    numbers = axis.numbers
-    if not axis.is_number or len(numbers) < 3 or numbers[0] <= 0.0:
-        return False
-    steps, ratios = np.diff(numbers), np.diff(np.log(numbers))
-    return bool(ratios.std() / ratios.mean() < 0.999 * steps.std() / steps.mean())
-
-
-def _find_middles(numbers: Values) -> Values:
-    middles = numbers[:-1] / 2.0 + numbers[1:] / 2.0
-    first, last = 2.0 * numbers[0] - middles[0], 2.0 * numbers[-1] - middles[-1]
-    return np.concatenate([[first], middles, [last]])
 
 
 def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
@@ -274,22 +251,3 @@ def _draw_limits(
             axes.plot(*line, **looks, zorder=3.0)
             named[f"{found.loop}: {name}"] = Line2D([], [], **looks)
     return named
-
-
-def list_branches(columns: Sequence[ColumnLimits | None], name: str) -> list[Values]:
-    """Return the values of a limit, one for each column, NaN where there is none.
-
-    Where a loop is stable in several ranges of its gain, or not from 0 on, each end is a branch.
-    """
-    ends = [() if one is None else _list_ends(one, name) for one in columns]
-    most = max(map(len, ends), default=0)
-    # Counted from the top: the highest end is there wherever there is one.
-    padded = [[*([math.nan] * (most - len(one))), *one] for one in ends]
-    return [np.array(values, dtype=np.float64) for values in zip(*padded, strict=True)]
-
-
-def _list_ends(limit: ColumnLimits, name: str) -> tuple[float, ...]:
-    if name.startswith("overshoot"):
-        return () if limit.overshoot is None else (limit.overshoot,)
-    ranges = limit.stable if "dead time" not in name else limit.grown or ()
-    return tuple(end for pair in ranges for end in pair if end > 0.0 and math.isfinite(end))

@@ -9,9 +9,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from turtlelog.show.figures.map_figure import LIMITS, is_logarithmic, list_branches, mark_places
+from turtlelog.show.figures.map_figure import LIMITS, mark_places
 from turtlelog.show.figures.page import choose_lines
-from turtlelog.show.figures.value_scale import VERDICT_WORDS, label_metric, scale_values
+from turtlelog.show.map_values import (
+    VERDICT_WORDS,
+    is_logarithmic,
+    label_metric,
+    list_branches,
+    scale_values,
+)
 from turtlelog.show.palette import FEW
 from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
 from turtlelog.sweep.swept_results import SweptAxis, SweptMetric

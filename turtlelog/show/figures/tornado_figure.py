@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from turtlelog.show.figures.page import REFERENCE, choose_lines
-from turtlelog.show.figures.value_scale import label_metric, scale_values
+from turtlelog.show.map_values import label_metric, scale_values
 from turtlelog.sweep.sensitivities import Sensitivities, Sensitivity
 
 _MOST_KEYS: Final = 12

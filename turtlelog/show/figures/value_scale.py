@@ -1,4 +1,4 @@
-"""How values become colours: a ramp with its bar, classes of verdicts, hatches of what has none."""
+"""Colours of values in a figure: a ramp for its bar, hatches of what has no value."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -6,30 +6,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
-import numpy as np
 from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize
-from numpy.typing import NDArray
 
+from turtlelog.show.map_values import Values, find_value_range
 from turtlelog.show.palette import choose_run_colors
 from turtlelog.sweep.swept_results import SweptMetric
 
-Values = NDArray[np.float64]
-
 _SHADES: Final = 256
-
-_DECADES: Final = 100.0
-"""Largest over least value from which colours are logarithmic: on a linear scale all of the lower
-decade would share 3 of 256 shades."""
-
-_OUTLYING: Final = 10.0
-"""Beyond the central nine tenths by more than so many times their range, values share the last
-colour, which the bar shows by its pointed end: otherwise they leave all others less than a tenth of
-the colours."""
-
-VERDICT_COLORS: Final = ("#e8a28f", "#d9d9d9", "#9ac7e0")
-"""Unstable, between, stable: apart in lightness too, and light enough for theory's lines."""
-
-VERDICT_WORDS: Final = ("not stable", "stable for some seeds", "stable")
 
 _HATCHES: Final = ("", "////", "....", "xxxx")
 """Of reasons for no value; the last stands for all others."""
@@ -54,43 +37,13 @@ class ColorScale:
 
 def build_scale(values: Values) -> ColorScale:
     """Return the scale of values, of which those that are NaN are left out."""
-    known = values[np.isfinite(values)]
     ramp = [tuple(part / 255.0 for part in color) for color in choose_run_colors(_SHADES)]
-    colors = ListedColormap(ramp, name="turtlelog")
-    if not len(known):
-        return ColorScale(norm=Normalize(0.0, 1.0), colors=colors, extend="neither")
-    low, high = float(known.min()), float(known.max())
-    if low > 0.0 and high / low >= _DECADES:
-        return ColorScale(norm=LogNorm(low, high), colors=colors, extend="neither")
-    inner_low, inner_high = (float(one) for one in np.quantile(known, [0.05, 0.95]))
-    room = _OUTLYING * (inner_high - inner_low)
-    is_below, is_above = 0.0 < room < inner_low - low, 0.0 < room < high - inner_high
-    low, high = inner_low if is_below else low, inner_high if is_above else high
-    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}
-    if low == high:  # one colour, in the middle of a bar that names the value
-        spread = abs(low) * 1e-3 or 1e-3
-        low, high = low - spread, high + spread
+    found = find_value_range(values)
     return ColorScale(
-        norm=Normalize(low, high),
-        colors=colors,
-        extend=extend.get((is_below, is_above), "neither"),
+        norm=(LogNorm if found.is_logarithmic else Normalize)(found.low, found.high),
+        colors=ListedColormap(ramp, name="turtlelog"),
+        extend=found.extend,
     )
-
-
-def find_verdict_classes(values: Values) -> Values:
-    """Return 0 for not stable, 1 for in between, 2 for stable; NaN stays."""
-    return np.where(values >= 1.0, 2.0, np.where(values <= 0.0, 0.0, values * 0.0 + 1.0))
-
-
-def label_metric(metric: SweptMetric) -> str:
-    """Return a metric's name with its unit, angles in degrees."""
-    unit = "deg" if metric.unit == "rad" else metric.unit
-    return metric.name + (f" [{unit}]" if unit not in {"", "1"} else "")
-
-
-def scale_values(metric: SweptMetric, values: Values) -> Values:
-    """Return values in the unit in which they are shown."""
-    return np.degrees(values) if metric.unit == "rad" else values
 
 
 def group_reasons(metrics: Sequence[SweptMetric]) -> dict[str, tuple[str, str]]:

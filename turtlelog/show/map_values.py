@@ -1,0 +1,137 @@
+"""What maps of a sweep share, on paper and on screen: ends of cells, ranges of values, limits."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.sweep.gain_borders import ColumnLimits
+from turtlelog.sweep.swept_results import SweptAxis, SweptMetric
+
+Values = NDArray[np.float64]
+
+VERDICT_COLORS: Final = ("#e8a28f", "#d9d9d9", "#9ac7e0")
+"""Unstable, between, stable: apart in lightness too, and light enough for theory's lines."""
+
+VERDICT_WORDS: Final = ("not stable", "stable for some seeds", "stable")
+
+_DECADES: Final = 100.0
+"""Largest over least value from which colours are logarithmic: on a linear scale all of the lower
+decade would share 3 of 256 shades."""
+
+_OUTLYING: Final = 10.0
+"""Beyond the central nine tenths by more than so many times their range, values share the last
+colour, which the bar shows by its pointed end: otherwise they leave all others less than a tenth of
+the colours."""
+
+STABILITY: Final = "instability (theory)"
+GROWN: Final = "instability with the most dead time (theory)"
+OVERSHOOT: Final = "overshoot begins (theory)"
+"""Theory's limits, by their names in a legend."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValueRange:
+    """Which values have which colours.
+
+    Attributes:
+        low: The value of the first colour.
+        high: The value of the last; greater.
+        is_logarithmic: Whether decades are of one length.
+        extend: At which ends there are values beyond: `neither`, `min`, `max` or `both`.
+    """
+
+    low: float
+    high: float
+    is_logarithmic: bool = False
+    extend: str = "neither"
+
+    def share(self, values: Values) -> Values:
+        """Return where values stand between the ends, 0 to 1; NaN stays."""
+        low, high = self.low, self.high
+        if self.is_logarithmic:
+            values, low, high = np.log(values), math.log(low), math.log(high)
+        return np.clip((values - low) / (high - low), 0.0, 1.0)
+
+
+def find_value_range(values: Values) -> ValueRange:
+    """Return the range of values, of which those that are NaN are left out."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return ValueRange(low=0.0, high=1.0)
+    low, high = float(known.min()), float(known.max())
+    if low > 0.0 and high / low >= _DECADES:
+        return ValueRange(low=low, high=high, is_logarithmic=True)
+    inner_low, inner_high = (float(one) for one in np.quantile(known, [0.05, 0.95]))
+    room = _OUTLYING * (inner_high - inner_low)
+    is_below, is_above = 0.0 < room < inner_low - low, 0.0 < room < high - inner_high
+    low, high = inner_low if is_below else low, inner_high if is_above else high
+    if low == high:  # one colour, in the middle of a bar that names the value
+        spread = abs(low) * 1e-3 or 1e-3
+        low, high = low - spread, high + spread
+    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}
+    return ValueRange(low=low, high=high, extend=extend.get((is_below, is_above), "neither"))
+
+
+def find_verdict_classes(values: Values) -> Values:
+    """Return 0 for not stable, 1 for in between, 2 for stable; NaN stays."""
+    return np.where(values >= 1.0, 2.0, np.where(values <= 0.0, 0.0, values * 0.0 + 1.0))
+
+
+def label_metric(metric: SweptMetric) -> str:
+    """Return a metric's name with its unit, angles in degrees."""
+    unit = "deg" if metric.unit == "rad" else metric.unit
+    return metric.name + (f" [{unit}]" if unit not in {"", "1"} else "")
+
+
+def scale_values(metric: SweptMetric, values: Values) -> Values:
+    """Return values in the unit in which they are shown."""
+    return np.degrees(values) if metric.unit == "rad" else values
+
+
+def find_edges(axis: SweptAxis) -> Values:
+    """Return where the cells of an axis begin and end: halfway between its places."""
+    numbers = axis.numbers
+    if len(numbers) == 1:
+        half = abs(float(numbers[0])) * 0.1 or 0.5
+        return np.array([numbers[0] - half, numbers[0] + half])
+    if is_logarithmic(axis):
+        return np.exp(_find_middles(np.log(numbers)))
+    return _find_middles(numbers)
+
+
+def is_logarithmic(axis: SweptAxis) -> bool:
+    """Return whether the ratios of an axis's numbers are more alike than their differences."""
+    numbers = axis.numbers
+    if not axis.is_number or len(numbers) < 3 or numbers[0] <= 0.0:
+        return False
+    steps, ratios = np.diff(numbers), np.diff(np.log(numbers))
+    return bool(ratios.std() / ratios.mean() < 0.999 * steps.std() / steps.mean())
+
+
+def _find_middles(numbers: Values) -> Values:
+    middles = numbers[:-1] / 2.0 + numbers[1:] / 2.0
+    first, last = 2.0 * numbers[0] - middles[0], 2.0 * numbers[-1] - middles[-1]
+    return np.concatenate([[first], middles, [last]])
+
+
+def list_branches(columns: Sequence[ColumnLimits | None], name: str) -> list[Values]:
+    """Return the values of a limit, one for each column, NaN where there is none.
+
+    Where a loop is stable in several ranges of its gain, or not from 0 on, each end is a branch.
+    """
+    ends = [() if one is None else _list_ends(one, name) for one in columns]
+    most = max(map(len, ends), default=0)
+    # Counted from the top: the highest end is there wherever there is one.
+    padded = [[*([math.nan] * (most - len(one))), *one] for one in ends]
+    return [np.array(values, dtype=np.float64) for values in zip(*padded, strict=True)]
+
+
+def _list_ends(limit: ColumnLimits, name: str) -> tuple[float, ...]:
+    if name == OVERSHOOT:
+        return () if limit.overshoot is None else (limit.overshoot,)
+    ranges = limit.stable if name == STABILITY else limit.grown or ()
+    return tuple(end for pair in ranges for end in pair if end > 0.0 and math.isfinite(end))
