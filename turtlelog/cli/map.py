@@ -1,5 +1,6 @@
 """`turtlelog map`: the table of a sweep as maps, curves and sensitivities."""
 
+import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -52,6 +53,12 @@ class ViewOptions:
         if not all(patterns):
             raise UsageError(f"--metrics: expected ids separated by commas, found {self.metrics!r}")
         return patterns
+
+    def list_words(self) -> list[str]:
+        """Return the options as they were given."""
+        given = (("--metrics", self.metrics), ("--x", self.x), ("--y", self.y))
+        words = [word for name, text in given if text is not None for word in (name, text)]
+        return words + [word for text in self.at or [] for word in ("--at", text)]
 
     def read_held(self) -> dict[str, Any]:
         """Return what --at says."""
@@ -158,7 +165,10 @@ def _write(
     if suffix == ".rrd":
         tl.show.write_map_rrd(view, limits, output)
     elif suffix == ".html":
-        raise NotImplementedError
+        words = ["turtlelog", "map", str(view.results.path), *options.list_words()]
+        tl.show.write_map_report(
+            view, limits, output, command=shlex.join([*words, "-o", str(output)])
+        )
     else:
         tl.show.write_map_figure(view, limits, output, kind=options.kind, page=page)
 
@@ -172,4 +182,6 @@ def _answer(
     if json:
         print_json({**told, "output": None if output is None else str(output)})
         return
-    print_lines([*list_map_lines(view, told), *([] if output is None else [f"wrote {output}"])])
+    print_lines(
+        [*list_map_lines(view, limits, told), *([] if output is None else [f"wrote {output}"])]
+    )

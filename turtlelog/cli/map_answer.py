@@ -11,7 +11,7 @@ from turtlelog.cli.output import find_command_name
 from turtlelog.display import describe_count, format_number, join_words
 
 if TYPE_CHECKING:
-    from turtlelog.sweep import LoopLimits, SweptMetric, SweptView
+    from turtlelog.sweep import Border, LoopLimits, SweptMetric, SweptView
 
 
 def describe_map(view: "SweptView", limits: "Sequence[LoopLimits]") -> dict[str, Any]:
@@ -100,8 +100,9 @@ def _describe_best(view: "SweptView", metric: "SweptMetric") -> dict[str, Any] |
 def _describe_borders(
     view: "SweptView", metric: "SweptMetric", limits: "Sequence[LoopLimits]"
 ) -> list[dict[str, Any]] | None:
+    borders = tl.sweep.find_borders(view, metric, limits)
     own = next((one for one in limits if one.loop == metric.loop), None)
-    if not metric.is_verdict or own is None or view.results.is_sampled:
+    if borders is None or own is None:
         return None
     other = next((axis for axis in view.axes if axis is not own.gain), None)
     return [
@@ -112,11 +113,13 @@ def _describe_borders(
             "theory": border.theory,
             "within_one_cell": border.is_near,
         }
-        for border in tl.sweep.find_borders(view, tl.sweep.fill_cells(view, metric), own)
+        for border in borders
     ]
 
 
-def list_map_lines(view: "SweptView", told: Mapping[str, Any]) -> list[str]:
+def list_map_lines(
+    view: "SweptView", limits: "Sequence[LoopLimits]", told: Mapping[str, Any]
+) -> list[str]:
     """Return what is printed of it."""
     results = view.results
     sides = " by ".join(axis.name for axis in view.axes)
@@ -127,8 +130,9 @@ def list_map_lines(view: "SweptView", told: Mapping[str, Any]) -> list[str]:
     if view.seeds > 1:
         lines[0] += f", means over {view.seeds} seeds"
     best: dict[int, list[str]] = {}
-    for one in told["metrics"]:
-        lines.append(_tell_metric(view, one))
+    for metric, one in zip(results.metrics, told["metrics"], strict=True):
+        borders = tl.sweep.find_borders(view, metric, limits)
+        lines.append(_tell_metric(view, one, borders))
         if one["best"] is not None:
             best.setdefault(one["best"]["row"], []).append(one["id"])
     command, path = find_command_name(), shlex.quote(str(results.path))
@@ -138,7 +142,9 @@ def list_map_lines(view: "SweptView", told: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _tell_metric(view: "SweptView", one: Mapping[str, Any]) -> str:
+def _tell_metric(
+    view: "SweptView", one: Mapping[str, Any], borders: "Sequence[Border] | None"
+) -> str:
     name, unit = one["id"], one["unit"]
     missing = ", ".join(
         f"{describe_count(count, 'row')} {reason}" for reason, count in one["no_value"].items()
@@ -146,8 +152,8 @@ def _tell_metric(view: "SweptView", one: Mapping[str, Any]) -> str:
     tail = f"; no value: {missing}" if missing else ""
     if not one["values"]:
         return f"{name}: {tail.removeprefix('; ')}"
-    if one["borders"] is not None:
-        return f"{name}: {_tell_borders(one['borders'])}{tail}"
+    if borders is not None:
+        return f"{name}: {tl.sweep.tell_borders(borders)}{tail}"
     text = f"{name}: {format_number(one['least'], unit)} to {format_number(one['most'], unit)}"
     best = one["best"]
     if best is not None:
@@ -155,13 +161,3 @@ def _tell_metric(view: "SweptView", one: Mapping[str, Any]) -> str:
         text += f", best in row {best['row']}" + (f" and {more} more" if more else "")
         text += f" ({view.results.tell_row(best['row'])})"
     return text + tail
-
-
-def _tell_borders(borders: Sequence[Mapping[str, Any]]) -> str:
-    known = [one["within_one_cell"] for one in borders if one["within_one_cell"] is not None]
-    if not known:
-        return "no border beside a limit of theory"
-    return (
-        f"the border lies within one cell of theory's line in {sum(known)} of"
-        f" {describe_count(len(known), 'column')}"
-    )

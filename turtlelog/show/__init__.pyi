@@ -15,6 +15,7 @@ from .movie import write_movie as write_movie
 from .report import (
     CheckLine as CheckLine,
     Explanation as Explanation,
+    write_map_report as write_map_report,
     write_report as write_report,
 )
 from .rerun.comparison_scene import write_comparison_rrd as write_comparison_rrd

@@ -13,6 +13,7 @@ from .gain_borders import (
     find_borders as find_borders,
     find_loop_limits as find_loop_limits,
     list_gain_keys as list_gain_keys,
+    tell_borders as tell_borders,
 )
 from .metric_rows import (
     describe_values as describe_values,

@@ -7,13 +7,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count
 from turtlelog.errors import TurtlelogError
 from turtlelog.loops import ControlLoop
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.swept_results import SweptAxis, SweptMetric, SweptResults
-from turtlelog.sweep.swept_views import SweptCells, SweptView, is_gain
+from turtlelog.sweep.swept_views import SweptView, fill_cells, is_gain
 from turtlelog.theory import LoopModel, find_stable_gains, hides_stability, model_loops
 from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
 
@@ -205,20 +206,38 @@ def _compute(model: LoopModel) -> ColumnLimits:
     )
 
 
-def find_borders(view: SweptView, cells: SweptCells, limits: LoopLimits) -> list[Border]:
-    """Return where a measured verdict changes along the gain, beside theory, column by column.
+def find_borders(
+    view: SweptView, metric: SweptMetric, limits: Sequence[LoopLimits]
+) -> list[Border] | None:
+    """Return where a measured verdict changes along its loop's gain, beside theory.
 
     Args:
-        view: With the gain of the loop as an axis.
-        cells: Of a verdict: 1 stable, 0 not.
-        limits: Of its loop.
+        view: What is shown.
+        metric: One of its results.
+        limits: As `find_loop_limits` returns them.
+
+    Returns:
+        A border for each place of the other axis; None where the metric is no verdict, its loop's
+        gain is no axis, or rows were drawn, which have no neighbours.
     """
-    gains = limits.gain.numbers
-    columns = cells.values.T if limits.gain is view.y else cells.values
+    own = next((one for one in limits if one.loop == metric.loop), None)
+    if not metric.is_verdict or own is None or view.results.is_sampled:
+        return None
+    values = fill_cells(view, metric).values
+    columns = values.T if own.gain is view.y else values
     return [
-        _find_border(place, column, gains, limit)
-        for place, (column, limit) in enumerate(zip(columns, limits.columns, strict=True))
+        _find_border(place, column, own.gain.numbers, limit)
+        for place, (column, limit) in enumerate(zip(columns, own.columns, strict=True))
     ]
+
+
+def tell_borders(borders: Sequence[Border]) -> str:
+    """Return how borders lie beside theory, in words."""
+    known = [border.is_near for border in borders if border.is_near is not None]
+    if not known:
+        return "no border beside a limit of theory"
+    columns = describe_count(len(known), "column")
+    return f"the border lies within one cell of theory's line in {sum(known)} of {columns}"
 
 
 def _find_border(place: int, verdicts: Values, gains: Values, limit: ColumnLimits | None) -> Border:

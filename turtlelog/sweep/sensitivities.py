@@ -137,7 +137,7 @@ def _range_along(
     axes: Sequence[SweptAxis], number: int, center: dict[SweptAxis, int], cube: Values
 ) -> Sensitivity:
     places = tuple(center[axis] for axis in axes)
-    line = cube[(*places[:number], slice(None), *places[number + 1 :])]
+    line = np.moveaxis(cube, number, -1)[(*places[:number], *places[number + 1 :])]
     known = np.flatnonzero(np.isfinite(line))
     left_out = len(line) - len(known)
     if not len(known):
@@ -177,8 +177,8 @@ def _correlate(results: SweptResults, metric: SweptMetric) -> Sensitivities:
         notes.append(f"{metric.name}: {left} of {len(known)} rows have no value and are left out")
     values = metric.values[known]
     if rows < _LEAST_ROWS or values.min() == values.max():
-        found = f"{rows} rows" if rows < _LEAST_ROWS else "one value in all rows"
-        notes.append(f"{metric.name}: no correlation of {found}")
+        what = f"{rows} rows" if rows < _LEAST_ROWS else "one value in all rows"
+        notes.append(f"{metric.name}: no correlation of {what}")
         return Sensitivities(metric=metric, keys=(), rows=rows, notes=tuple(notes))
     ranks = _rank(values)
     columns = [_rank(axis.numbers[axis.places[known]]) for axis in numeric]

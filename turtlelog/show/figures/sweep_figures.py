@@ -64,12 +64,31 @@ def write_map_figure(
     Raises:
         ShowError: Where the file cannot be written.
     """
-    page = page or Page(kind="page")
+    path = make_path(path)
+    form = path.suffix.lower().removeprefix(".")
+    if form not in FIGURE_FORMATS:
+        raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")
+    data = draw_sweep(view, limits, form, kind=kind, page=page)
+    with replace_file(path) as part:
+        part.write_bytes(data)
+    return path
+
+
+def draw_sweep(
+    view: SweptView,
+    limits: Sequence[LoopLimits],
+    form: str,
+    *,
+    kind: MapKind = "map",
+    page: Page | None = None,
+) -> bytes:
+    """Return the figure that `write_map_figure` writes, in one of `FIGURE_FORMATS`."""
+    page, data = page or Page(kind="page"), io.BytesIO()
+    kind = "curves" if view.y is None and kind == "map" else kind
     with mpl.rc_context(dict(LOOKS)):
-        figure = _lay_out(
-            view, limits, "curves" if view.y is None and kind == "map" else kind, page
-        )
-    return _write(figure, path, page)
+        figure = _lay_out(view, limits, kind, page)
+    save_figure(figure, data, form, page)
+    return data.getvalue()
 
 
 def _lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
@@ -112,15 +131,3 @@ def _add_legend(figure: Figure, named: dict[str, Any], view: SweptView) -> None:
         lines = math.ceil(len(named) / columns)
         figure.set_size_inches(width, height + 0.16 * lines)
         figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=columns)
-
-
-def _write(figure: Figure, path: str | Path, page: Page) -> Path:
-    path = make_path(path)
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in FIGURE_FORMATS:
-        raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")
-    data = io.BytesIO()
-    save_figure(figure, data, kind, page)
-    with replace_file(path) as part:
-        part.write_bytes(data.getvalue())
-    return path

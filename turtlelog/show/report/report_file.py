@@ -121,7 +121,7 @@ def write_report(
         body += _write_explanation(name, explanation)
     body += write_checks(checks) if checks else ""
     body += _write_tables(runs, names, metrics)
-    keyed = [(file_of[id(run)], _hash(file_of[id(run)])) for run in runs]
+    keyed = [(file_of[id(run)], hash_file(file_of[id(run)])) for run in runs]
     versions = [
         f"turtlelog {__version__}", f"Bokeh {load_library('bokeh').__version__}",
         f"Python {platform.python_version()}",
@@ -222,12 +222,12 @@ def _write_tables(
     return f'<section id="tables"><h2>Side by side</h2>{body}</section>'
 
 
-def _hash(file: str) -> str:
+def hash_file(file: str) -> str:
     """Return the sha256 of a file, of a bag's folder those of its files; empty where unknown."""
     path = make_path(file)
     if file and path.is_dir():
         inner = sorted(one for one in path.iterdir() if one.is_file())
-        return ", ".join(f"{one.name} {_hash(str(one))}" for one in inner)
+        return ", ".join(f"{one.name} {hash_file(str(one))}" for one in inner)
     if not file or not path.is_file():
         return ""
     found = sha256()

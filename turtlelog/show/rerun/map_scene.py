@@ -41,8 +41,14 @@ _MOST_TICKS: Final = 7
 _SAMPLE_SIDE: Final = 20.0
 """Of the square in which rows of a sample lie."""
 
+_LIFT: Final = 0.035
+"""Share of a map's height by which the viewer writes words below their point."""
+
 _LEAST_SIDE: Final = 24
 """Of a map, in pixels of its picture: cells of a small one are squares of several."""
+
+_DOT: Final = 0.1
+"""Radius of a cell's point, in cells: large ones look like balls."""
 
 _SHADES: Final = 256
 _NO_VALUE: Final = (70, 70, 70)
@@ -83,16 +89,31 @@ def _view_map(view: SweptView, metric: SweptMetric) -> rrb.View:
     width, height = _find_size(view)
     held = view.tell_held()
     words = [held and f"at {held}", f"mean over {view.seeds} seeds" if view.seeds > 1 else ""]
-    title = "; ".join([label_metric(metric), *filter(None, words)])
+    title = "; ".join([f"{label_metric(metric)}{_tell_colors(view, metric)}", *filter(None, words)])
     return rrb.Spatial2DView(
         origin=f"/{metric.name}",
         name=title,
         background=palette.GROUND,
         visual_bounds=rrb.VisualBounds2D(
             x_range=(-_ROOM * width, width * (1.0 + _ROOM / 2.0)),
-            y_range=(-_ROOM * height / 2.0, height * (1.0 + _ROOM)),
+            y_range=(-_ROOM * height * 0.6, height * (1.0 + _ROOM * 1.4)),
         ),
     )
+
+
+def _tell_colors(view: SweptView, metric: SweptMetric) -> str:
+    """Return which values the first and the last colour have."""
+    if metric.is_verdict:
+        return ": blue stable, red not"
+    if view.results.is_sampled:
+        values = metric.values[view.rows]
+    else:
+        values = fill_cells(view, metric).values
+    if not np.isfinite(values).any():
+        return ": no value"
+    found = find_value_range(scale_values(metric, values))
+    scale = ", logarithmic" if found.is_logarithmic else ""
+    return f": violet {found.low:.4g} to yellow {found.high:.4g}{scale}"
 
 
 def _find_side(view: SweptView) -> tuple[int, int]:
@@ -124,7 +145,7 @@ def _draw_map(
         first = view.find_first_rows().ravel()
         cells = fill_cells(view, metric)
         rows, values = first[first >= 0], cells.values.ravel()[first >= 0]
-        radius = 0.45 * min(_find_side(view))
+        radius = _DOT * min(_find_side(view))
         reasons = [cells.reasons.get(cell) for cell in np.flatnonzero(first >= 0).tolist()]
     colors = _choose_colors(metric, scale_values(metric, values))
     middles = np.column_stack([_place(view, side, rows) for side in range(2)])
@@ -133,7 +154,11 @@ def _draw_map(
         for row, value, reason in zip(rows.tolist(), values.tolist(), reasons, strict=True)
     ]
     if not view.results.is_sampled:
-        to.log(f"/{metric.name}/cells", rr.Image(_paint(view, first, colors)), static=True)
+        to.log(
+            f"/{metric.name}/cells",
+            rr.Image(_paint(view, first, colors), draw_order=-10.0),
+            static=True,
+        )
     marks = rr.Points2D(middles, colors=colors, labels=labels, show_labels=False, radii=radius)
     to.log(f"/{metric.name}/rows", marks, static=True)
     _draw_axes(to, view, metric)
@@ -185,7 +210,7 @@ def _scale(view: SweptView, side: int, numbers: Values) -> Values:
     axis, size = view.axes[side], _find_size(view)[side]
     edges = find_edges(axis)
     if view.results.is_sampled:
-        return (numbers - edges[0]) / (edges[-1] - edges[0]) * size
+        return np.asarray((numbers - edges[0]) / (edges[-1] - edges[0]) * size)
     if is_logarithmic(axis):
         numbers, edges = np.log(np.maximum(numbers, 1e-300)), np.log(edges)
     # Cells are as wide as each other, whatever lies between their values.
@@ -203,12 +228,13 @@ def _draw_axes(to: rr.RecordingStream, view: SweptView, metric: SweptMetric) -> 
         count = min(len(axis), _MOST_TICKS)
         places = np.unique(np.linspace(0, len(axis) - 1, count).round().astype(np.int64))
         for place, at in zip(places, _scale(view, side, axis.numbers[places]), strict=True):
-            text = axis.tell_place(int(place))
-            below = (float(at), height * (1.0 + _ROOM / 4.0), text)
-            words.append(below if side == 0 else (-width * _ROOM / 3.0, height - float(at), text))
-    words.append((width / 2.0, height * (1.0 + 0.7 * _ROOM), view.x.label))
+            is_plain = axis.is_number and len(axis.keys) == 1
+            text = f"{axis.numbers[place]:.3g}" if is_plain else axis.tell_place(int(place))
+            beside = (-width * _ROOM / 3.0, height * (1.0 - _LIFT) - float(at), text)
+            words.append((float(at), height * (1.0 + _LIFT), text) if side == 0 else beside)
+    words.append((width / 2.0, height * (1.0 + 0.75 * _ROOM), view.x.label))
     if view.y is not None:
-        words.append((width / 4.0, -height * _ROOM / 4.0, f"{view.y.label}, upward"))
+        words.append((width / 4.0, -height * _ROOM / 2.0, f"{view.y.label}, upward"))
     points = rr.Points2D(
         [(x, y) for x, y, _ in words],
         labels=[text for _, _, text in words],
@@ -241,4 +267,8 @@ def _draw_limits(
             strips += parts[0 if inside[0] else 1 :: 2]
         if strips:
             looks: dict[str, Any] = {"colors": [color], "radii": rr.Radius.ui_points(1.5)}
-            to.log(f"/{metric.name}/{name}", rr.LineStrips2D(strips, **looks), static=True)
+            to.log(
+                f"/{metric.name}/{name}",
+                rr.LineStrips2D(strips, **looks, draw_order=40.0),
+                static=True,
+            )
