@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_metrics
-from turtlelog.cli.map_answer import describe_map, list_map_lines
+from turtlelog.cli.map_answer import describe_map, list_map_lines, list_sensitivity_lines
 from turtlelog.cli.options import Json, Place
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
@@ -133,7 +133,7 @@ def map_(
     if output is not None:
         with show_progress("drawing"):
             _write(shown, limits, output, options, page)
-    _answer(shown, limits, output, json=json)
+    _answer(shown, limits, output, options.kind, json=json)
 
 
 def _require_output(
@@ -174,7 +174,7 @@ def _write(
 
 
 def _answer(
-    view: "SweptView", limits: "list[LoopLimits]", output: Path | None, *, json: bool
+    view: "SweptView", limits: "list[LoopLimits]", output: Path | None, kind: str, *, json: bool
 ) -> None:
     told = describe_map(view, limits)
     for note in told["notes"]:
@@ -182,6 +182,7 @@ def _answer(
     if json:
         print_json({**told, "output": None if output is None else str(output)})
         return
-    print_lines(
-        [*list_map_lines(view, limits, told), *([] if output is None else [f"wrote {output}"])]
-    )
+    lines = list_map_lines(view, limits, told)
+    if kind == "tornado":
+        lines = [lines[0], *list_sensitivity_lines(view)]
+    print_lines([*lines, *([] if output is None else [f"wrote {output}"])])

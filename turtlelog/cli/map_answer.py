@@ -11,7 +11,15 @@ from turtlelog.cli.output import find_command_name
 from turtlelog.display import describe_count, format_number, join_words
 
 if TYPE_CHECKING:
-    from turtlelog.sweep import Border, LoopLimits, SweptMetric, SweptView
+    from turtlelog.sweep import (
+        Border,
+        LoopLimits,
+        Sensitivities,
+        Sensitivity,
+        SweptAxis,
+        SweptMetric,
+        SweptView,
+    )
 
 
 def describe_map(view: "SweptView", limits: "Sequence[LoopLimits]") -> dict[str, Any]:
@@ -76,7 +84,66 @@ def _describe_metric(
         "no_value": reasons,
         "best": _describe_best(view, metric),
         "borders": _describe_borders(view, metric, limits),
+        "sensitivities": _describe_sensitivities(
+            tl.sweep.find_sensitivities(view.results, metric, dict(view.held))
+        ),
     }
+
+
+def _describe_sensitivities(found: "Sensitivities") -> dict[str, Any]:
+    return {
+        "held": found.held or None,
+        "value": found.center,
+        "chance": found.chance,
+        "explained": found.explained,
+        "keys": [
+            {
+                "keys": list(one.axis.keys),
+                "least": one.least,
+                "most": one.most,
+                "at_least": _find_values(one.axis, one.least_place),
+                "at_most": _find_values(one.axis, one.most_place),
+                "correlation": one.correlation,
+                "left_out": one.left_out,
+                "range_elsewhere": one.others and list(one.others),
+            }
+            for one in found.keys
+        ],
+        "notes": list(found.notes),
+    }
+
+
+def _find_values(axis: "SweptAxis", place: int | None) -> list[Any] | None:
+    return None if place is None else list(axis.values[place])
+
+
+def list_sensitivity_lines(view: "SweptView") -> list[str]:
+    """Return how far each key moves each metric, in words."""
+    lines = []
+    for metric in view.results.metrics:
+        found = tl.sweep.find_sensitivities(view.results, metric, dict(view.held))
+        lines += [f"{metric.name}: {_tell_sensitivity(metric, one)}" for one in found.keys]
+        lines += found.notes
+    return lines
+
+
+def _tell_sensitivity(metric: "SweptMetric", one: "Sensitivity") -> str:
+    name, axis, unit = one.axis.name, one.axis, metric.unit
+    if one.correlation is not None:
+        return f"{name} has the rank correlation {one.correlation:.2f}"
+    if one.least is None or one.most is None:
+        return f"{name} has no value to compare"
+    ends = [
+        f"{format_number(value, unit)} at {axis.tell_place(place or 0)}"
+        for value, place in ((one.least, one.least_place), (one.most, one.most_place))
+    ]
+    text = f"{name} moves it by {format_number(one.size, unit)}, from {' to '.join(ends)}"
+    if not one.size:
+        text = f"{name} makes no difference"
+    if one.others is not None:
+        low, high = (format_number(value, unit) for value in one.others)
+        text += f"; over all values of the other keys by {low} to {high}"
+    return text
 
 
 def _describe_best(view: "SweptView", metric: "SweptMetric") -> dict[str, Any] | None:

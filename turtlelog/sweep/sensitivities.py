@@ -69,6 +69,7 @@ class Sensitivities:
         metric: Which.
         keys: Largest first.
         center: Its value where all keys are held; None of a sample, or where it has none.
+        held: Where all keys are held, in words; empty of a sample.
         chance: Magnitude up to which 95 % of correlations of independent keys lie; None of a grid.
         explained: Share of the metric's ranks that those of all keys explain together, 0 to 1;
             None of a grid, or where a key has words.
@@ -79,6 +80,7 @@ class Sensitivities:
     metric: SweptMetric
     keys: tuple[Sensitivity, ...]
     center: float | None = None
+    held: str = ""
     chance: float | None = None
     explained: float | None = None
     rows: int = 0
@@ -114,6 +116,7 @@ def find_sensitivities(
         metric=metric,
         keys=tuple(sorted(found, key=lambda one: -one.size)),
         center=None if math.isnan(value) else value,
+        held="; ".join(f"{axis.name} = {axis.tell_place(center[axis])}" for axis in axes),
         notes=tuple(notes),
     )
 

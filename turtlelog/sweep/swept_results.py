@@ -26,6 +26,11 @@ SEED: Final = "seed"
 _FIRST: Final = ("stable", "overshoot", "settling_time", "position_error")
 """What maps are asked for most, by the last part of an id, in this order."""
 
+_LARGEST: Final = 1e150
+"""Values beyond it have no place on an axis: squares of their differences overflow."""
+
+_BEYOND: Final = "beyond 1e150"
+
 _USUAL_METRICS: Final = 4
 """Panels where nobody chooses: two rows of two, each as wide as a column of a paper."""
 
@@ -261,18 +266,20 @@ def _build_metric(table: ResultTable, name: str, failed: Sequence[str | None]) -
         raise LogError(f"{name}: expected a column of numbers with their statuses, found none")
     values = np.array([math.nan if cell is None else cell for cell in column.cells], np.float64)
     reasons: list[str | None] = [None] * len(values)
-    for row in np.flatnonzero(~np.isfinite(values)).tolist():
-        has_infinity = math.isinf(values[row])
-        status = "not finite" if has_infinity else statuses.cells[row]
-        reasons[row] = "failed" if failed[row] is not None else _tell_status(status)
-    values[~np.isfinite(values)] = math.nan
+    with np.errstate(invalid="ignore"):
+        is_drawn = np.abs(values) <= _LARGEST
+    for row in np.flatnonzero(~is_drawn).tolist():
+        has_value = not math.isnan(values[row])
+        status = _tell_status(statuses.cells[row])
+        reasons[row] = "failed" if failed[row] is not None else _BEYOND if has_value else status
+    values[~is_drawn] = math.nan
     return SweptMetric(name=name, unit=column.unit or "", values=values, reasons=reasons)
 
 
 def _tell_status(status: str | None) -> str:
     if status is None:
         return "no such loop"
-    return "not finite" if status == "ok" else status.replace("_", " ")
+    return "not a number" if status == "ok" else status.replace("_", " ")
 
 
 def _build_axis(table: ResultTable, keys: tuple[str, ...]) -> SweptAxis:

@@ -133,17 +133,26 @@ def _draw_cells(
     values = scale_values(metric, cells.values)
     edges = find_edges(view.x), find_edges(view.axes[1])
     looks: dict[str, Any] = {"rasterized": values.size > _MOST_VECTORS, "zorder": 1.0}
+    # Shapes that touch leave seams where a viewer smooths their edges; a line covers them.
+    seamless = {} if looks["rasterized"] else {"edgecolors": "face", "linewidth": 0.3}
     hatched = {cell: reasons[reason] for cell, reason in cells.reasons.items()}
     named = _hatch_cells(axes, edges, hatched, looks)
     if metric.is_verdict:
         classes = find_verdict_classes(values)
         colors = ListedColormap(list(VERDICT_COLORS))
         norm = BoundaryNorm([-0.5, 0.5, 1.5, 2.5], 3)
-        axes.pcolormesh(*edges, np.ma.masked_invalid(classes), cmap=colors, norm=norm, **looks)
+        axes.pcolormesh(
+            *edges, np.ma.masked_invalid(classes), cmap=colors, norm=norm, **looks, **seamless
+        )
         return _name_verdicts(classes) | named
     scale = build_scale(values)
     mesh = axes.pcolormesh(
-        *edges, np.ma.masked_invalid(values), cmap=scale.colors, norm=scale.norm, **looks
+        *edges,
+        np.ma.masked_invalid(values),
+        cmap=scale.colors,
+        norm=scale.norm,
+        **looks,
+        **seamless,
     )
     _add_bar(axes, mesh, scale)
     return named

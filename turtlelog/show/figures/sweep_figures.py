@@ -37,7 +37,7 @@ MapKind = Literal["map", "curves", "tornado"]
 """What a figure of a sweep shows."""
 
 _METHODS: Final = (
-    "range along each key, the others held where the line is; below it, its values at both ends",
+    "range along each key, below it its values at both ends; at the line all keys are held at",
     "Spearman's rank correlation; grey: 95 % of independent keys",
 )
 """Of sensitivities, in a grid and in a sample."""
@@ -112,7 +112,8 @@ def _lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page:
         else:
             named |= draw_map(axes, view, metrics[number], limits, reasons)
     if kind == "tornado":
-        figure.supxlabel(_METHODS[view.results.is_sampled], fontsize=7.0, color="0.4")
+        words = [_METHODS[view.results.is_sampled], *filter(None, [found[0].held])]
+        figure.supxlabel("\n".join(words).replace("$", r"\$"), fontsize=7.0, color="0.4")
     else:
         _add_legend(figure, named, view)
     page.fit(figure)
