@@ -14,7 +14,7 @@ GROUPS = {
     "Simulate": ["run", "scenario", "sweep", "theory"],
     "Ask": ["info", "metrics", "compare", "explain", "identify", "replay", "list"],
     "Check": ["check"],
-    "Show": ["view", "plot", "report"],
+    "Show": ["view", "plot", "map", "report"],
     "Files": ["convert", "recover", "demo"],
 }
 NUMBERS = "INT|FLOAT|GAINS?|SECONDS|SHARE|WIDTH|VALUE|WIDTHxHEIGHT"
