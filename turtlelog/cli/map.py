@@ -115,7 +115,7 @@ def map_(
 
     Example: turtlelog map results.parquet -o map.png
 
-    Example: turtlelog map results.parquet --metrics "*.stable" --at loop.transport_delay_ticks=4
+    Example: turtlelog map results.parquet --kind tornado -o keys.pdf
 
     Args:
         table: What `turtlelog sweep` wrote (.parquet).

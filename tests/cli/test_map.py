@@ -1,0 +1,152 @@
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from tests.cli.conftest import Call
+from tests.sweep.swept_tables import write_table
+from tests.sweep.test_gain_borders import GRID, is_stable
+from turtlelog.sweep import read_result_table, write_result_table
+
+SIGNATURES = {
+    ".png": b"\x89PNG",
+    ".pdf": b"%PDF",
+    ".svg": b"<?xml",
+    ".html": b"<!DOCTYPE html>",
+    ".rrd": b"RRF2",
+}
+
+
+@pytest.fixture(name="table")
+def _table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return write_table(
+        tmp_path / "t.parquet",
+        GRID,
+        {
+            "translate.stable": is_stable,
+            "translate.overshoot": lambda delay, kp: delay * kp if kp < 20 else "too_short",
+        },
+        units={"translate.overshoot": "%"},
+    )
+
+
+def test_map_says_the_best_rows_and_the_border_beside_theory(call: Call, table: Path) -> None:
+    done = call("map", table.name)
+    assert (done.code, done.err) == (0, "")
+    head, stable, overshoot, best = done.out.splitlines()
+    assert head == "t.parquet: 60 rows; loop.transport_delay_ticks by law.kp_linear"
+    assert stable == (
+        "translate.stable: the border lies within one cell of theory's line in 5 of 5 columns"
+    )
+    assert overshoot.startswith("translate.overshoot: 0 % to 216 %, best in row 0 and 8 more (")
+    assert overshoot.endswith("; no value: 15 rows too short")
+    assert best.startswith("best translate.overshoot: ")
+    assert best.endswith("run --from t.parquet --row 0")
+
+
+def test_json_has_what_is_drawn(call: Call, table: Path) -> None:
+    told = call("map", table.name, "--json").json
+    assert (told["rows"], told["shown"], told["output"]) == (60, 60, None)
+    assert [axis["keys"] for axis in told["axes"]] == [
+        ["loop.transport_delay_ticks"],
+        ["law.kp_linear"],
+    ]
+    stable, overshoot = told["metrics"]
+    assert stable["best"] is None
+    assert stable["borders"][2]["at"] == [6]
+    assert (stable["borders"][2]["last_stable"], stable["borders"][2]["first_unstable"]) == (14, 16)
+    assert stable["borders"][2]["theory"] == pytest.approx(15.07, abs=0.01)
+    assert overshoot["borders"] is None
+    assert overshoot["best"] == {
+        "row": 0,
+        "value": 0.0,
+        "as_good": 9,
+        "keys": {"loop.transport_delay_ticks": 0, "law.kp_linear": 2.0},
+    }
+    assert overshoot["no_value"] == {"too short": 15}
+    limits = told["theory"][0]["columns"][2]["limits"]
+    assert limits["stable"] == [[0.0, stable["borders"][2]["theory"]]]
+
+
+@pytest.mark.parametrize("suffix", SIGNATURES)
+def test_outputs_are_files_of_their_kind(suffix: str, call: Call, table: Path) -> None:
+    done = call("map", table.name, "-o", f"m{suffix}")
+    assert done.code == 0, done.err
+    assert done.out.splitlines()[-1] == f"wrote m{suffix}"
+    assert Path(f"m{suffix}").read_bytes().startswith(SIGNATURES[suffix])
+
+
+def test_a_report_stands_alone_and_says_how_it_was_made(call: Call, table: Path) -> None:
+    words = ("map", table.name, "--metrics", "*.overshoot", "-o", "m.html")
+    assert call(*words).code == 0
+    text = Path("m.html").read_text("utf-8")
+    assert text.count("data:image/svg+xml;base64,") == 3
+    assert "http" not in text.replace("data:", "")
+    assert "turtlelog map t.parquet --metrics &#x27;*.overshoot&#x27; -o m.html" in text
+
+
+def test_the_tornado_tells_what_it_left_out(call: Call, table: Path) -> None:
+    done = call("map", table.name, "--kind", "tornado", "--metrics", "*.overshoot")
+    assert done.code == 0
+    assert done.out.splitlines()[1:] == [
+        "translate.overshoot: loop.transport_delay_ticks moves it by 144 %, from 0 % at 0 to"
+        " 144 % at 12; over all values of the other keys by 24 % to 216 %",
+        "translate.overshoot: law.kp_linear makes no difference",
+        "translate.overshoot: 3 of 12 values of law.kp_linear have no value and are left out",
+    ]
+
+
+def test_a_value_is_held_where_at_says(call: Call, table: Path) -> None:
+    told = call("map", table.name, "--at", "loop.transport_delay_ticks=6", "--json").json
+    assert (told["held"], told["shown"]) == ({"loop.transport_delay_ticks": 6}, 12)
+    assert told["metrics"][1]["most"] == 6 * 18
+    assert told["theory"][0]["columns"][0]["limits"]["stability"] == pytest.approx(15.07, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--at", "seed=3"], "--at: expected a key that varies"),
+        (["--at", "law.kp_linear"], "--at: expected KEY=VALUE"),
+        (["--metrics", ","], "--metrics: expected ids separated by commas, found ','"),
+        (["--metrics", "rotate.*"], "--metrics: expected translate.stable"),
+        (["-o", "m.gif"], "--output m.gif: expected a name that ends in .pdf, .png, .svg"),
+        (["-o", "none/m.png"], "none/m.png: expected"),
+        (["--dpi", "100"], "--for, --text-width, --dpi: expected a figure to write, found none"),
+        (["-o", "m.rrd", "--for", "slide"], "--for, --text-width, --dpi: expected a figure"),
+        (["-o", "m.svg", "--dpi", "100"], "--dpi: expected a .png file, found .svg"),
+        (["-o", "m.html", "--kind", "tornado"], "--kind tornado: expected a figure to write"),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_line(
+    words: list[str], expected: str, call: Call, table: Path
+) -> None:
+    done = call("map", table.name, *words)
+    assert (done.code, done.out) == (2, "")
+    (line,) = done.err.splitlines()
+    assert line.startswith(f"turtlelog: error: {expected}")
+    assert [path.name for path in table.parent.iterdir()] == ["t.parquet"]
+
+
+@pytest.mark.parametrize("kind", ["empty", "cut", "csv", "other", "folder", "missing", "no rows"])
+def test_what_is_no_table_of_a_sweep_is_one_line(kind: str, call: Call, table: Path) -> None:
+    other = table.with_name(f"{kind}.parquet")
+    if kind == "folder":
+        other.mkdir()
+    elif kind == "other":
+        pq.write_table(pa.table({"a": [1]}), other)
+    elif kind == "no rows":
+        whole = read_result_table(table, kind="sweep")
+        columns = tuple(replace(column, cells=[]) for column in whole.columns)
+        write_result_table(replace(whole, columns=columns), other)
+    elif kind != "missing":
+        data = {"empty": b"", "cut": table.read_bytes()[:900], "csv": b"a,b\n1,2\n"}
+        other.write_bytes(data[kind])
+    done = call("map", other, "-o", "m.png")
+    assert (done.code, done.out) == (2, "")
+    (line,) = done.err.splitlines()
+    assert line.startswith(f"turtlelog: error: {other}: expected ")
+    assert not Path("m.png").exists()
