@@ -110,7 +110,7 @@ def test_a_value_is_held_where_at_says(call: Call, table: Path) -> None:
     ("words", "expected"),
     [
         (["--at", "seed=3"], "--at: expected a key that varies"),
-        (["--at", "law.kp_linear"], "--at: expected KEY=VALUE"),
+        (["--at", "law.kp_linear"], "--at: expected key=value"),
         (["--metrics", ","], "--metrics: expected ids separated by commas, found ','"),
         (["--metrics", "rotate.*"], "--metrics: expected translate.stable"),
         (["-o", "m.gif"], "--output m.gif: expected a name that ends in .pdf, .png, .svg"),

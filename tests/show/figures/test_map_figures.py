@@ -113,6 +113,6 @@ def test_curves_have_a_line_for_each_value_and_its_limits(tmp_path: Path) -> Non
     ]
     upright = [line for line in axes.lines if len(set(np.asarray(line.get_xdata()))) == 1]
     found = sorted(float(np.asarray(line.get_xdata())[0]) for line in upright)
-    # Of 0 ticks both lie beyond the largest gain; of 3, 6, 9 and 12 instability below 24 three times.
+    # Of 0 ticks both limits lie beyond the largest gain.
     assert any(one == pytest.approx(15.07, abs=0.01) for one in found)
     assert all(2.0 <= one <= 24.0 for one in found)

@@ -134,7 +134,9 @@ def _draw_cells(
     edges = find_edges(view.x), find_edges(view.axes[1])
     looks: dict[str, Any] = {"rasterized": values.size > _MOST_VECTORS, "zorder": 1.0}
     # Shapes that touch leave seams where a viewer smooths their edges; a line covers them.
-    seamless = {} if looks["rasterized"] else {"edgecolors": "face", "linewidth": 0.3}
+    seamless: dict[str, Any] = (
+        {} if looks["rasterized"] else {"edgecolors": "face", "linewidth": 0.3}
+    )
     hatched = {cell: reasons[reason] for cell, reason in cells.reasons.items()}
     named = _hatch_cells(axes, edges, hatched, looks)
     if metric.is_verdict:
