@@ -153,7 +153,8 @@ def test_a_table_in_a_bucket_is_that_of_a_disk_and_grows_as_it_does(
 def test_a_sweep_into_a_bucket_goes_on_where_it_was(
     bucket: str, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    place, rows = f"{bucket}/tables/again.parquet", []
+    place = f"{bucket}/tables/again.parquet"
+    rows: list[int] = []
     simulate = simulate_rows.simulate_rows
 
     def stop_after_two(chunk: simulate_rows.RowChunk) -> simulate_rows.RowResults:
@@ -169,11 +170,14 @@ def test_a_sweep_into_a_bucket_goes_on_where_it_was(
     assert "2 of 6 rows are done; the same command goes on" in capsys.readouterr().err
     (kept,) = here.glob("*.partial")
     assert re.fullmatch(r"again\.parquet\.[0-9a-f]{8}\.partial", kept.name)
-    monkeypatch.setattr(
-        sweep_rows, "simulate_rows", lambda chunk: rows.append(chunk.first) or simulate(chunk)
-    )
+
+    def count(chunk: simulate_rows.RowChunk) -> simulate_rows.RowResults:
+        rows.extend(range(chunk.first, chunk.first + len(chunk.values)))
+        return simulate(chunk)
+
+    monkeypatch.setattr(sweep_rows, "simulate_rows", count)
     assert _run(*SWEEP, "-o", place, "--jobs", "1") == 0
-    assert rows == [0, 1, 2, *rows[3:]]
+    assert rows == list(range(6))  # none twice
     assert not kept.exists()
     assert _run(*SWEEP, "-o", "t.parquet", "--jobs", "1") == 0
     assert _fetch(place) == (here / "t.parquet").read_bytes()
