@@ -115,7 +115,9 @@ class Candidates:
         """Return the scenario of a candidate, under the name of the base."""
         trusted = True if self._trusts else None
         keys, values = [*self.keys, "name"], [*point, self._scenario.name]
-        return build_row_scenario(self._scenario, keys, values, 0, source="--vary", trust_law=trusted)
+        return build_row_scenario(
+            self._scenario, keys, values, 0, source="--vary", trust_law=trusted
+        )
 
     def require_bounds(self, points: Sequence[Point]) -> None:
         """Refuse bounds at none of which there is a scenario.
