@@ -1,7 +1,10 @@
+import ast
+import importlib
 import os
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -72,3 +75,59 @@ def test_loops_are_found_where_numba_keeps_them(
     assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 9.0
     subprocess.run([sys.executable, "-c", "import some_loops"], cwd=module.parent, check=True)
     assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 1.0
+
+
+FUNCTION = """
+import constants
+from constants import SIZE
+from numba import njit
+from turtlelog.compiled_loops import sum_up_sources
+
+
+def build(stamp):
+    @njit("float64()", cache=True)
+    def measure():
+        return SIZE if stamp else 0.0
+
+    return measure
+
+
+measure = build(sum_up_sources(constants))
+print(measure(), sum(measure.stats.cache_hits.values()))
+"""
+
+
+def test_a_constant_of_another_file_is_compiled_anew(tmp_path: Path) -> None:
+    pytest.importorskip("numba")
+    (tmp_path / "function.py").write_text(FUNCTION, "utf-8")
+    path = os.pathsep.join([str(Path(__file__).parents[1]), str(tmp_path)])
+    found = []
+    for size in (3.0, 3.0, 4.0):
+        (tmp_path / "constants.py").write_text(f"SIZE = {size}\n", "utf-8")
+        done = subprocess.run(
+            [sys.executable, "-B", "-c", "import function"],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": path},
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=True,
+        )
+        found.append(done.stdout.split())
+    assert found == [["3.0", "0"], ["3.0", "1"], ["4.0", "0"]]
+
+
+@pytest.mark.parametrize("name", ["simulate.loop_kernel", "sweep.batch_kernel"])
+def test_every_file_that_a_kernel_takes_from_is_summed_up(name: str) -> None:
+    pytest.importorskip("numba")
+    kernel = importlib.import_module(f"turtlelog.{name}")
+    tree = ast.parse(Path(str(kernel.__file__)).read_text("utf-8"))
+    taken = {
+        str(node.module)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("turtlelog.")
+        for one in node.names
+        if not isinstance(getattr(kernel, one.name), ModuleType) and one.name != "sum_up_sources"
+    }
+    assert len(taken) > 3
+    assert taken <= {module.__name__ for module in kernel.SOURCES}

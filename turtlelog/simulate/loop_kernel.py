@@ -3,9 +3,8 @@
 The steps, their order and their names are those of the interpreted loop: `closed_loop`, `drives`,
 `sensing`, `controller`, `law_driver`, `shaping`, `transport`, `event_watch` and the laws. Each
 operation on floats is theirs, in their order, so that the numbers are theirs bit for bit. What the
-interpreted loop would refuse ends the run as `FAILED`.
+interpreted loop would refuse ends the run with `has_failed`.
 
-One file, however long: numba's cache sees a change only of the file in which the loop stands.
 Queues are stretches of arrays, from a `first` to an `end` that only grow.
 """
 
@@ -15,7 +14,10 @@ from typing import Any
 import numpy as np
 from numba import from_dtype, njit, typeof, types
 
+from turtlelog.compiled_loops import sum_up_sources
+from turtlelog.plants import turtlesim
 from turtlelog.plants.turtlesim import _PI, _TWO_PI, WORLD_SIZE_M
+from turtlelog.simulate import kernel_fields, kernel_memory, law_driver
 from turtlelog.simulate.kernel_fields import SETTINGS
 from turtlelog.simulate.kernel_memory import (
     COMMANDS_DROPPED,
@@ -731,26 +733,38 @@ def _watch(settings: Any, state: Any, memory: Any, tick: int, before: int) -> No
 
 # The loop.
 
-_SIGNATURE = types.void(
+SOURCES = (kernel_fields, kernel_memory, law_driver, turtlesim)
+"""Whose constants stand in the machine code."""
+
+_SIGNATURE = types.int64(
     *(from_dtype(kind)[::1] for kind in (SETTINGS, STATE)), typeof(allocate(1, 1))
 )
 
 
-@njit(_SIGNATURE, nogil=True, cache=True, error_model="numpy", _nrt=False)
-def run_loop(all_settings: Any, states: Any, memory: Any) -> None:
-    """Simulate a scenario into `memory`; into the state how it ends, and of what how much is."""
-    settings, state = all_settings[0], states[0]
-    for tick in range(settings.last_tick + 1):
-        _step(settings, state, memory, tick)
-        if not settings.has_sensor or _sense(settings, memory, tick):
-            _receive(settings, state, memory, tick)
-        before = state.samples
-        _answer(settings, state, memory, tick)
-        if state.has_failed:
-            return
-        if state.stop_reason == 0 and tick == settings.last_tick:
-            state.stop_reason = MAX_DURATION
-        _watch(settings, state, memory, tick, before)
-        state.ticks += 1
-        if state.stop_reason:
-            return
+def _build(stamp: int) -> Any:
+    """Return the loop, whose cache knows the constants that it was compiled with."""
+
+    @njit(_SIGNATURE, nogil=True, cache=True, error_model="numpy", _nrt=False)
+    def run_loop(all_settings: Any, states: Any, memory: Any) -> int:
+        """Simulate a scenario into `memory`; into the state how it ends, and of what how much."""
+        settings, state = all_settings[0], states[0]
+        for tick in range(settings.last_tick + 1):
+            _step(settings, state, memory, tick)
+            if not settings.has_sensor or _sense(settings, memory, tick):
+                _receive(settings, state, memory, tick)
+            before = state.samples
+            _answer(settings, state, memory, tick)
+            if state.has_failed:
+                return stamp
+            if state.stop_reason == 0 and tick == settings.last_tick:
+                state.stop_reason = MAX_DURATION
+            _watch(settings, state, memory, tick, before)
+            state.ticks += 1
+            if state.stop_reason:
+                return stamp
+        return stamp
+
+    return run_loop
+
+
+run_loop = _build(sum_up_sources(*SOURCES))

@@ -7,19 +7,20 @@ is given, and of the end the places are returned.
 """
 
 import math
-import zlib
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from turtlelog.measure import swings
+from turtlelog.compiled_loops import sum_up_sources
+from turtlelog.measure import step_response, swings
 from turtlelog.measure.step_response import SHORTEST_HOLD_S, SWING
+from turtlelog.measure.table import loop_metrics
 from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
 from turtlelog.simulate import loop_kernel
 from turtlelog.simulate.kernel_memory import MAX_DURATION, REORIENT, ROTATE, TIMEOUT, TRANSLATE
 from turtlelog.simulate.loop_kernel import _wrap_angle, run_loop
+from turtlelog.sweep import batch_table
 from turtlelog.sweep.batch_table import (
     CUT,
     DEGREES,
@@ -481,4 +482,7 @@ def _build(stamp: int) -> Any:
     return run_rows
 
 
-run_rows = _build(zlib.crc32(Path(loop_kernel.__file__).read_bytes()))
+SOURCES = (loop_kernel, *loop_kernel.SOURCES, batch_table, loop_metrics, step_response, swings)
+"""Whose code and constants stand in the machine code."""
+
+run_rows = _build(sum_up_sources(*SOURCES))
