@@ -170,9 +170,8 @@ def _draw_points(axes: Axes, view: SweptView, metric: SweptMetric) -> dict[str, 
     if not known.all():
         cross: dict[str, Any] = {"marker": "x", "color": "0.5", "s": size, "linewidth": 0.6}
         axes.scatter(x[~known], y[~known], **cross, **looks)
-        reasons = dict.fromkeys(str(metric.reasons[row]) for row in view.rows[~known].tolist())
         mark = Line2D([], [], color="0.5", marker="x", linestyle="", markersize=4.0)
-        named[f"no value: {', '.join(reasons)}"] = mark
+        named["no value"] = mark  # the lines that are printed say why
     looks |= {"s": size, "linewidth": 0.25, "edgecolor": "0.3"}
     if metric.is_verdict:
         classes = find_verdict_classes(values[known])

@@ -77,6 +77,6 @@ def _draw_correlations(axes: Axes, found: Sensitivities, keys: Sequence[Sensitiv
     axes.axvline(0.0, **REFERENCE)
     axes.set_xlim(-1.35, 1.35)
     share = (
-        "" if found.explained is None else f"; all together explain {100 * found.explained:.0f} %"
+        "" if found.explained is None else f";\nall together explain {100 * found.explained:.0f} %"
     )
     axes.set_xlabel(f"rank correlation, {found.rows} rows{share}", fontsize=7.0)
