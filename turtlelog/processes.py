@@ -143,6 +143,24 @@ def map_in_processes(
             worker.end()
 
 
+def start_pool(jobs: int) -> "Executor":
+    """Return processes that take work again and again; they end when nobody holds them any more.
+
+    For `map_in_processes`, where it is called many times and would start them each time.
+    """
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker)
+
+
+def _prepare_worker() -> None:
+    """Let Ctrl-C end the parent alone, and warnings be notes, not places in code."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.formatwarning = lambda message, *_, **__: f"{message}\n"
+
+
 def _map_on(
     executor: "Executor", work: Callable[[T], R], items: Sequence[T], name: Callable[[T], str]
 ) -> Iterator[R]:
@@ -164,10 +182,12 @@ def _map_on(
 
 
 def _await_result(future: "Future[R]", name: str) -> R:
-    from concurrent.futures import CancelledError
+    from concurrent.futures import BrokenExecutor, CancelledError
 
     try:
         return future.result()
+    except BrokenExecutor as err:
+        raise ProcessError(f"{name}: expected a result, found that a process ended") from err
     except CancelledError as err:
         raise ProcessError(f"{name}: expected a result, found that the cluster is gone") from err
     except Exception as err:
@@ -258,8 +278,7 @@ def _collect(workers: Sequence[_Worker], items: Sequence[Any]) -> Iterator[Any]:
 
 def _serve(pipe: "Connection", work: Callable[[Any], Any]) -> None:
     """Work until the other side ends, however it does."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    warnings.formatwarning = lambda message, *_, **__: f"{message}\n"  # a note, not a place in code
+    _prepare_worker()
     with suppress(EOFError, OSError):
         while True:
             item = pipe.recv()

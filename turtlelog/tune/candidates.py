@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from turtlelog.errors import ScenarioError, TuneError
 from turtlelog.measure import list_metrics
-from turtlelog.processes import LONG_S, count_cores, map_in_processes
+from turtlelog.processes import LONG_S, count_cores, map_in_processes, start_pool
 from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.plan import build_row_scenario
@@ -17,6 +17,9 @@ from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simula
 from turtlelog.tune.goal import ConstraintFinding, TuningGoal
 
 Point = tuple[float | int, ...]
+
+_CUTS: Final = 8
+"""Parts of a generation, at least: some for each of a few processes."""
 
 _CHUNK_S: Final = 0.5
 """Work handed out at a time [s], about: long against handing it out, short beside what a user
@@ -100,6 +103,7 @@ class Candidates:
         self._watch = watch or (lambda _: None)
         self._known: dict[Point, Candidate] = {}
         self._row_s: float | None = None
+        self._is_batch = False
         known = list_metrics(declare_scenario(resolved))
         unknown = [name for name in goal.metrics if name not in known]
         if unknown:
@@ -154,17 +158,19 @@ class Candidates:
             return
         done = 0
         if self._row_s is None:
+            self._is_batch = is_batch(self._cut(points[:1]))
             begun = time.perf_counter()
             results = simulate_rows(self._cut(points[:1]))
             self._row_s = time.perf_counter() - begun
             yield 0, results
             done = 1
         jobs = self._choose_jobs()
-        if isinstance(jobs, int) and is_batch(self._cut(points[:1])):
+        if isinstance(jobs, int) and self._is_batch:
             jobs, threads, size = 1, jobs, len(points)
         else:
-            shared = 1 if jobs == 1 else max(1, int(_CHUNK_S / self._row_s))
-            threads, size = 1, min(shared, 64)
+            # A generation is cut for all who work, and for those who are done sooner.
+            threads, size = 1, -(-len(points) // _CUTS)
+            size = max(1, min(size, int(_CHUNK_S / self._row_s)))
         chunks = [
             self._cut(points[first : first + size], threads=threads)
             for first in range(done, len(points), max(size, 1))
@@ -177,6 +183,8 @@ class Candidates:
         if self._jobs is None:
             rest_s = (self._expected - self.evaluations) * (self._row_s or 0.0)
             self._jobs = count_cores() if rest_s > LONG_S else 1
+        if isinstance(self._jobs, int) and self._jobs > 1 and not self._is_batch:
+            self._jobs = start_pool(self._jobs)
         return self._jobs
 
     def _cut(self, points: Sequence[Point], *, threads: int = 1) -> RowChunk:
