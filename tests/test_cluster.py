@@ -144,6 +144,18 @@ def test_a_cluster_answers_as_this_computer_does(
     assert len(here[1]) > 300
 
 
+def test_a_cluster_tunes_as_this_computer_does(
+    cluster: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        *("tune", "paper-kp4", "--vary", "law.kp_linear=1:12", "--minimise", "run.path_length"),
+        *("--evaluations", "12", "--monte-carlo", "3", "--set", "max_duration_s=4", "--json"),
+    ]
+    here = _run(capsys, *words, "--jobs", "1")
+    assert here[0] == 0
+    assert _run(capsys, *words, "--scheduler", cluster) == here
+
+
 def test_who_says_nothing_is_no_scheduler(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"

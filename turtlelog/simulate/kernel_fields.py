@@ -194,9 +194,11 @@ def fill_settings(scenario: Scenario, plant: Plant) -> np.ndarray[Any, Any]:
     """Return the settings of a scenario that the compiled loop covers, shape (1,)."""
     values: list[float] = [CHOICES[key].index(read_key(scenario, key)) for key in CHOICES]
     values += [read_key(scenario, key) for key in WHOLE]
-    values += _derive_whole(scenario, plant)
+    derived = _derive_whole(scenario, plant)
+    values += [derived[name] for name in DERIVED]
     values += [read_key(scenario, key) for key in REAL]
-    values += _derive_real(scenario, plant)
+    derived_real = _derive_real(scenario, plant)
+    values += [derived_real[name] for name in DERIVED_REAL]
     return np.array([tuple(values)], dtype=SETTINGS)
 
 
@@ -209,45 +211,45 @@ def fill_axes(scenario: Scenario) -> np.ndarray[Any, Any]:
     return axes
 
 
-def _derive_whole(scenario: Scenario, plant: Plant) -> list[int]:
-    """Return the values of `DERIVED`, in its order."""
+def _derive_whole(scenario: Scenario, plant: Plant) -> dict[str, int]:
+    """Return the values of `DERIVED`."""
     loop, sensing = scenario.loop, scenario.sensing
     duration_ns, tick_ns = round(scenario.max_duration_s * 1e9), scenario.plant.facts.period_ns
     delays_poses = loop.period_s is not None or sensing.delays_poses
     delay_ns = loop.transport_delay_ticks * plant.period_ns + round(loop.transport_delay_s * 1e9)
-    return [
-        duration_ns // plant.period_ns,
-        duration_ns + 1,
-        plant.period_ns,
-        tick_ns,
-        tick_ns if delays_poses else plant.steps_per_tick,
-        loop.pose_precision == "float64",
-        loop.queue_policy == "newest",
-        round((loop.period_s or 0.0) * 1e9),
-        needs_time(scenario),
-        delays_poses,
-        sensing.changes_poses,
-        scenario.disturbance.acts,
-        delay_ns,
-        round(loop.late_s * 1e9),
-        round(sensing.delay_s * 1e9),
-    ]
+    return {
+        "last_tick": duration_ns // plant.period_ns,
+        "end_ns": duration_ns + 1,
+        "period_ns": plant.period_ns,
+        "tick_ns": tick_ns,
+        "block": tick_ns if delays_poses else plant.steps_per_tick,
+        "is_exact": loop.pose_precision == "float64",
+        "newest_only": loop.queue_policy == "newest",
+        "timer_ns": round((loop.period_s or 0.0) * 1e9),
+        "is_timed": needs_time(scenario),
+        "delays_poses": delays_poses,
+        "has_sensor": sensing.changes_poses,
+        "is_pushed": scenario.disturbance.acts,
+        "transport_ns": delay_ns,
+        "late_ns": round(loop.late_s * 1e9),
+        "sensing_delay_ns": round(sensing.delay_s * 1e9),
+    }
 
 
-def _derive_real(scenario: Scenario, plant: Plant) -> list[float]:
-    """Return the values of `DERIVED_REAL`, in its order."""
+def _derive_real(scenario: Scenario, plant: Plant) -> dict[str, float]:
+    """Return the values of `DERIVED_REAL`."""
     loop, disturbance, to_s = scenario.loop, scenario.disturbance, scenario.disturbance.to_s
     root = math.sqrt(plant.period_ns / 1e9)
-    return [
-        wrap_angle(scenario.goal.heading_rad or 0.0),
-        plant.period_s,
-        plant.watchdog_ns,
-        loop.period_s or loop.period_ticks * plant.period_ns / 1e9,
-        loop.jitter_s * 1e9,
-        scenario.sensing.jitter_s * 1e9,
-        scenario.shaping.low_pass_s,
-        round(disturbance.from_s * 1e9),
-        to_s if math.isinf(to_s) else round(to_s * 1e9),
-        disturbance.noise_speed / root,
-        disturbance.noise_turn_rate / root,
-    ]
+    return {
+        "goal_heading_rad": wrap_angle(scenario.goal.heading_rad or 0.0),
+        "period_s": plant.period_s,
+        "watchdog_ns": plant.watchdog_ns,
+        "first_s": loop.period_s or loop.period_ticks * plant.period_ns / 1e9,
+        "transport_jitter_ns": loop.jitter_s * 1e9,
+        "sensing_jitter_ns": scenario.sensing.jitter_s * 1e9,
+        "low_pass_s": scenario.shaping.low_pass_s,
+        "push_from_ns": round(disturbance.from_s * 1e9),
+        "push_to_ns": to_s if math.isinf(to_s) else round(to_s * 1e9),
+        "push_scale": disturbance.noise_speed / root,
+        "turn_push_scale": disturbance.noise_turn_rate / root,
+    }

@@ -19,9 +19,12 @@ STOP_REASONS: Final = ("", "within_tolerance", "standstill", "settled", "timeout
 """By number."""
 WITHIN_TOLERANCE, STANDSTILL, SETTLED, TIMEOUT, MAX_DURATION = range(1, 6)
 
-POSES_LOST, COMMANDS_LOST, COMMANDS_DROPPED = range(3)
-WALL_HIT, POSES_DROPPED, STOP = range(3, 6)
-"""Kinds of events; stretches of the first three are counted."""
+EVENT_KINDS: Final = (
+    *("poses_lost", "commands_lost", "commands_dropped"),
+    *("wall_hit", "poses_dropped", "stop"),
+)
+"""By number; stretches of the first three are counted."""
+POSES_LOST, COMMANDS_LOST, COMMANDS_DROPPED, WALL_HIT, POSES_DROPPED, STOP = range(6)
 
 _NEVER_NS: Final = 2**63 - 1
 

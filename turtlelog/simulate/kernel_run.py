@@ -1,7 +1,7 @@
 """A run by the compiled loop: its arrays filled, simulated, and made the columns of a run."""
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from turtlelog.simulate.event_watch import describe_loss, describe_stop, describ
 from turtlelog.simulate.kernel_fields import fill_settings
 from turtlelog.simulate.kernel_memory import (
     COMMANDS_DROPPED,
+    EVENT_KINDS,
     POSES_DROPPED,
     STOP_REASONS,
     WALL_HIT,
@@ -22,12 +23,6 @@ from turtlelog.simulate.kernel_memory import (
     prepare,
 )
 from turtlelog.simulate.law_driver import declare_scenario
-
-_KINDS: Final = (
-    *("poses_lost", "commands_lost", "commands_dropped"),
-    *("wall_hit", "poses_dropped", "stop"),
-)
-"""Kinds of events by number."""
 
 
 class KernelRunner:
@@ -143,7 +138,7 @@ def _build_events(rows: NDArray[np.float64], period_ns: int, stop_reason: str) -
         elif number == COMMANDS_DROPPED and first < 0.0:
             text = f"The plant's queue dropped {int(second)} commands."
         elif number < WALL_HIT:
-            text = describe_loss(_KINDS[int(number)], int(first), int(second))
+            text = describe_loss(EVENT_KINDS[int(number)], int(first), int(second))
         else:
             text = describe_stop(stop_reason)
-        yield Event(time_ns=int(tick) * period_ns, kind=_KINDS[int(number)], text=text)
+        yield Event(time_ns=int(tick) * period_ns, kind=EVENT_KINDS[int(number)], text=text)
