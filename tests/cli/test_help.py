@@ -11,7 +11,7 @@ from tests.cli.conftest import Call
 from turtlelog.cli.app import app
 
 GROUPS = {
-    "Simulate": ["run", "scenario", "sweep", "theory"],
+    "Simulate": ["run", "scenario", "sweep", "tune", "theory"],
     "Ask": ["info", "metrics", "compare", "explain", "identify", "replay", "list"],
     "Check": ["check"],
     "Show": ["view", "plot", "map", "report"],

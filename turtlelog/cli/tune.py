@@ -166,10 +166,9 @@ def tune(
 
     The exit code is 1 where no candidate fulfils the constraints.
 
-    Example: turtlelog tune textbook --vary law.kp_linear=0.5:12 --minimise translate.settling_time
+    Example: turtlelog tune paper --vary law.kp_linear=1:9 --minimise run.duration
 
-    Example: turtlelog tune paper-kp4 --vary law.kp_angular=0.5:12 --minimise final.position_error
-    --subject-to "rotate.overshoot <= 2" --monte-carlo 200 -o best.toml
+    Constraints stand in --subject-to, as in "rotate.overshoot <= 2".
 
     Args:
         base: A preset (turtlelog list presets), a scenario file (.toml), as `identify` writes one,

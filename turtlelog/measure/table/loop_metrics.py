@@ -12,7 +12,6 @@ from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import has_sides, has_step, loop_metric
 from turtlelog.measure.response import Response, Values, find_loop_samples
 from turtlelog.measure.step_response import find_largest
-from turtlelog.measure.swings import TURN_RAD, judge_swings
 
 SMALLEST_STEP: Final = 1e-6
 """What counts as a step [rad or m]: poses are published with 32 bits, so less is their rounding."""
@@ -198,6 +197,8 @@ def _compute_decay_ratio(response: Response) -> Result:
     applies=has_sides,
 )
 def _compute_stable(context: RunContext, response: Response) -> Result:
+    from turtlelog.measure.swings import TURN_RAD, judge_swings  # not among those shown first
+
     error, clipped = _take_answered(context, response)
     if abs(response.reference - response.initial) <= SMALLEST_STEP:
         return _NO_STEP
