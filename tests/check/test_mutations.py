@@ -88,6 +88,7 @@ CHANGES: Mapping[str, Callable[[], tl.Run]] = {
     "goal heading": lambda: simulate(goal__heading_rad=0.5),
     "lag": lambda: simulate("paper-kp10", law__kp_angular=8.0, law__kp_linear=12.0, **LAGGING),
     "less lag": lambda: simulate("paper-kp10", law__kp_angular=7.0, law__kp_linear=12.0, **LAGGING),
+    "swinging turn": lambda: simulate("textbook", law__kp_angular=15.5, **LAGGING),
     "slow loop": lambda: simulate(loop__period_ticks=5),
     "no limits": lambda: simulate(limits__speed_m_s=2.0, limits__turn_rate_rad_s=3.0),
     "textbook": lambda: simulate("textbook"),

@@ -131,7 +131,7 @@ def test_convert_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) ->
         (["convert", "wrong.json", "-o", "wrong.json"], "found a name that ends in .json"),
         (["convert", "json.mcap", "-o", "a.mcap"], "json.mcap: byte 0: expected an MCAP file"),
         (["view", "good.mcap", "--save", "no/such/a.rrd"], "expected a place that can be written"),
-        (["frobnicate"], "turtlelog: expected a command (run, scenario, sweep, theory, info"),
+        (["frobnicate"], "turtlelog: expected a command (run, scenario, sweep, tune, theory"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
