@@ -75,7 +75,7 @@ def test_text_tells_bounds_constraints_and_variants(call: Call) -> None:
     )
     assert (done.code, done.err) == (0, "")
     assert "translate.settling_time, to minimise: " in done.out
-    assert "translate.stable == 1      1  yes" in done.out
+    assert "translate.stable == 1      1       0  yes" in done.out
     assert "4 variants of the best" in done.out
     assert "start.heading_rad from 0 to 0.5" in done.out
     assert "seed from 0 to 3" in done.out
@@ -110,7 +110,9 @@ def test_nothing_that_fulfils_the_constraints_is_exit_code_1(call: Call) -> None
         "4",
     )
     assert (done.code, done.err) == (1, "")
-    assert "No candidate fulfils the constraints; this one comes nearest." in done.out
+    assert (
+        "No candidate that has a value fulfils the constraints; this one comes nearest." in done.out
+    )
     assert "variants" not in done.out
 
 

@@ -134,8 +134,10 @@ def test_the_same_seed_gives_the_same_and_processes_change_nothing() -> None:
 def test_the_neighbourhood_ends_where_the_best_is_a_tenth_worse() -> None:
     candidates, keys = prepare("textbook", {}, BOUNDS, GOAL)
     best = tune.search_best(candidates, keys, evaluations=60).best
-    (around,) = tune.explore_neighbourhood(candidates, keys, best)
+    found = tune.explore_neighbourhood(candidates, keys, best)
+    (around,) = found.ranges
     assert best.objective is not None
+    assert found.slack == pytest.approx(0.1 * best.objective)
     assert around.low_end == "objective"
     assert (around.high, around.high_end) == (12.0, "bound")
     slack = 0.1 * best.objective
@@ -149,7 +151,7 @@ def test_the_neighbourhood_ends_where_a_constraint_breaks() -> None:
     goal = tune.parse_goal("translate.settling_time", ["law.kp_linear <= 5"])
     candidates, keys = prepare("textbook", {}, BOUNDS, goal)
     best = tune.search_best(candidates, keys, evaluations=100).best
-    (around,) = tune.explore_neighbourhood(candidates, keys, best)
+    (around,) = tune.explore_neighbourhood(candidates, keys, best).ranges
     assert around.high == pytest.approx(5.0, abs=0.01)
     assert around.high <= 5.0
     assert (around.high_end, around.high_constraint) == ("constraint", "law.kp_linear <= 5")
@@ -187,6 +189,21 @@ def test_the_neighbourhood_ends_where_a_constraint_breaks() -> None:
         ),
         ('law.projection == "heading"', {"law.projection": "heading"}, None, math.inf, True),
         ('law.projection == "heading"', {"law.projection": "bearing"}, None, -math.inf, False),
+        ("not rotate.overshoot > 2", {"rotate.overshoot": None}, None, -math.inf, False),
+        (
+            "rotate.overshoot > 2 implies run.duration < 9",
+            {"rotate.overshoot": None, "run.duration": 10.0},
+            None,
+            -1.0,
+            False,
+        ),
+        (
+            "rotate.overshoot > 2 or run.duration < 9",
+            {"rotate.overshoot": None, "run.duration": 8.0},
+            None,
+            1.0,
+            True,
+        ),
     ],
 )
 def test_margins_of_constraints(
@@ -198,6 +215,27 @@ def test_margins_of_constraints(
 ) -> None:
     (found,) = tune.parse_goal("run.duration", [text]).judge(values)
     assert (found.value, found.margin, found.holds) == (value, margin, holds)
+
+
+def test_both_bounds_are_candidates_to_their_last_digit() -> None:
+    """0.2 + 1.0 * (0.9 - 0.2) is not 0.9."""
+    candidates, keys = prepare("textbook", {}, {"law.kp_linear": (0.2, 0.9)}, GOAL)
+    found = tune.search_best(candidates, keys, evaluations=16)
+    assert found.best.point == (0.9,)
+    assert found.at_bounds == ("law.kp_linear",)
+
+
+def test_a_better_one_in_the_neighbourhood_is_taken() -> None:
+    goal = tune.parse_goal("final.position_error")
+    candidates, keys = prepare("paper-kp10", {}, {"law.kp_angular": (1.0, 12.0)}, goal)
+    first = tune.search_best(candidates, keys, evaluations=12)
+    found, around = tune.explore_best(candidates, keys, first)
+    assert first.best.objective is not None
+    assert found.best.objective is not None
+    assert found.best.objective < first.best.objective
+    assert found.evaluations == candidates.evaluations
+    (one,) = around.ranges
+    assert one.low <= found.best.point[0] <= one.high
 
 
 def test_where_no_candidate_fulfils_the_constraints_the_nearest_is_told() -> None:
@@ -273,6 +311,9 @@ def test_variants_draw_what_they_say() -> None:
     assert spread.median is not None
     assert spread.low < spread.median < (spread.high or 0.0) <= (spread.worst or 0.0)
     assert 0 <= spread.holds <= 12
+    noisy = [tune.Variation(key="sensing.noise_position_m", low=0.0, high=0.01)]
+    drawn = tune.choose_variations(tl.load_scenario("textbook"), 12, noisy)
+    assert drawn[0].key == "seed"
     calm = tune.choose_variations(tl.load_scenario("textbook"), 12)
     assert [one.key for one in calm] == ["loop.transport_delay_ticks"]
 

@@ -1,6 +1,5 @@
 """`turtlelog tune`: the best values of keys, their neighbourhood, and how robust they are."""
 
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -20,7 +19,7 @@ from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog.scenario import Scenario
-    from turtlelog.tune import SearchedKey, TuningGoal, Variation
+    from turtlelog.tune import Candidates, SearchedKey, TuningGoal, Variation
 
 _FOR_EACH_KEY: Final = 300
 """Candidates for each key: the cover takes 32, and a generation of the evolution 12."""
@@ -184,11 +183,11 @@ def tune(
     more = robustness.list_variations(scenario, [key.key for key in keys])
     with work.find_any_place() as place:
         answer = _search(scenario, keys, goal, wanted, seed, place, trust_law=work.trust_law)
+        if work.output is not None:
+            with tl.log.replace_when_complete(work.output) as path:
+                path.write_text(tl.scenario.format_scenario(answer.scenario), "utf-8")
         if runs and answer.tuned.best.is_feasible:
             answer.spread = _simulate_variants(answer, runs, more, seed, place, work)
-    if work.output is not None:
-        with tl.log.replace_when_complete(work.output) as path:
-            path.write_text(tl.scenario.format_scenario(answer.scenario), "utf-8")
     if json:
         print_json(describe_answer(answer))
     else:
@@ -234,29 +233,37 @@ def _search(  # noqa: PLR0913  (what a search takes)
             watch=watch,
             trust_law=trust_law,
         )
-        ends = [tuple(key.low for key in keys), tuple(key.high for key in keys)]
-        candidates.require_bounds(ends)
+        candidates.require_bounds([tuple(key.low for key in keys), tuple(key.high for key in keys)])
+        is_maximised, around = wanted.is_maximised, None
         try:
             tuned = tl.tune.search_best(
-                candidates, keys, evaluations=most, is_maximised=wanted.is_maximised, seed=seed
+                candidates, keys, evaluations=most, is_maximised=is_maximised, seed=seed
             )
+            if tuned.best.is_feasible:
+                tuned, around = tl.tune.explore_best(
+                    candidates, keys, tuned, is_maximised=is_maximised
+                )
         except KeyboardInterrupt:
-            with suppress(ValueError):
-                best = tl.tune.find_best(candidates, is_maximised=wanted.is_maximised)
-                values = zip(candidates.keys, best.point, strict=True)
-                told = ", ".join(f"{key} = {value:.6g}" for key, value in values)
-                print_note(f"the best of {candidates.evaluations} candidates so far: {told}")
+            _tell_best_so_far(candidates, keys, is_maximised=is_maximised)
             raise
-        answer = Answer(
-            scenario=candidates.build_scenario(tuned.best.point),
-            keys=keys,
-            goal=wanted,
-            tuned=tuned,
-        )
-        if tuned.best.is_feasible:
-            sign = -1.0 if wanted.is_maximised else 1.0
-            answer.around = tl.tune.explore_neighbourhood(candidates, keys, tuned.best, sign=sign)
-    return answer
+    return Answer(
+        scenario=candidates.build_scenario(tuned.best.point),
+        keys=keys,
+        goal=wanted,
+        tuned=tuned,
+        around=around,
+    )
+
+
+def _tell_best_so_far(
+    candidates: "Candidates", keys: "tuple[SearchedKey, ...]", *, is_maximised: bool
+) -> None:
+    if not candidates.evaluations:
+        return
+    best = tl.tune.find_best(candidates, is_maximised=is_maximised)
+    values = zip(keys, best.point, strict=True)
+    told = ", ".join(f"{key.key} = {value:.6g}" for key, value in values)
+    print_note(f"the best of {candidates.evaluations} candidates so far: {told}")
 
 
 def _simulate_variants(

@@ -1,5 +1,6 @@
 """What `tune` answers, as text and as JSON."""
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ from turtlelog.display import describe_count, format_number
 if TYPE_CHECKING:
     from turtlelog.compare import Table
     from turtlelog.scenario import Scenario
-    from turtlelog.tune import KeyRange, SearchedKey, Spread, Tuned, TuningGoal
+    from turtlelog.tune import KeyRange, Neighbourhood, SearchedKey, Spread, Tuned, TuningGoal
 
 
 @dataclass(slots=True, kw_only=True)
@@ -22,7 +23,7 @@ class Answer:
         keys: That varied.
         goal: What they were tuned for.
         tuned: What the search came to.
-        around: How far each key can go; empty where no candidate fulfils the constraints.
+        around: How far each key can go; None where no candidate fulfils the constraints.
         spread: What variants came to; None where none were simulated.
     """
 
@@ -30,7 +31,7 @@ class Answer:
     keys: "tuple[SearchedKey, ...]"
     goal: "TuningGoal"
     tuned: "Tuned"
-    around: "tuple[KeyRange, ...]" = ()
+    around: "Neighbourhood | None" = None
     spread: "Spread | None" = None
 
     @property
@@ -54,7 +55,12 @@ def describe_answer(answer: Answer) -> dict[str, Any]:
         "unit": answer.unit or None,
         "is_feasible": tuned.best.is_feasible,
         "constraints": [
-            {"expression": one.expression, "value": one.value, "holds": one.holds}
+            {
+                "expression": one.expression,
+                "value": one.value,
+                "margin": _tell_margin(one.margin),
+                "holds": one.holds,
+            }
             for one in tuned.best.constraints
         ],
         "evaluations": tuned.evaluations,
@@ -69,8 +75,9 @@ def describe_answer(answer: Answer) -> dict[str, Any]:
                 "low_end": one.low_constraint or one.low_end,
                 "high_end": one.high_constraint or one.high_end,
             }
-            for one in answer.around
+            for one in (answer.around.ranges if answer.around else ())
         ],
+        "slack": answer.around.slack if answer.around else None,
         "spread": None if spread is None else _describe_spread(spread),
     }
 
@@ -101,7 +108,7 @@ def format_answer(answer: Answer) -> str:
 
 def _tabulate_best(answer: Answer) -> "Table":
     tuned = answer.tuned
-    around = {one.key: one for one in answer.around}
+    around = {one.key: one for one in answer.around.ranges} if answer.around else {}
     ends: dict[str, tuple[Any, ...]] = {
         key: (one.low, one.high, _tell_end(one, is_low=True), _tell_end(one, is_low=False))
         for key, one in around.items()
@@ -129,14 +136,13 @@ def _list_notes(answer: Answer) -> list[str]:
         notes.append(f"{name}, to {word}: {value}.")
     if not best.is_feasible:
         notes.append(
-            "No candidate fulfils the constraints; this one comes nearest."
-            if best.objective is not None
-            else "No candidate that fulfils the constraints has a value of the objective."
+            "No candidate that has a value fulfils the constraints; this one comes nearest."
         )
     elif answer.around:
+        slack = f"{format_number(answer.around.slack)} {unit}".rstrip()
         notes.append(
             "From and to: as far as this key alone can go, in the steps of the search, until the"
-            " objective is 10 % worse, or a constraint breaks."
+            f" objective is worse by {slack}, or a constraint breaks."
         )
     notes += [
         f"{key.key} is at the bound that was given, {format_number(number)}: beyond, it may be"
@@ -160,12 +166,18 @@ def _tell_end(one: "KeyRange", *, is_low: bool) -> str:
 def _tabulate_constraints(answer: Answer) -> "Table":
     return tl.compare.Table(
         title="Constraints",
-        columns=tuple(tl.compare.Column(title=title) for title in ("constraint", "value", "holds")),
+        columns=tuple(
+            tl.compare.Column(title=title) for title in ("constraint", "value", "margin", "holds")
+        ),
         rows=tuple(
-            (one.expression, one.value, "yes" if one.holds else "no")
+            (one.expression, one.value, _tell_margin(one.margin), "yes" if one.holds else "no")
             for one in answer.tuned.best.constraints
         ),
     )
+
+
+def _tell_margin(margin: float) -> float | None:
+    return margin if math.isfinite(margin) else None
 
 
 def _tabulate_spread(answer: Answer, spread: "Spread") -> "Table":

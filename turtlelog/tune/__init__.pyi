@@ -16,12 +16,15 @@ from .monte_carlo import (
 )
 from .neighbourhood import (
     KeyRange as KeyRange,
+    Neighbourhood as Neighbourhood,
+    explore_best as explore_best,
     explore_neighbourhood as explore_neighbourhood,
 )
 from .search import (
     Tuned as Tuned,
     find_best as find_best,
     search_best as search_best,
+    sum_up as sum_up,
 )
 from .searched_keys import (
     SearchedKey as SearchedKey,

@@ -129,27 +129,34 @@ def _judge(expression: Expression, values: Values) -> ConstraintFinding:
         value = float(found) if _is_number(found) else None
     margin = _measure_margin(expression, root, values)
     return ConstraintFinding(
-        expression=expression.text, value=value, margin=margin, holds=truth is True
+        expression=expression.text,
+        value=value,
+        margin=-math.inf if margin is None else margin,
+        holds=truth is True,
     )
 
 
-def _measure_margin(expression: Expression, node: Node, values: Values) -> float:
-    """Return how far a truth is from the other verdict; negative where it does not hold.
+def _measure_margin(expression: Expression, node: Node, values: Values) -> float | None:
+    """Return how far a truth is from the other verdict; None where that hangs on a missing value.
 
     The robustness of a formula (A. Donze and O. Maler, "Robust satisfaction of temporal logic over
     real-valued signals", FORMATS 2010), without time.
     """
     if isinstance(node, Comparison):
         sides = [evaluate_node(expression, one, values).unpack() for one in node.operands]
-        pairs = zip(sides, node.operators, sides[1:], strict=False)
-        return min(_compare(*pair) for pair in pairs)
+        if None in sides:
+            return None
+        return min(map(_compare, sides, node.operators, sides[1:]))
     parts = [_measure_margin(expression, part, values) for part in node.list_children()]
     if isinstance(node, Logic):
         if node.operator == "implies":
-            return max(-parts[0], parts[1])
-        return min(parts) if node.operator == "and" else max(parts)
+            parts[0] = None if parts[0] is None else -parts[0]
+        known = [part for part in parts if part is not None]
+        if node.operator == "and":
+            return min(known) if len(known) == len(parts) else None
+        return max(known, default=None)
     if isinstance(node, Prefix) and node.operator == "not":
-        return -parts[0]
+        return None if parts[0] is None else -parts[0]
     return math.inf if evaluate_node(expression, node, values).unpack() is True else -math.inf
 
 
@@ -157,15 +164,13 @@ _ORDER: Final = {"<": 1.0, "<=": 1.0, ">": -1.0, ">=": -1.0}
 
 
 def _compare(left: Any, operator: str, right: Any) -> float:
-    if left is None or right is None:
-        return -math.inf
     if not (_is_number(left) and _is_number(right)):
         return math.inf if (left == right) == (operator == "==") else -math.inf
     if operator in _ORDER:
         # Infinite sides that are equal are no distance apart.
         return 0.0 if left == right else _ORDER[operator] * (right - left)
     distance = 0.0 if left == right else abs(left - right)
-    return -distance if operator == "==" else distance
+    return 0.0 - distance if operator == "==" else distance
 
 
 def _is_number(value: Any) -> bool:

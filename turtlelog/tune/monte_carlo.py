@@ -10,7 +10,12 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.errors import TuneError
-from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
+from turtlelog.scenario import (
+    Scenario,
+    flatten_scenario,
+    override_scenario,
+    resolve_scenario,
+)
 from turtlelog.simulate.kernel_memory import list_streams
 from turtlelog.text_files import read_text_file
 from turtlelog.tune.candidates import Candidates
@@ -81,8 +86,8 @@ def choose_variations(
         runs: How many variants there will be.
         more: Further keys; one of the two above takes its place.
     """
-    resolved = resolve_scenario(scenario)
-    given = {one.key for one in more}
+    given = {one.key: one.high for one in more}
+    resolved = resolve_scenario(override_scenario(scenario, given, source="--spread"))
     found: list[Variation] = []
     if list_streams(resolved) and SEED not in given:
         first = resolved.seed

@@ -1,11 +1,12 @@
 """How far each key alone can go from the best: until it is worse, or a constraint breaks."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import Final, Literal
 
 from turtlelog.tune.candidates import Candidate, Candidates, Point
+from turtlelog.tune.search import Tuned, sum_up
 from turtlelog.tune.searched_keys import SearchedKey
 
 WORSE: Final = 0.1
@@ -17,6 +18,10 @@ best of 0 every share is 0."""
 
 _POINTS: Final = 16
 """Looked at between the best and each bound, closer to the best at first."""
+
+_ROUNDS: Final = 5
+"""Neighbourhoods that are looked at: of a metric that hangs on single samples each may hold a
+better one."""
 
 _HALVINGS: Final = 8
 """Of the step in which it ends: to 1/256 of it."""
@@ -48,6 +53,19 @@ class KeyRange:
     high_constraint: str = ""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Neighbourhood:
+    """How far the keys can go, each alone.
+
+    Attributes:
+        slack: By how much the objective may become worse.
+        ranges: Of each key.
+    """
+
+    slack: float
+    ranges: tuple[KeyRange, ...]
+
+
 @dataclass(slots=True)
 class _Walk:
     """From the best to a bound: the last good share of the way, and the first that is not."""
@@ -60,9 +78,29 @@ class _Walk:
     constraint: str = ""
 
 
+def explore_best(
+    candidates: Candidates, keys: Sequence[SearchedKey], found: Tuned, *, is_maximised: bool = False
+) -> tuple[Tuned, Neighbourhood]:
+    """Return the best with its neighbourhood: where that holds a better one, this one's.
+
+    Args:
+        candidates: Simulates and judges.
+        keys: That vary.
+        found: The best so far, which fulfils the constraints.
+        is_maximised: Whether the objective should be large.
+    """
+    sign = -1.0 if is_maximised else 1.0
+    for _ in range(_ROUNDS):
+        around = explore_neighbourhood(candidates, keys, found.best, sign=sign)
+        before, found = found, sum_up(candidates, keys, is_maximised=is_maximised)
+        if found.best is before.best:
+            break
+    return replace(found, best=before.best, at_bounds=before.at_bounds), around
+
+
 def explore_neighbourhood(
     candidates: Candidates, keys: Sequence[SearchedKey], best: Candidate, *, sign: float = 1.0
-) -> tuple[KeyRange, ...]:
+) -> Neighbourhood:
     """Return how far each key can go alone, on the points of a walk to each bound.
 
     Args:
@@ -72,7 +110,8 @@ def explore_neighbourhood(
         sign: 1 where the objective should be small, -1 where it should be large.
     """
     assert best.objective is not None
-    limit = sign * best.objective + _find_slack(candidates, best.objective)
+    slack = _find_slack(candidates, best.objective)
+    limit = sign * best.objective + slack
     walks = [_Walk(place, bound) for place, key in enumerate(keys) for bound in (key.low, key.high)]
 
     def move(walk: _Walk, share: float) -> Point:
@@ -94,10 +133,11 @@ def explore_neighbourhood(
         halved = [(one, (one.good + one.bad) / 2.0) for one in walks if one.bad is not None]
         for (walk, share), fault in zip(halved, look(halved), strict=True):
             _enter(walk, share, fault)
-    return tuple(
+    ranges = (
         _describe(key.key, below, above, move)
         for key, below, above in zip(keys, walks[::2], walks[1::2], strict=True)
     )
+    return Neighbourhood(slack=slack, ranges=tuple(ranges))
 
 
 def _enter(walk: _Walk, share: float, fault: tuple[End, str] | None) -> None:
@@ -122,7 +162,7 @@ def _describe(
 
 
 def _find_slack(candidates: Candidates, best: float) -> float:
-    """Return by how much the objective may become worse."""
+    """Return by how much the objective may become worse than the best."""
     values = [
         one.objective
         for one in candidates.list_known()

@@ -91,20 +91,28 @@ def search_best(
     search.spread(seed, first)
     search.evolve(seed)
     search.refine()
-    known = candidates.list_known()
-    best = find_best(candidates, is_maximised=is_maximised)
-    if best.objective is None and not any(one.objective is not None for one in known):
-        reason = best.failed or best.missing
+    found = sum_up(candidates, keys, is_maximised=is_maximised)
+    if found.best.objective is None:
+        reason = found.best.failed or found.best.missing
         raise TuneError(f"expected a candidate with a value to compare, found none: {reason}")
-    at_bounds = tuple(
-        key.key for key, value in zip(keys, best.point, strict=True) if value in {key.low, key.high}
-    )
+    return found
+
+
+def sum_up(
+    candidates: Candidates, keys: Sequence[SearchedKey], *, is_maximised: bool = False
+) -> Tuned:
+    """Return what is known of the candidates so far; at least one is."""
+    known, best = candidates.list_known(), find_best(candidates, is_maximised=is_maximised)
     return Tuned(
         best=best,
         evaluations=candidates.evaluations,
         failed=sum(bool(one.failed) for one in known),
         feasible=sum(one.is_feasible for one in known),
-        at_bounds=at_bounds,
+        at_bounds=tuple(
+            key.key
+            for key, value in zip(keys, best.point, strict=True)
+            if value in {key.low, key.high}
+        ),
     )
 
 
@@ -140,6 +148,8 @@ class _Search:
     def _place(self, shares: NDArray[np.float64]) -> list[Point]:
         """Return the points at shares of the range, shape (n, number of keys)."""
         values = self._low + shares * self._width
+        # What is added up may fall short of a bound by its last digit.
+        values = np.where(shares >= 1.0, [key.high for key in self._keys], values)
         return [
             tuple(key.round(value) for key, value in zip(self._keys, row, strict=True))
             for row in values.tolist()
