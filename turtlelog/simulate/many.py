@@ -83,8 +83,6 @@ class ManyRuns(Iterator[Simulated]):
         kernel = LOOP.find() if is_compiled(scenario, plant) else None
         if kernel is None:
             return self._interpret(scenario, plant)
-        with self._counting:
-            self.compiled += 1
         if self._threads == 1:
             return self._compile(kernel, scenario, plant)
         if self._pool is None:
@@ -95,12 +93,10 @@ class ManyRuns(Iterator[Simulated]):
         if not hasattr(self._local, "runner"):
             self._local.runner = KernelRunner(kernel)
         run: Run | None = self._local.runner.simulate(scenario, plant)
-        if run is not None:
-            return run
         with self._counting:
-            self.compiled -= 1
-            self.interpreted += 1
-        return _simulate(scenario, plant)
+            self.compiled += run is not None
+            self.interpreted += run is None
+        return _simulate(scenario, plant) if run is None else run
 
     def _interpret(self, scenario: Scenario, plant: Plant) -> Simulated:
         """Simulate, and find out whether the others are worth loading the compiled loop."""

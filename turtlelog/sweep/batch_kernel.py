@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from turtlelog.compiled_loops import sum_up_sources
-from turtlelog.measure import step_response, swings
+from turtlelog.measure import metric, step_response, swings
 from turtlelog.measure.step_response import SHORTEST_HOLD_S, SWING
 from turtlelog.measure.table import loop_metrics
 from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
@@ -482,7 +482,10 @@ def _build(stamp: int) -> Any:
     return run_rows
 
 
-SOURCES = (loop_kernel, *loop_kernel.SOURCES, batch_table, loop_metrics, step_response, swings)
+SOURCES = (
+    *(loop_kernel, *loop_kernel.SOURCES),
+    *(batch_table, loop_metrics, metric, step_response, swings),
+)
 """Whose code and constants stand in the machine code."""
 
 run_rows = _build(sum_up_sources(*SOURCES))
