@@ -3,6 +3,7 @@ import importlib
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -117,17 +118,28 @@ def test_a_constant_of_another_file_is_compiled_anew(tmp_path: Path) -> None:
     assert found == [["3.0", "0"], ["3.0", "1"], ["4.0", "0"]]
 
 
-@pytest.mark.parametrize("name", ["simulate.loop_kernel", "sweep.batch_kernel"])
+@pytest.mark.parametrize("name", ["simulate.compiled.sequential_loop", "sweep.batch_kernel"])
 def test_every_file_that_a_kernel_takes_from_is_summed_up(name: str) -> None:
     pytest.importorskip("numba")
     kernel = importlib.import_module(f"turtlelog.{name}")
-    tree = ast.parse(Path(str(kernel.__file__)).read_text("utf-8"))
-    taken = {
-        str(node.module)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("turtlelog.")
-        for one in node.names
-        if not isinstance(getattr(kernel, one.name), ModuleType) and one.name != "sum_up_sources"
-    }
-    assert len(taken) > 3
-    assert taken <= {module.__name__ for module in kernel.SOURCES}
+    summed_up = {module.__name__ for module in kernel.SOURCES}
+    for module in (kernel, *kernel.SOURCES):
+        if module is kernel or is_compiled(module):
+            assert {*list_taken(module)} <= summed_up
+    assert len(summed_up) > 3
+
+
+def is_compiled(module: ModuleType) -> bool:
+    return any(type(value).__name__ == "CPUDispatcher" for value in vars(module).values())
+
+
+def list_taken(module: ModuleType) -> Iterator[str]:
+    """Yield the modules of which a module takes something by its name."""
+    for node in ast.walk(ast.parse(Path(str(module.__file__)).read_text("utf-8"))):
+        if not isinstance(node, ast.ImportFrom) or node.module == "turtlelog.compiled_loops":
+            continue
+        if not str(node.module).startswith("turtlelog."):
+            continue
+        names = [getattr(module, one.asname or one.name) for one in node.names]
+        if any(not isinstance(name, ModuleType) for name in names):
+            yield str(node.module)

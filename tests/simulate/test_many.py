@@ -13,7 +13,7 @@ from turtlelog.plants import TURTLESIM
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate import simulate_many, simulate_run
-from turtlelog.simulate.kernel_fields import (
+from turtlelog.simulate.compiled.fields import (
     AXIS_KEYS,
     CHOICES,
     DERIVED,
@@ -25,7 +25,7 @@ from turtlelog.simulate.kernel_fields import (
     WITHOUT_EFFECT,
     is_compiled,
 )
-from turtlelog.simulate.kernel_run import KernelRunner
+from turtlelog.simulate.compiled.runner import KernelRunner
 from turtlelog.simulate.many import COST_S, LOOP, SAVED_S
 
 COMPILED_EFFECTS: Final = tuple(sorted({*EFFECTS} - {"lagged"}))
@@ -168,12 +168,13 @@ def test_what_the_compiled_loop_cannot_end_is_interpreted(kernel: Any) -> None:
     require_same(kernel, blown)
 
 
-def test_hypotenuse_is_that_of_cpython(kernel: Any) -> None:
+def test_hypotenuse_is_that_of_cpython() -> None:
+    functions = pytest.importorskip("turtlelog.simulate.compiled.functions", exc_type=ImportError)
     draw = np.random.default_rng(1)
     sides = draw.normal(size=(2, 1_000_000)) * 10.0 ** draw.integers(-9, 9, size=(2, 1_000_000))
     sides[:, :500_000] = draw.uniform(-11.1, 11.1, size=(2, 500_000))
     sides[:, :250_000] = sides[:, :250_000].astype(np.float32)
-    found = map_compiled_pairs(kernel.find_hypot, *sides)
+    found = map_compiled_pairs(functions.find_hypot, *sides)
     expected = np.array([*map(math.hypot, *sides.tolist())])
     assert np.flatnonzero(found != expected).tolist() == []
     # The libm's differs: of this test another hypotenuse would fail.

@@ -13,8 +13,8 @@ from turtlelog.processes import count_cores
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.collect import simulate_run
-from turtlelog.simulate.kernel_fields import is_compiled
-from turtlelog.simulate.kernel_run import KernelRunner
+from turtlelog.simulate.compiled.fields import is_compiled
+from turtlelog.simulate.compiled.runner import KernelRunner
 
 COST_S: Final = 1.0
 """What numba's import and the loop take from their cache [s]."""
@@ -25,7 +25,9 @@ SAVED_S: Final = 4e-6
 FIRST_S: Final = 14.0
 """What they take before the loop is in the cache [s]: numba compiles it for 13 s."""
 
-LOOP: Final = CompiledLoops("turtlelog.simulate.loop_kernel", cost_s=COST_S, first_s=FIRST_S)
+LOOP: Final = CompiledLoops(
+    "turtlelog.simulate.compiled.sequential_loop", cost_s=COST_S, first_s=FIRST_S
+)
 
 _AHEAD: Final = 4
 """Runs for each thread that may wait to be taken: memory stays bounded, and no thread idles."""

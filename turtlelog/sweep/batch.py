@@ -20,7 +20,7 @@ from turtlelog.plants import Plant
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import simulate_run
-from turtlelog.simulate.kernel_memory import STOP_REASONS, Memory, allocate, draw_streams
+from turtlelog.simulate.compiled.memory import STOP_REASONS, Memory, allocate, draw_streams
 from turtlelog.simulate.many import COST_S, FIRST_S, SAVED_S
 from turtlelog.sweep.batch_rows import PreparedRows, find_line, prepare_rows
 from turtlelog.sweep.batch_table import (

@@ -17,9 +17,10 @@ from turtlelog.measure import metric, step_response, swings
 from turtlelog.measure.step_response import SHORTEST_HOLD_S, SWING
 from turtlelog.measure.table import loop_metrics
 from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
-from turtlelog.simulate import loop_kernel
-from turtlelog.simulate.kernel_memory import MAX_DURATION, REORIENT, ROTATE, TIMEOUT, TRANSLATE
-from turtlelog.simulate.loop_kernel import _wrap_angle, run_loop
+from turtlelog.simulate.compiled import sequential_loop
+from turtlelog.simulate.compiled.functions import wrap_angle
+from turtlelog.simulate.compiled.memory import MAX_DURATION, REORIENT, ROTATE, TIMEOUT, TRANSLATE
+from turtlelog.simulate.compiled.sequential_loop import run_loop
 from turtlelog.sweep import batch_table
 from turtlelog.sweep.batch_table import (
     CUT,
@@ -452,9 +453,9 @@ def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
         entry.figures[3 * _COUNT :],
     )
     end[0] = (end_ns - samples[0].time_ns) / 1e9
-    end[1] = abs(_wrap_angle(wanted_rad - scratch[0, count - 1])) * _TO_DEGREES
+    end[1] = abs(wrap_angle(wanted_rad - scratch[0, count - 1])) * _TO_DEGREES
     end[2], end[3] = pose.x_m, pose.y_m
-    end[4] = abs(_wrap_angle(line.goal_heading_rad - pose.heading_rad)) * _TO_DEGREES
+    end[4] = abs(wrap_angle(line.goal_heading_rad - pose.heading_rad)) * _TO_DEGREES
     end[5], end[6] = first.x_m, first.y_m
     x_m, y_m = pose.x_m - line.x_m, pose.y_m - line.y_m
     end[7] = y_m * line.cos - x_m * line.sin
@@ -483,7 +484,7 @@ def _build(stamp: int) -> Any:
 
 
 SOURCES = (
-    *(loop_kernel, *loop_kernel.SOURCES),
+    *(sequential_loop, *sequential_loop.SOURCES),
     *(batch_table, loop_metrics, metric, step_response, swings),
 )
 """Whose code and constants stand in the machine code."""

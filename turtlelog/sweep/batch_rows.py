@@ -12,7 +12,7 @@ from turtlelog.errors import TurtlelogError
 from turtlelog.measure.measure_settings import SETTLING_BAND
 from turtlelog.plants import Plant
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate.kernel_fields import (
+from turtlelog.simulate.compiled.fields import (
     AXIS,
     SETTINGS,
     fill_axes,
@@ -20,8 +20,8 @@ from turtlelog.simulate.kernel_fields import (
     is_compiled,
     read_key,
 )
-from turtlelog.simulate.kernel_memory import STATE, begin, list_streams
-from turtlelog.simulate.kernel_run import count_rows
+from turtlelog.simulate.compiled.memory import STATE, begin, list_streams
+from turtlelog.simulate.compiled.runner import count_rows
 from turtlelog.sweep.plan import build_row_scenario
 
 FREE_KEYS: Final = frozenset(

@@ -29,7 +29,7 @@ from turtlelog.scenario import (
     resolve_scenario,
 )
 from turtlelog.simulate import declare_scenario, simulate_many
-from turtlelog.simulate.kernel_fields import is_compiled
+from turtlelog.simulate.compiled.fields import is_compiled
 from turtlelog.sweep.batch import measure_rows
 from turtlelog.sweep.batch_table import OK, STATUSES, is_covered
 from turtlelog.sweep.plan import build_row_scenario

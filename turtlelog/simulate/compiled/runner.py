@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from turtlelog.plants import Plant
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import Scenario, flatten_scenario
-from turtlelog.simulate.event_watch import describe_loss, describe_stop, describe_wall
-from turtlelog.simulate.kernel_fields import fill_settings
-from turtlelog.simulate.kernel_memory import (
+from turtlelog.simulate.compiled.fields import fill_settings
+from turtlelog.simulate.compiled.memory import (
     COMMANDS_DROPPED,
     EVENT_KINDS,
     POSES_DROPPED,
@@ -22,6 +21,7 @@ from turtlelog.simulate.kernel_memory import (
     begin,
     prepare,
 )
+from turtlelog.simulate.event_watch import describe_loss, describe_stop, describe_wall
 from turtlelog.simulate.law_driver import declare_scenario
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from turtlelog.plants import round_to_float32
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.scenario import Scenario
-from turtlelog.simulate.kernel_fields import AXIS, fill_axes
+from turtlelog.simulate.compiled.fields import AXIS, fill_axes
 from turtlelog.simulate.random_streams import draw_events
 
 ROTATE, TRANSLATE, REORIENT = 0, 2, 3
@@ -27,6 +27,12 @@ EVENT_KINDS: Final = (
 POSES_LOST, COMMANDS_LOST, COMMANDS_DROPPED, WALL_HIT, POSES_DROPPED, STOP = range(6)
 
 _NEVER_NS: Final = 2**63 - 1
+
+SPEED, TURN = 0, 1
+"""Axes by number."""
+
+OF_TURTLE, OF_LAW = 0, 1
+"""Whose direction it is, by number."""
 
 STATE: Final = np.dtype(
     [

@@ -140,7 +140,7 @@ READ_ELSEWHERE: Final = frozenset(
         *("seed", "loop.start_backlog"),
     }
 )
-"""Keys of which `kernel_memory` makes the first state and the random numbers."""
+"""Keys of which `memory` makes the first state and the random numbers."""
 
 MOST_TICKS: Final = 1_000_000
 """Longer scenarios are interpreted: their arrays are made for all ticks at once, 400 bytes each."""

@@ -1,0 +1,197 @@
+"""The sequential laws; as `laws.sequential_p` and `laws.sequential_pid`."""
+
+import math
+from typing import Any
+
+from turtlelog.simulate.compiled.functions import (
+    clip,
+    find_direction,
+    find_hypot,
+    inline,
+    least,
+    wrap_angle,
+)
+from turtlelog.simulate.compiled.memory import (
+    OF_LAW,
+    REORIENT,
+    ROTATE,
+    SETTLED,
+    SPEED,
+    STANDSTILL,
+    TIMEOUT,
+    TRANSLATE,
+    TURN,
+    WITHIN_TOLERANCE,
+)
+
+
+@inline
+def decide_sequential(
+    settings: Any,
+    state: Any,
+    memory: Any,
+    sample: Any,
+    time_ns: int,
+    pose: tuple[float, float, float],
+) -> tuple[int, float, float]:
+    """Enter what the law decides; return for how many ticks it blocks, speed and turn rate."""
+    x_m, y_m, heading_rad = pose
+    error_x_m, error_y_m = settings.goal_x_m - x_m, settings.goal_y_m - y_m
+    sample.error_x_m, sample.error_y_m = error_x_m, error_y_m
+    sample.integral_angular = sample.derivative_angular = 0.0
+    sample.integral_linear = sample.derivative_linear = 0.0
+    phase, blocks, speed, turn_rate = state.phase, 0, 0.0, 0.0
+    axis = memory.axes[TURN]
+    if phase == TRANSLATE:
+        speed = _translate(settings, state, memory, sample, time_ns, heading_rad)
+        world_x, world_y = state.world_v_x_m_s, state.world_v_y_m_s
+    else:
+        world_x = world_y = 0.0
+        if phase < 0:
+            state.bearing_rad = math.atan2(error_y_m, error_x_m)
+            state.phase, state.first_ns = ROTATE, time_ns
+        elif phase == ROTATE:
+            turn_rate = _rotate(settings, state, sample, axis, time_ns, heading_rad)
+            blocks = settings.law_pause_ticks if state.phase == TRANSLATE else 0
+        else:
+            turn_rate = _reorient(settings, state, sample, axis, time_ns, heading_rad)
+        phase = max(phase, ROTATE)
+    total = state.bearing_rad + state.heading_error_rad + error_x_m + error_y_m
+    if not math.isfinite(
+        total
+        + world_x
+        + world_y
+        + sample.integral_angular
+        + sample.derivative_angular
+        + (sample.integral_linear + sample.derivative_linear)
+    ):
+        state.has_failed = 1
+    sample.phase = phase
+    sample.bearing_rad, sample.heading_error_rad = state.bearing_rad, state.heading_error_rad
+    sample.distance_m = find_hypot(error_x_m, error_y_m)
+    sample.world_v_x_m_s, sample.world_v_y_m_s = world_x, world_y
+    return blocks, speed, turn_rate
+
+
+@inline
+def _rotate(
+    settings: Any, state: Any, sample: Any, axis: Any, time_ns: int, heading_rad: float
+) -> float:
+    """Return the turn rate; the phase is the next one where the rotation ends."""
+    error_rad = state.bearing_rad - heading_rad
+    if settings.law_wrap_error:
+        error_rad = wrap_angle(error_rad)
+    state.heading_error_rad = error_rad
+    if abs(error_rad) > settings.law_heading_tolerance_rad:
+        return _turn(settings, state, sample, axis, time_ns, heading_rad)  # type: ignore[no-any-return]
+    state.phase = TRANSLATE
+    return 0.0
+
+
+@inline
+def _reorient(
+    settings: Any, state: Any, sample: Any, axis: Any, time_ns: int, heading_rad: float
+) -> float:
+    error_rad = settings.goal_heading_rad - heading_rad
+    if settings.law_wrap_error:
+        error_rad = wrap_angle(error_rad)
+    state.heading_error_rad = error_rad
+    if abs(error_rad) <= settings.law_heading_tolerance_rad:
+        state.stop_reason = WITHIN_TOLERANCE
+        return 0.0
+    if time_ns - state.first_ns > settings.law_timeout_s * 1e9:
+        state.stop_reason = TIMEOUT
+    return _turn(settings, state, sample, axis, time_ns, heading_rad)  # type: ignore[no-any-return]
+
+
+@inline
+def _turn(
+    settings: Any, state: Any, sample: Any, axis: Any, time_ns: int, heading_rad: float
+) -> float:
+    """Return the turn rate of a heading error, with integral and derivative where there are."""
+    error_rad = state.heading_error_rad
+    turn_rate = settings.law_kp_angular * error_rad
+    if not axis.has_terms:
+        return turn_rate  # type: ignore[no-any-return]
+    turned_rad = wrap_angle(heading_rad - state.heading_before_rad)
+    state.heading_before_rad = heading_rad
+    _advance_terms(settings, state, axis, time_ns, turned_rad)
+    sample.integral_angular, sample.derivative_angular = axis.integral, axis.derivative
+    return _add_terms(settings, axis, turn_rate, error_rad)  # type: ignore[no-any-return]
+
+
+@inline
+def _translate(
+    settings: Any, state: Any, memory: Any, sample: Any, time_ns: int, heading_rad: float
+) -> float:
+    """Return the speed; the stop reason where the translation ends, or the next phase."""
+    x_m, y_m = sample.error_x_m, sample.error_y_m
+    tolerance_m = settings.law_position_tolerance_m
+    axis = memory.axes[SPEED]
+    stop_reason, speed = WITHIN_TOLERANCE, 0.0
+    if abs(x_m) > tolerance_m or abs(y_m) > tolerance_m:
+        kp = settings.law_kp_linear
+        state.world_v_x_m_s, state.world_v_y_m_s = kp * x_m, kp * y_m
+        along_rad = heading_rad if settings.law_projection else state.bearing_rad
+        cos, sin = find_direction(memory.directions[OF_LAW], along_rad)
+        speed = state.world_v_x_m_s * cos + state.world_v_y_m_s * sin
+        if axis.has_terms:
+            way_m = (state.error_before_x_m - x_m) * cos + (state.error_before_y_m - y_m) * sin
+            state.error_before_x_m, state.error_before_y_m = x_m, y_m
+            _advance_terms(settings, state, axis, time_ns, way_m)
+            sample.integral_linear, sample.derivative_linear = axis.integral, axis.derivative
+            speed = _add_terms(settings, axis, speed, x_m * cos + y_m * sin)
+        stop_reason = _find_stop_reason(settings, state, time_ns, speed, max(abs(x_m), abs(y_m)))
+    if stop_reason in (0, TIMEOUT) or not settings.law_reorient:
+        state.stop_reason = stop_reason
+    else:
+        state.phase = REORIENT
+    return speed
+
+
+@inline
+def _find_stop_reason(settings: Any, state: Any, time_ns: int, speed: float, error_m: float) -> int:
+    still = abs(speed) < settings.law_standstill_below
+    state.still_samples = state.still_samples + 1 if still else 0
+    if state.still_samples > settings.law_standstill_samples:
+        return STANDSTILL
+    if error_m >= settings.law_settled_within_m:
+        state.close_since_ns = -1
+    elif state.close_since_ns < 0:
+        state.close_since_ns = time_ns
+    elif time_ns - state.close_since_ns > settings.law_settled_for_s * 1e9:
+        return SETTLED
+    return TIMEOUT if time_ns - state.first_ns > settings.law_timeout_s * 1e9 else 0
+
+
+@inline
+def _advance_terms(settings: Any, state: Any, axis: Any, time_ns: int, moved: float) -> None:
+    """Begin integral and derivative with a phase, or go on to a sample."""
+    if state.begun != state.phase:
+        state.begun = state.phase
+        axis.integral = axis.derivative = axis.error_rate = axis.excess = 0.0
+        axis.last_ns = time_ns
+        return
+    step_s = (time_ns - axis.last_ns) / 1e9
+    axis.last_ns = time_ns
+    if step_s <= 0.0:
+        return
+    back = least(step_s / settings.law_tracking_time_s, 1.0)
+    axis.integral += step_s * axis.error_rate - back * axis.excess
+    filter_s = settings.law_derivative_filter_s
+    axis.derivative = (filter_s * axis.derivative - axis.kd * moved) / (filter_s + step_s)
+
+
+@inline
+def _add_terms(settings: Any, axis: Any, proportional: float, error: float) -> float:
+    """Return the command, and keep how the integral goes on from here."""
+    command = proportional + axis.integral + axis.derivative
+    if axis.ki == 0.0:
+        return command  # type: ignore[no-any-return]
+    excess = command - clip(command, axis.limit)
+    error_rate = axis.ki * error
+    if settings.law_anti_windup == 1 and excess * error_rate > 0.0:
+        error_rate = 0.0
+    axis.error_rate = error_rate
+    axis.excess = excess if settings.law_anti_windup == 2 else 0.0
+    return command  # type: ignore[no-any-return]

@@ -1,0 +1,75 @@
+"""A turtle, pushed or not; as `plants.turtlesim` and `simulate.drives`."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from turtlelog.plants.turtlesim import _PI, _TWO_PI, WORLD_SIZE_M
+from turtlelog.simulate.compiled.commands import take
+from turtlelog.simulate.compiled.functions import (
+    find_direction,
+    inline,
+    least,
+    most,
+    round_to_float32,
+)
+from turtlelog.simulate.compiled.memory import OF_TURTLE
+
+
+@inline
+def step_turtle(settings: Any, state: Any, memory: Any, tick: int) -> None:
+    """Move the turtle for one step: watchdog, push, turn, move along the new heading, clamp."""
+    sample = take(settings, state, memory, tick)
+    if sample >= 0:
+        state.speed_m_s, state.turn_rate_rad_s = (
+            memory.samples[sample].speed,
+            memory.samples[sample].turn_rate,
+        )
+        state.idle_ns = 0
+    else:
+        state.idle_ns += settings.period_ns
+    if state.idle_ns > settings.watchdog_ns:
+        state.speed_m_s = state.turn_rate_rad_s = 0.0
+    forward, turn_rate = state.speed_m_s, state.turn_rate_rad_s
+    if settings.is_pushed:
+        push, turn_push = find_push(settings, memory, tick, tick * settings.period_ns)
+        forward, turn_rate = forward + push, turn_rate + turn_push
+    left, period_s = 0.0, settings.period_s
+    heading_rad = state.heading_rad + turn_rate * period_s
+    heading_rad -= _TWO_PI * np.floor((heading_rad + _PI) / _TWO_PI)
+    cosine, sine = find_direction(memory.directions[OF_TURTLE], heading_rad)
+    x_m = state.x_m + (cosine * forward * period_s - sine * left * period_s)
+    down_m = state.down_m - (cosine * left * period_s + sine * forward * period_s)
+    state.hit_wall = not (0.0 <= x_m <= WORLD_SIZE_M and 0.0 <= down_m <= WORLD_SIZE_M)
+    if state.hit_wall:
+        x_m = least(most(x_m, 0.0), WORLD_SIZE_M)
+        down_m = least(most(down_m, 0.0), WORLD_SIZE_M)
+    state.x_m, state.down_m, state.heading_rad = x_m, down_m, heading_rad
+    y_m = WORLD_SIZE_M - down_m
+    if not settings.is_exact:
+        x_m, y_m = round_to_float32(x_m), round_to_float32(y_m)
+        heading_rad = round_to_float32(heading_rad)
+    memory.ticks[tick].x_m, memory.ticks[tick].y_m, memory.ticks[tick].heading_rad = (
+        x_m,
+        y_m,
+        heading_rad,
+    )
+    memory.ticks[tick].applied_speed = round_to_float32(abs(forward))
+    memory.ticks[tick].applied_turn_rate = round_to_float32(turn_rate)
+    if math.isinf(memory.ticks[tick].applied_speed) or math.isinf(
+        memory.ticks[tick].applied_turn_rate
+    ):
+        state.has_failed = 1
+
+
+@inline
+def find_push(settings: Any, memory: Any, tick: int, time_ns: int) -> tuple[float, float]:
+    """Return what a disturbance adds in a step, of which a time tells whether it lies within."""
+    if not settings.push_from_ns <= time_ns < settings.push_to_ns:
+        return 0.0, 0.0
+    speed, turn_rate = settings.disturbance_speed_m_s, settings.disturbance_turn_rate_rad_s
+    if settings.push_scale or settings.turn_push_scale:
+        speed += settings.push_scale * memory.ticks[tick].push
+        turn_rate += settings.turn_push_scale * memory.ticks[tick].turn_push
+    return speed, turn_rate
