@@ -77,7 +77,7 @@ def measure_compiled(scenario: tl.scenario.Scenario) -> Iterator[Row]:
     if kernel is None:
         return
     scenario = resolve_scenario(scenario)
-    plant, runner = scenario.plant.facts, KernelRunner(kernel)
+    plant, runner = scenario.plant.facts, KernelRunner()
     samples = len(tl.simulate_run(scenario).samples)
     bare_loop = import_module("numba").njit(run_bare_loop, cache=False)
     rows = np.empty((samples, 11))

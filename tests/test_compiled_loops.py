@@ -118,7 +118,10 @@ def test_a_constant_of_another_file_is_compiled_anew(tmp_path: Path) -> None:
     assert found == [["3.0", "0"], ["3.0", "1"], ["4.0", "0"]]
 
 
-@pytest.mark.parametrize("name", ["simulate.compiled.sequential_loop", "sweep.batch_kernel"])
+@pytest.mark.parametrize(
+    "name",
+    ["simulate.compiled.sequential_loop", "simulate.compiled.any_loop", "sweep.batch_kernel"],
+)
 def test_every_file_that_a_kernel_takes_from_is_summed_up(name: str) -> None:
     pytest.importorskip("numba")
     kernel = importlib.import_module(f"turtlelog.{name}")

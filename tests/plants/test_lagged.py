@@ -166,7 +166,7 @@ def test_pieces_four_times_as_long_would_miss_the_nanometre(
     numbers, commands = replace(PLAIN, speed_lag_s=2.0, turn_lag_s=0.02), [(0, 2.0, 10.0)]
     expected = superpose(numbers, commands, 3 * SECOND_NS)[:2]
     for longest, is_right in ((2.0, True), (8.0, False)):
-        monkeypatch.setattr(lagged, "_LONGEST_PIECE", longest)
+        monkeypatch.setattr(lagged, "LONGEST_PIECE", longest)
         found = drive(numbers, commands, 3 * SECOND_NS).state[:2]
         assert (found == pytest.approx(expected, abs=1e-9)) is is_right
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from tests.effects_cases import EFFECTS
+from turtlelog.compiled_loops import CompiledLoops
 from turtlelog.errors import SimulationError
-from turtlelog.plants import TURTLESIM
+from turtlelog.plants import TURTLESIM, Plant
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate import simulate_many, simulate_run
@@ -21,22 +22,25 @@ from turtlelog.simulate.compiled.fields import (
     READ_ELSEWHERE,
     REAL,
     REFUSED,
+    ROBOT_KEYS,
     WHOLE,
     WITHOUT_EFFECT,
     is_compiled,
 )
 from turtlelog.simulate.compiled.runner import KernelRunner
-from turtlelog.simulate.many import COST_S, LOOP, SAVED_S
+from turtlelog.simulate.many import ANY_LOOP, COST_S, LOOP, SAVED_S, find_loop
 
-COMPILED_EFFECTS: Final = tuple(sorted({*EFFECTS} - {"lagged"}))
+COMPILED_EFFECTS: Final = tuple(sorted(EFFECTS))
 PRESETS: Final = ("paper", "textbook")
+
+Kernels = Mapping[CompiledLoops, Any]
 
 
 @pytest.fixture(scope="module")
-def kernel() -> Any:
+def kernels() -> Mapping[CompiledLoops, Any]:
     pytest.importorskip("numba")
-    found = LOOP.load()
-    assert found is not None
+    found = {loop: loop.load() for loop in (LOOP, ANY_LOOP)}
+    assert None not in found.values()
     return found
 
 
@@ -78,6 +82,8 @@ def build_random(seed: int) -> Scenario:
         changes |= build_pid(draw)
     for effect in draw.sample(COMPILED_EFFECTS, draw.choice([0, 1, 2, 5])):
         changes |= EFFECTS[effect]
+    if "plant.kind" in changes:
+        changes |= build_robot(draw)
     if "loop.period_s" in changes:
         changes["loop.period_ticks"] = 1
     return override_scenario(get_preset(draw.choice(PRESETS)), changes)
@@ -93,6 +99,18 @@ def build_pid(draw: random.Random) -> Mapping[str, Any]:
         "law.derivative_filter_s": draw.choice([0.0, 0.05]),
         "law.anti_windup": draw.choice(["none", "clamping", "back-calculation"]),
         "law.tracking_time_s": draw.choice([0.001, 1.0]),
+    }
+
+
+def build_robot(draw: random.Random) -> Mapping[str, Any]:
+    return {
+        "plant.period_s": draw.choice([0.016, 0.05, 0.21]),
+        "plant.speed_gain": draw.choice([0.9, 1.0]),
+        "plant.speed_dead_time_s": draw.choice([0.0, 0.033, 0.3]),
+        "plant.speed_lag_s": draw.choice([0.0, 1e-9, 0.002, 0.1, 2.0]),
+        "plant.turn_gain": draw.choice([1.1, 1.0]),
+        "plant.turn_dead_time_s": draw.choice([0.0, 0.05, 0.3]),
+        "plant.turn_lag_s": draw.choice([0.0, 1e-9, 0.002, 0.15, 2.0]),
     }
 
 
@@ -114,10 +132,12 @@ def describe(value: np.ndarray[Any, Any]) -> tuple[Any, ...]:
     return value.shape, value.dtype.str, value.flags.c_contiguous, value.tobytes()
 
 
-def require_same(kernel: Any, scenario: Scenario, plant: Any = TURTLESIM) -> None:
+def require_same(kernels: Kernels, scenario: Scenario, plant: Plant | None = None) -> None:
     scenario = resolve_scenario(scenario)
-    assert is_compiled(scenario, plant)
-    run = KernelRunner(kernel).simulate(scenario, plant)
+    plant = scenario.plant.facts if plant is None else plant
+    loop = find_loop(scenario, plant)
+    assert loop is not None
+    run = KernelRunner().simulate(kernels[loop], scenario, plant)
     try:
         again = simulate_run(scenario, plant)
     except SimulationError:
@@ -129,43 +149,63 @@ def require_same(kernel: Any, scenario: Scenario, plant: Any = TURTLESIM) -> Non
 
 
 @pytest.mark.parametrize("block", range(10))
-def test_compiled_loop_is_the_interpreted_one_bit_for_bit(kernel: Any, block: int) -> None:
+def test_compiled_loop_is_the_interpreted_one_bit_for_bit(kernels: Kernels, block: int) -> None:
     for seed in range(block * 20, block * 20 + 20):
-        require_same(kernel, build_random(seed))
+        require_same(kernels, build_random(seed))
 
 
 @pytest.mark.parametrize("effect", COMPILED_EFFECTS)
 @pytest.mark.parametrize("preset", PRESETS)
-def test_compiled_loop_has_every_effect(kernel: Any, preset: str, effect: str) -> None:
+def test_compiled_loop_has_every_effect(kernels: Kernels, preset: str, effect: str) -> None:
     changes = {"max_duration_s": 8.0, "loop.period_ticks": 1, **EFFECTS[effect]}
-    require_same(kernel, override_scenario(get_preset(preset), changes))
+    require_same(kernels, override_scenario(get_preset(preset), changes))
 
 
-def test_compiled_loop_has_the_events_of_walls_and_pauses(kernel: Any) -> None:
+@pytest.mark.parametrize("effect", COMPILED_EFFECTS)
+def test_compiled_robot_is_the_interpreted_one_with_every_effect(
+    kernels: Kernels, effect: str
+) -> None:
+    draw = random.Random(effect)
+    for preset in PRESETS:
+        changes = {"max_duration_s": 8.0, **EFFECTS["lagged"], **EFFECTS[effect]}
+        changes |= build_robot(draw) | {"loop.period_ticks": 1}
+        changes["loop.queue_policy"] = draw.choice(["one-per-tick", "newest"])
+        require_same(kernels, override_scenario(get_preset(preset), changes))
+
+
+def test_compiled_robot_is_pushed_on_every_edge(kernels: Kernels) -> None:
+    for from_s, to_s in ((0.05, 0.1), (0.06, 0.07), (0.0, math.inf), (0.11, 0.2)):
+        changes = {"disturbance.speed_m_s": 0.3, "disturbance.turn_rate_rad_s": 0.2}
+        changes |= {"disturbance.from_s": from_s, "disturbance.to_s": to_s, "max_duration_s": 1.0}
+        robot = {**EFFECTS["lagged"], "disturbance.noise_speed": 0.01}
+        require_same(kernels, override_scenario(get_preset("textbook"), {**robot, **changes}))
+
+
+def test_compiled_loop_has_the_events_of_walls_and_pauses(kernels: Kernels) -> None:
     wall = override_scenario(
         get_preset("paper"),
         {"goal.x_m": 11.0, "goal.y_m": 11.0, "disturbance.speed_m_s": 2.0, "max_duration_s": 20.0},
     )
     assert {event.kind for event in simulate_run(wall).events} >= {"wall_hit", "poses_dropped"}
-    require_same(kernel, wall)
+    require_same(kernels, wall)
 
 
-def test_compiled_loop_runs_on_a_finer_clock(kernel: Any) -> None:
-    require_same(kernel, get_preset("paper"), TURTLESIM.refine(8))
+def test_compiled_loop_runs_on_a_finer_clock(kernels: Kernels) -> None:
+    require_same(kernels, get_preset("paper"), TURTLESIM.refine(8))
 
 
-def test_what_the_compiled_loop_cannot_end_is_interpreted(kernel: Any) -> None:
+def test_what_the_compiled_loop_cannot_end_is_interpreted(kernels: Kernels) -> None:
     unanswered = override_scenario(
         get_preset("paper"), {"loop.start_backlog": 9, "max_duration_s": 0.1}
     )
-    require_same(kernel, unanswered)
+    require_same(kernels, unanswered)
     blown = override_scenario(
         get_preset("textbook"),
         {"law.kp_linear": 1e308, "law.kp_angular": 1e308, "limits.turn_rate_rad_s": math.inf},
     )
     with pytest.raises(SimulationError):
         simulate_run(blown)
-    require_same(kernel, blown)
+    require_same(kernels, blown)
 
 
 def test_hypotenuse_is_that_of_cpython() -> None:
@@ -184,6 +224,7 @@ def test_hypotenuse_is_that_of_cpython() -> None:
 FUNCTIONS: Final = {
     "sin": math.sin,
     "cos": math.cos,
+    "exp": math.exp,
     "expm1": math.expm1,
     "sqrt": math.sqrt,
     "floor": np.floor,
@@ -266,6 +307,7 @@ def test_every_key_of_a_scenario_is_compiled_or_refused(kind: str) -> None:
         *WHOLE,
         *REAL,
         *(key for pair in AXIS_KEYS.values() for key in pair),
+        *ROBOT_KEYS,
         *(key for keys in (*DERIVED.values(), *DERIVED_REAL.values()) for key in keys),
         *READ_ELSEWHERE,
         *WITHOUT_EFFECT,
@@ -281,35 +323,35 @@ def test_every_key_of_a_scenario_is_compiled_or_refused(kind: str) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        EFFECTS["lagged"],
         {"law.schedule": {"over": "distance", "at": [0.0, 1.0], "kp_linear": [1.0, 2.0]}},
         {"law.kind": "posture"},
         {"max_duration_s": 20_000.0},
     ],
-    ids=["lagged", "schedule", "other law", "long"],
+    ids=["schedule", "other law", "long"],
 )
 def test_scenario_that_is_not_covered_is_interpreted(changes: Mapping[str, Any]) -> None:
     scenario = resolve_scenario(override_scenario(get_preset("textbook"), changes))
     assert not is_compiled(scenario, scenario.plant.facts)
 
 
-def load(monkeypatch: pytest.MonkeyPatch, kernel: Any) -> None:
-    monkeypatch.setattr(LOOP, "_loops", kernel)
-    monkeypatch.setattr(LOOP, "_saved_s", 1e9)
+def load(monkeypatch: pytest.MonkeyPatch, kernels: Kernels) -> None:
+    for loop in (LOOP, ANY_LOOP):
+        monkeypatch.setattr(loop, "_loops", kernels.get(loop))
+        monkeypatch.setattr(loop, "_saved_s", 1e9)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_many_runs_come_in_order_and_are_those_of_single_runs(
-    monkeypatch: pytest.MonkeyPatch, kernel: Any, threads: int
+    monkeypatch: pytest.MonkeyPatch, kernels: Kernels, threads: int
 ) -> None:
-    load(monkeypatch, kernel)
+    load(monkeypatch, kernels)
     lagged = override_scenario(get_preset("textbook"), EFFECTS["lagged"])
     scenarios = [build_random(3), lagged, *map(build_random, range(4, 12))]
     found = simulate_many(scenarios, threads=threads)
     for run, scenario in zip(found, scenarios, strict=True):
         assert isinstance(run, Run)
         assert list_values(run) == list_values(simulate_run(scenario))
-    assert (found.compiled, found.interpreted) == (9, 1)
+    assert (found.compiled, found.interpreted) == (10, 0)
 
 
 def test_many_runs_give_the_error_of_one_in_its_place() -> None:
@@ -323,9 +365,9 @@ def test_many_runs_give_the_error_of_one_in_its_place() -> None:
 
 
 def test_run_that_the_compiled_loop_cannot_end_counts_as_interpreted(
-    monkeypatch: pytest.MonkeyPatch, kernel: Any
+    monkeypatch: pytest.MonkeyPatch, kernels: Kernels
 ) -> None:
-    load(monkeypatch, kernel)
+    load(monkeypatch, kernels)
     failing = override_scenario(
         get_preset("paper"), {"loop.start_backlog": 9, "max_duration_s": 0.1}
     )
@@ -335,7 +377,7 @@ def test_run_that_the_compiled_loop_cannot_end_counts_as_interpreted(
 
 
 def test_without_numba_many_runs_are_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
-    load(monkeypatch, None)
+    load(monkeypatch, {})
     found = simulate_many([get_preset("paper")] * 2)
     assert [type(run) for run in found] == [Run, Run]
     assert (found.compiled, found.interpreted) == (0, 2)

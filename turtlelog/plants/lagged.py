@@ -25,21 +25,21 @@ LAGGED: Final = "lagged"
 LARGEST_M: Final = 1e6
 """Farthest from the origin that it starts or goes [m]: a double tells 0.1 nm apart there."""
 
-_LONGEST_PIECE: Final = 2.0
+LONGEST_PIECE: Final = 2.0
 """How far a piece of the quadrature turns [rad], plus its length in lags. 8 nodes are then right to
 rounding, at 4 to 3e-13 of the way, at 8 no longer to 1e-9."""
 
-_SETTLED: Final = 1e-15
+SETTLED: Final = 1e-15
 """What the lag still adds to the way [m] or heading [rad] where a rate counts as constant: less
 than a coordinate of 10 m can tell."""
 
-_MOST_TURN_RAD: Final = 1000.0
+MOST_TURN_RAD: Final = 1000.0
 """Turn within one advance that the quadrature follows [rad]; it would take forever with a loop that
 runs away."""
 
 
 @lru_cache(maxsize=1)
-def _find_gauss() -> tuple[tuple[float, float], ...]:
+def find_gauss() -> tuple[tuple[float, float], ...]:
     """Return nodes and weights of Gauss and Legendre on [0, 1]."""
     # numpy's polynomials take time to load, which who simulates no such robot spares.
     nodes, weights = np.polynomial.legendre.leggauss(8)
@@ -173,7 +173,7 @@ class LaggedRobot:
         if left_s <= 0.0:
             return
         speed, turn = self._speed, self._turn
-        turn_limit = _MOST_TURN_RAD / left_s
+        turn_limit = MOST_TURN_RAD / left_s
         while True:
             is_straight = turn.is_settled and not turn.constant
             is_spin = speed.is_settled and not speed.constant
@@ -183,7 +183,7 @@ class LaggedRobot:
             pace = min(abs(turn.constant) + abs(turn.transient), turn_limit)
             pace += (not speed.is_settled) and 1.0 / speed.lag_s
             pace += (not turn.is_settled) and 1.0 / turn.lag_s
-            pieces = int(left_s * pace / _LONGEST_PIECE) + 1
+            pieces = int(left_s * pace / LONGEST_PIECE) + 1
             self._move_by_quadrature(left_s / pieces)
             if pieces == 1:
                 break
@@ -202,7 +202,7 @@ class LaggedRobot:
 
     def _move_by_quadrature(self, duration_s: float) -> None:
         x_m = y_m = 0.0
-        for node, weight in _find_gauss():
+        for node, weight in find_gauss():
             time_s = node * duration_s
             heading_rad = self._heading_rad + self._turn.integrate(time_s)
             way_m = weight * self._speed.find_rate(time_s)
@@ -253,7 +253,7 @@ class _Axis:
 
     @property
     def is_settled(self) -> bool:
-        return abs(self.transient) * self.lag_s <= _SETTLED
+        return abs(self.transient) * self.lag_s <= SETTLED
 
     def queue(self, time_ns: int, command: float) -> None:
         self._waiting.append((time_ns + self._dead_time_ns, self._gain * command))

@@ -13,7 +13,7 @@ from turtlelog.processes import count_cores
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.collect import simulate_run
-from turtlelog.simulate.compiled.fields import is_compiled
+from turtlelog.simulate.compiled.fields import is_common, is_compiled
 from turtlelog.simulate.compiled.runner import KernelRunner
 
 COST_S: Final = 1.0
@@ -28,6 +28,15 @@ FIRST_S: Final = 14.0
 LOOP: Final = CompiledLoops(
     "turtlelog.simulate.compiled.sequential_loop", cost_s=COST_S, first_s=FIRST_S
 )
+"""Of the sequential laws around turtlesim."""
+
+ANY_FIRST_S: Final = 25.0
+"""What that of all others takes before it is in the cache [s]."""
+
+ANY_LOOP: Final = CompiledLoops(
+    "turtlelog.simulate.compiled.any_loop", cost_s=COST_S, first_s=ANY_FIRST_S
+)
+"""Of all others that are compiled."""
 
 _AHEAD: Final = 4
 """Runs for each thread that may wait to be taken: memory stays bounded, and no thread idles."""
@@ -82,9 +91,10 @@ class ManyRuns(Iterator[Simulated]):
     def _start(self, scenario: Scenario) -> Simulated | Future[Simulated]:
         """Simulate a scenario, or have a thread do so."""
         plant = scenario.plant.facts if self._plant is None else self._plant
-        kernel = LOOP.find() if is_compiled(scenario, plant) else None
+        loop = find_loop(scenario, plant)
+        kernel = None if loop is None else loop.find()
         if kernel is None:
-            return self._interpret(scenario, plant)
+            return self._interpret(scenario, plant, loop)
         if self._threads == 1:
             return self._compile(kernel, scenario, plant)
         if self._pool is None:
@@ -93,23 +103,30 @@ class ManyRuns(Iterator[Simulated]):
 
     def _compile(self, kernel: Any, scenario: Scenario, plant: Plant) -> Simulated:
         if not hasattr(self._local, "runner"):
-            self._local.runner = KernelRunner(kernel)
-        run: Run | None = self._local.runner.simulate(scenario, plant)
+            self._local.runner = KernelRunner()
+        run: Run | None = self._local.runner.simulate(kernel, scenario, plant)
         with self._counting:
             self.compiled += run is not None
             self.interpreted += run is None
         return _simulate(scenario, plant) if run is None else run
 
-    def _interpret(self, scenario: Scenario, plant: Plant) -> Simulated:
-        """Simulate, and find out whether the others are worth loading the compiled loop."""
+    def _interpret(self, scenario: Scenario, plant: Plant, loop: CompiledLoops | None) -> Simulated:
+        """Simulate, and find out whether the others are worth loading a compiled loop."""
         with self._counting:
             self.interpreted += 1
         found = _simulate(scenario, plant)
-        if isinstance(found, Run) and is_compiled(scenario, plant):
+        if isinstance(found, Run) and loop is not None:
             # The first tells how long the others will be about; later ones count themselves.
             runs = self._count if self.interpreted == 1 else 1
-            LOOP.expect(len(found.samples) * runs, SAVED_S)
+            loop.expect(len(found.samples) * runs, SAVED_S)
         return found
+
+
+def find_loop(scenario: Scenario, plant: Plant) -> CompiledLoops | None:
+    """Return the compiled loop that covers a scenario, whose law is resolved; None: none does."""
+    if not is_compiled(scenario, plant):
+        return None
+    return LOOP if is_common(scenario) else ANY_LOOP
 
 
 def simulate_many(
@@ -117,8 +134,8 @@ def simulate_many(
 ) -> ManyRuns:
     """Simulate scenarios one after the other, each as `simulate_run` does, bit for bit.
 
-    With the extra `fast` the sequential laws around turtlesim run in a compiled loop, once there is
-    so much to do that it is worth loading; everything else is interpreted.
+    With the extra `fast` the sequential laws run in a compiled loop, once there is so much to do
+    that it is worth loading; everything else is interpreted.
 
     Args:
         scenarios: What to simulate; taken as the runs are.

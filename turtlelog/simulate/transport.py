@@ -120,9 +120,7 @@ class TimedCommands(CommandQueue):
             depth=loop.command_queue, newest_only=loop.queue_policy == "newest", delay_ticks=0
         )
         self._period_ns = plant.period_ns
-        # turtlesim applies what it takes to the time since its last pose. A robot cannot: what it
-        # takes for a period has arrived by its begin.
-        self._causal_ns = 0 if scenario.plant.kind == "turtlesim" else 1 - plant.period_ns
+        self._causal_ns = find_causal_ns(scenario, plant)
         self._delay_ns = loop.transport_delay_ticks * plant.period_ns
         self._delay_ns += round(loop.transport_delay_s * 1e9)
         self._jitter_ns, self._late_ns = loop.jitter_s * 1e9, round(loop.late_s * 1e9)
@@ -174,6 +172,15 @@ class TimedCommands(CommandQueue):
         """Yield the commands that arrive before a time, past the queue, with their times [ns]."""
         while self._transport and self._transport[0][0] < until_ns:
             yield self._transport.popleft()
+
+
+def find_causal_ns(scenario: Scenario, plant: Plant) -> int:
+    """Return how long after a pose a command that arrives is still taken for its step [ns].
+
+    turtlesim applies what it takes to the time since its last pose. A robot cannot: what it takes
+    for a period has arrived by its begin.
+    """
+    return 0 if scenario.plant.kind == "turtlesim" else 1 - plant.period_ns
 
 
 def needs_time(scenario: Scenario) -> bool:

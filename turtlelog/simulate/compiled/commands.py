@@ -79,7 +79,7 @@ def _append(settings: Any, state: Any, memory: Any, sample: int) -> bool:
 @inline
 def take(settings: Any, state: Any, memory: Any, tick: int) -> int:
     """Return the sample whose command a step begins with, -1 where none has arrived."""
-    until = tick * settings.period_ns if settings.is_timed else tick
+    until = tick * settings.period_ns + settings.causal_ns if settings.is_timed else tick
     while (
         state.transport_first < state.transport_end
         and memory.queued[state.transport_first].transport_arrival < until

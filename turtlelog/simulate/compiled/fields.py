@@ -10,9 +10,9 @@ import numpy as np
 
 from turtlelog.angles import wrap_angle
 from turtlelog.laws import SequentialP, SequentialPID, SequentialPIDParameters, find_law
-from turtlelog.plants import Plant
+from turtlelog.plants import LAGGED, Plant
 from turtlelog.scenario import Scenario
-from turtlelog.simulate.transport import needs_time
+from turtlelog.simulate.transport import find_causal_ns, needs_time
 
 CHOICES: Final[Mapping[str, tuple[Any, ...]]] = MappingProxyType(
     {
@@ -78,17 +78,25 @@ AXIS_KEYS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
 )
 """Numbers of the two axes, speed and turn rate."""
 
+ROBOT_KEYS: Final = (
+    *("plant.speed_gain", "plant.turn_gain", "plant.speed_lag_s", "plant.turn_lag_s"),
+    *("plant.speed_dead_time_s", "plant.turn_dead_time_s"),
+)
+"""Keys of the two rates of a lagged robot, which `fill_axes` makes numbers of the axes."""
+
 DERIVED: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
         "last_tick": ("max_duration_s",),
         "end_ns": ("max_duration_s",),
-        "period_ns": ("plant.kind",),
+        "period_ns": ("plant.kind", "plant.period_s"),
+        "is_lagged": ("plant.kind",),
         "tick_ns": ("plant.kind",),
         "block": ("plant.kind",),
         "is_exact": ("loop.pose_precision",),
         "newest_only": ("loop.queue_policy",),
         "timer_ns": ("loop.trigger", "loop.period_s"),
         "is_timed": (),
+        "causal_ns": ("plant.kind",),
         "delays_poses": (),
         "has_sensor": (),
         "is_pushed": (),
@@ -122,17 +130,9 @@ WITHOUT_EFFECT: Final = frozenset({"name", "path", "law.kind"})
 REFUSED: Final = frozenset(
     {
         "law.schedule",
-        "plant.period_s",
-        "plant.speed_gain",
-        "plant.speed_dead_time_s",
-        "plant.speed_lag_s",
-        "plant.turn_gain",
-        "plant.turn_dead_time_s",
-        "plant.turn_lag_s",
     }
 )
-"""Keys that, where they are set, leave a scenario to the interpreted loop: the lagged robot has
-most of them."""
+"""Keys that, where they are set, leave a scenario to the interpreted loop."""
 
 READ_ELSEWHERE: Final = frozenset(
     {
@@ -141,6 +141,9 @@ READ_ELSEWHERE: Final = frozenset(
     }
 )
 """Keys of which `memory` makes the first state and the random numbers."""
+
+NEVER_NS: Final = 2**63 - 1
+"""Later than any time of a run."""
 
 MOST_TICKS: Final = 1_000_000
 """Longer scenarios are interpreted: their arrays are made for all ticks at once, 400 bytes each."""
@@ -157,12 +160,14 @@ SETTINGS: Final = np.dtype(
 """A scenario as the compiled loop takes it."""
 
 AXIS: Final = np.dtype(
-    [(name, np.float64) for name in AXIS_KEYS]
+    [(name, np.float64) for name in (*AXIS_KEYS, "robot_gain", "robot_lag_s")]
+    + [(name, np.float64) for name in ("target", "transient", "push")]
+    + [(name, np.int64) for name in ("dead_time_ns", "next_ns", "waiting_first")]
     + [(name, np.float64) for name in ("value", "rate", "low_pass")]
     + [(name, np.float64) for name in ("integral", "derivative", "error_rate", "excess")]
     + [("has_terms", np.int64), ("last_ns", np.int64)]
 )
-"""Speed or turn rate: its numbers, and its state: of the limits, the filter and the law's terms."""
+"""Speed or turn rate: its numbers, and its state, from the limits to the robot."""
 
 _READ: Final = {
     key: attrgetter(key.replace("law.", "law.parameters."))
@@ -176,10 +181,14 @@ def is_compiled(scenario: Scenario, plant: Plant) -> bool:
     return (
         find_law(scenario.law.kind) in {SequentialP, SequentialPID}
         and scenario.law.parameters.schedule is None
-        and scenario.plant.kind == "turtlesim"
         and round(scenario.max_duration_s * 1e9) // plant.period_ns < MOST_TICKS
         and (scenario.loop.period_s or 1.0) * MOST_TICKS > scenario.max_duration_s
     )
+
+
+def is_common(scenario: Scenario) -> bool:
+    """Whether `sequential_loop` covers a scenario that is compiled; otherwise `any_loop` does."""
+    return scenario.plant.kind == "turtlesim"
 
 
 def read_key(scenario: Scenario, key: str) -> Any:
@@ -207,6 +216,12 @@ def fill_axes(scenario: Scenario) -> np.ndarray[Any, Any]:
     axes = np.zeros(2, dtype=AXIS)
     for name, keys in AXIS_KEYS.items():
         axes[name] = [read_key(scenario, key) for key in keys]
+    robot = scenario.plant
+    axes["robot_gain"] = [1.0 if k is None else k for k in (robot.speed_gain, robot.turn_gain)]
+    axes["robot_lag_s"] = robot.speed_lag_s or 0.0, robot.turn_lag_s or 0.0
+    dead_times_s = robot.speed_dead_time_s or 0.0, robot.turn_dead_time_s or 0.0
+    axes["dead_time_ns"] = [round(time_s * 1e9) for time_s in dead_times_s]
+    axes["next_ns"] = NEVER_NS
     axes["has_terms"] = (axes["ki"] != 0.0) | (axes["kd"] != 0.0)
     return axes
 
@@ -221,12 +236,14 @@ def _derive_whole(scenario: Scenario, plant: Plant) -> dict[str, int]:
         "last_tick": duration_ns // plant.period_ns,
         "end_ns": duration_ns + 1,
         "period_ns": plant.period_ns,
+        "is_lagged": scenario.plant.kind == LAGGED,
         "tick_ns": tick_ns,
         "block": tick_ns if delays_poses else plant.steps_per_tick,
         "is_exact": loop.pose_precision == "float64",
         "newest_only": loop.queue_policy == "newest",
         "timer_ns": round((loop.period_s or 0.0) * 1e9),
         "is_timed": needs_time(scenario),
+        "causal_ns": find_causal_ns(scenario, plant),
         "delays_poses": delays_poses,
         "has_sensor": sensing.changes_poses,
         "is_pushed": scenario.disturbance.acts,

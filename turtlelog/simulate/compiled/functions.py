@@ -15,6 +15,9 @@ _TINY_M, _HUGE_M = 1e-100, 1e100  # far from where the squares of doubles lose d
 inline = njit(error_model="numpy", forceinline=True, _nrt=False)
 """Compiles a function into those that call it."""
 
+call = njit(error_model="numpy", _nrt=False)
+"""Compiles one that is called: what is long, and seldom asked for."""
+
 
 @inline
 def least(left: float, right: float) -> float:

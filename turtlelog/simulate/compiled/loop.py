@@ -10,6 +10,7 @@ from turtlelog.simulate import law_driver
 from turtlelog.simulate.compiled import (
     commands,
     controller,
+    drives,
     events,
     fields,
     functions,
@@ -25,7 +26,7 @@ from turtlelog.simulate.compiled.memory import MAX_DURATION, STATE, allocate
 from turtlelog.simulate.compiled.sensing import sense
 
 SOURCES: tuple[ModuleType, ...] = (
-    *(commands, controller, events, fields, functions, arrays, samples, sensing),
+    *(commands, controller, drives, events, fields, functions, arrays, samples, sensing),
     *(law_driver, turtlesim),
 )
 """Whose code and constants stand in the machine code of every loop."""

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.plants import round_to_float32
+from turtlelog.plants.lagged import find_gauss
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.scenario import Scenario
-from turtlelog.simulate.compiled.fields import AXIS, fill_axes
+from turtlelog.simulate.compiled.fields import AXIS, NEVER_NS, fill_axes
 from turtlelog.simulate.random_streams import draw_events
 
 ROTATE, TRANSLATE, REORIENT = 0, 2, 3
@@ -25,8 +26,6 @@ EVENT_KINDS: Final = (
 )
 """By number; stretches of the first three are counted."""
 POSES_LOST, COMMANDS_LOST, COMMANDS_DROPPED, WALL_HIT, POSES_DROPPED, STOP = range(6)
-
-_NEVER_NS: Final = 2**63 - 1
 
 SPEED, TURN = 0, 1
 """Axes by number."""
@@ -45,12 +44,14 @@ STATE: Final = np.dtype(
             *("poses_first", "poses_end", "poses_dropped", "poses_told"),
             *("queue_first", "queue_end", "commands_dropped", "commands_told"),
             *("transport_first", "transport_end", "arrivals_first", "arrivals_end"),
+            *("now_ns", "taken_end", "pushes_first", "pushes_end"),
         )
     ]
     + [
         (name, np.float64)
         for name in (
-            *("x_m", "down_m", "heading_rad", "speed_m_s", "turn_rate_rad_s"),
+            *("x_m", "y_m", "down_m", "heading_rad", "speed_m_s", "turn_rate_rad_s"),
+            *("pushed_speed", "pushed_turn_rate"),
             *("bearing_rad", "heading_error_rad", "world_v_x_m_s", "world_v_y_m_s"),
             *("heading_before_rad", "error_before_x_m", "error_before_y_m"),
         )
@@ -97,7 +98,10 @@ SAMPLE: Final = np.dtype(
 QUEUED: Final = np.dtype(
     [
         (name, np.int64)
-        for name in ("poses", "arrivals", "arrival_ns", "transport", "transport_arrival", "queue")
+        for name in (
+            *("poses", "arrivals", "arrival_ns", "transport", "transport_arrival", "queue"),
+            *("taken", "taken_ns"),
+        )
     ]
 )
 """The n-th entry of each queue."""
@@ -106,6 +110,12 @@ DIRECTION: Final = np.dtype(
     [(name, np.float64) for name in ("angle_rad", "cosine", "sine")],
 )
 """An angle whose cosine and sine were taken last: most are taken of the same again."""
+
+PUSH: Final = np.dtype([("time_ns", np.int64), ("speed", np.float64), ("turn_rate", np.float64)])
+"""What a disturbance adds, and from when on."""
+
+_PUSHES_PER_TICK: Final = 3
+"""One from its begin, one where the disturbance begins and one where it ends."""
 
 EVENTS_PER_TICK: Final = 7
 """One of each kind, and of dropped commands in both of its words."""
@@ -121,6 +131,8 @@ class Memory(NamedTuple):
     losses: NDArray[Any]
     axes: NDArray[Any]
     directions: NDArray[Any]
+    pushes: NDArray[Any]
+    gauss: NDArray[np.float64]
 
 
 class _Stream(NamedTuple):
@@ -167,6 +179,8 @@ def allocate(ticks: int, samples: int) -> Memory:
         losses=np.zeros(3, LOSS),
         axes=np.zeros(2, AXIS),
         directions=np.full(2, np.nan, DIRECTION),
+        pushes=np.zeros(_PUSHES_PER_TICK, PUSH),
+        gauss=np.array(find_gauss()),
     )
 
 
@@ -204,12 +218,13 @@ def begin(scenario: Scenario) -> NDArray[Any]:
     """Return the state in which a scenario starts, shape (1,)."""
     state = np.zeros(1, STATE)
     start, one = scenario.start, state[0]
-    x_m, down_m, heading_rad = start.x_m, WORLD_SIZE_M - start.y_m, start.heading_rad
+    x_m, y_m, heading_rad = start.x_m, start.y_m, start.heading_rad
+    down_m = WORLD_SIZE_M - y_m
     if start.precision == "float32":
-        x_m, heading_rad = round_to_float32(x_m), round_to_float32(heading_rad)
-        down_m = round_to_float32(WORLD_SIZE_M - round_to_float32(start.y_m))
-    one["x_m"], one["down_m"], one["heading_rad"] = x_m, down_m, heading_rad
+        x_m, y_m, heading_rad = map(round_to_float32, (x_m, y_m, heading_rad))
+        down_m = round_to_float32(WORLD_SIZE_M - y_m)
+    one["x_m"], one["y_m"], one["down_m"], one["heading_rad"] = x_m, y_m, down_m, heading_rad
     for name in ("phase", "begun", "close_since_ns", "last_ns", "blocked", "newest"):
         one[name] = -1
-    one["fires_ns"], one["waits_for"] = _NEVER_NS, scenario.loop.start_backlog
+    one["fires_ns"], one["waits_for"] = NEVER_NS, scenario.loop.start_backlog
     return state

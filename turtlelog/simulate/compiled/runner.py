@@ -26,17 +26,16 @@ from turtlelog.simulate.law_driver import declare_scenario
 
 
 class KernelRunner:
-    """Simulates by the compiled loop, one scenario after the other in the same arrays."""
+    """Simulates by compiled loops, one scenario after the other in the same arrays."""
 
-    def __init__(self, kernel: Any) -> None:
-        """Take the module of the loop."""
-        self._run_loop = kernel.run_loop
+    def __init__(self) -> None:
+        """Begin without room for any."""
         self._memory: Memory = allocate(1, 1)
 
-    def simulate(self, scenario: Scenario, plant: Plant) -> Run | None:
-        """Return the run of a scenario that the loop covers, whose law is resolved.
+    def simulate(self, kernel: Any, scenario: Scenario, plant: Plant) -> Run | None:
+        """Return the run of a scenario by the module of a loop that covers it.
 
-        None where it fails or answers no pose: the interpreted loop says why.
+        Its law is resolved. None where it fails or answers no pose: the interpreted loop says why.
         """
         settings = fill_settings(scenario, plant)
         ticks, samples = count_rows(scenario, plant)
@@ -44,7 +43,7 @@ class KernelRunner:
             self._memory = allocate(ticks, samples)
         prepare(self._memory, scenario, ticks, samples)
         state = begin(scenario)
-        self._run_loop(settings, state, self._memory)
+        kernel.run_loop(settings, state, self._memory)
         found = state[0]
         if found["has_failed"] or not found["samples"]:
             return None

@@ -1,18 +1,17 @@
-"""A turtle, pushed or not; as `plants.turtlesim` and `simulate.drives`."""
+"""A turtle, pushed or not; as `plants.turtlesim` and its drives in `simulate.drives`."""
 
-import math
 from typing import Any
 
 import numpy as np
 
 from turtlelog.plants.turtlesim import _PI, _TWO_PI, WORLD_SIZE_M
 from turtlelog.simulate.compiled.commands import take
+from turtlelog.simulate.compiled.drives import find_push, publish_pose
 from turtlelog.simulate.compiled.functions import (
     find_direction,
     inline,
     least,
     most,
-    round_to_float32,
 )
 from turtlelog.simulate.compiled.memory import OF_TURTLE
 
@@ -46,30 +45,5 @@ def step_turtle(settings: Any, state: Any, memory: Any, tick: int) -> None:
         x_m = least(most(x_m, 0.0), WORLD_SIZE_M)
         down_m = least(most(down_m, 0.0), WORLD_SIZE_M)
     state.x_m, state.down_m, state.heading_rad = x_m, down_m, heading_rad
-    y_m = WORLD_SIZE_M - down_m
-    if not settings.is_exact:
-        x_m, y_m = round_to_float32(x_m), round_to_float32(y_m)
-        heading_rad = round_to_float32(heading_rad)
-    memory.ticks[tick].x_m, memory.ticks[tick].y_m, memory.ticks[tick].heading_rad = (
-        x_m,
-        y_m,
-        heading_rad,
-    )
-    memory.ticks[tick].applied_speed = round_to_float32(abs(forward))
-    memory.ticks[tick].applied_turn_rate = round_to_float32(turn_rate)
-    if math.isinf(memory.ticks[tick].applied_speed) or math.isinf(
-        memory.ticks[tick].applied_turn_rate
-    ):
-        state.has_failed = 1
-
-
-@inline
-def find_push(settings: Any, memory: Any, tick: int, time_ns: int) -> tuple[float, float]:
-    """Return what a disturbance adds in a step, of which a time tells whether it lies within."""
-    if not settings.push_from_ns <= time_ns < settings.push_to_ns:
-        return 0.0, 0.0
-    speed, turn_rate = settings.disturbance_speed_m_s, settings.disturbance_turn_rate_rad_s
-    if settings.push_scale or settings.turn_push_scale:
-        speed += settings.push_scale * memory.ticks[tick].push
-        turn_rate += settings.turn_push_scale * memory.ticks[tick].turn_push
-    return speed, turn_rate
+    rates = abs(forward), turn_rate
+    publish_pose(settings, state, memory, tick, (x_m, WORLD_SIZE_M - down_m, heading_rad), rates)
