@@ -83,7 +83,7 @@ def measure_compiled(scenario: tl.scenario.Scenario) -> Iterator[Row]:
     rows = np.empty((samples, 11))
     interpreted, compiled, bare = time_calls(
         lambda: tl.simulate_run(scenario),
-        lambda: runner.simulate(scenario, plant),
+        lambda: runner.simulate(kernel, scenario, plant),
         lambda: bare_loop(rows),
     )
     yield Row(

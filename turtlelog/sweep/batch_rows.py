@@ -14,6 +14,7 @@ from turtlelog.plants import Plant
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.compiled.fields import (
     AXIS,
+    AXIS_KEYS,
     SETTINGS,
     fill_axes,
     fill_settings,
@@ -26,12 +27,14 @@ from turtlelog.sweep.plan import build_row_scenario
 
 FREE_KEYS: Final = frozenset(
     {
-        *("law.kp_angular", "law.kp_linear", "law.pause_ticks", "seed"),
+        *(*AXIS_KEYS["kp"], "law.pause_ticks", "seed"),
         *("law.heading_tolerance_rad", "law.position_tolerance_m"),
     }
 )
 """Keys whose values may be judged one by one: no rule names them together with another key, and
 each is a number of the loop by itself. Of all other keys the combinations are judged."""
+
+_GAINS: Final = AXIS_KEYS["kp"]
 
 LINE: Final = np.dtype(
     [
@@ -126,16 +129,18 @@ def _gather(
     taken: list[int], others: list[int], cases: list[_Case], free: Mapping[str, Sequence[Any]]
 ) -> PreparedRows:
     settings = np.array([case.settings for case in cases], SETTINGS)
+    axes = np.array([case.axes for case in cases], AXIS).reshape(-1, 2)
     seeds: NDArray[Any] = np.array([case.seed for case in cases], object)
     for key, column in free.items():
         if key == "seed":
             seeds = np.array(column, object)
+        elif key in _GAINS:
+            axes["kp"][:, _GAINS.index(key)] = column
         else:
             settings[key.replace(".", "_")] = column
     lines = np.array([(*case.line, SETTLING_BAND) for case in cases], LINE)
     starts = np.array([case.state for case in cases], STATE)
     unique = set(cases)
-    axes = np.array([case.axes for case in cases], AXIS).reshape(-1, 2)
     return PreparedRows(
         rows=np.array(taken, np.int64),
         others=others,
@@ -160,6 +165,8 @@ def _judge_case(
     except TurtlelogError:
         return None
     clock = scenario.plant.facts if plant is None else plant
+    if getattr(scenario.law.parameters, "schedule", None) is not None:
+        return None  # placeholder
     return _Case(scenario, clock) if is_compiled(scenario, clock) else None
 
 

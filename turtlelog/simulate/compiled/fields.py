@@ -10,6 +10,7 @@ import numpy as np
 
 from turtlelog.angles import wrap_angle
 from turtlelog.laws import SequentialP, SequentialPID, SequentialPIDParameters, find_law
+from turtlelog.laws.schedule import DISTANCE
 from turtlelog.plants import LAGGED, Plant
 from turtlelog.scenario import Scenario
 from turtlelog.simulate.transport import find_causal_ns, needs_time
@@ -37,8 +38,6 @@ WHOLE: Final = (
 REAL: Final = (
     "goal.x_m",
     "goal.y_m",
-    "law.kp_angular",
-    "law.kp_linear",
     "law.heading_tolerance_rad",
     "law.position_tolerance_m",
     "law.timeout_s",
@@ -72,6 +71,7 @@ AXIS_KEYS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
         "jerk": ("limits.jerk_m_s3", "limits.turn_jerk_rad_s3"),
         "dead_zone": ("shaping.dead_zone_speed_m_s", "shaping.dead_zone_turn_rate_rad_s"),
         "quantum": ("shaping.quantum_speed_m_s", "shaping.quantum_turn_rate_rad_s"),
+        "kp": ("law.kp_linear", "law.kp_angular"),
         "ki": ("law.ki_linear", "law.ki_angular"),
         "kd": ("law.kd_linear", "law.kd_angular"),
     }
@@ -102,6 +102,8 @@ DERIVED: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "is_pushed": (),
         "transport_ns": ("loop.transport_delay_s",),
         "late_ns": ("loop.late_s",),
+        "schedule_entries": ("law.schedule",),
+        "has_distances": ("law.schedule",),
         "sensing_delay_ns": ("sensing.delay_s",),
     }
 )
@@ -127,13 +129,6 @@ DERIVED_REAL: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 WITHOUT_EFFECT: Final = frozenset({"name", "path", "law.kind"})
 """Keys that change nothing of how these laws run."""
 
-REFUSED: Final = frozenset(
-    {
-        "law.schedule",
-    }
-)
-"""Keys that, where they are set, leave a scenario to the interpreted loop."""
-
 READ_ELSEWHERE: Final = frozenset(
     {
         *("start.x_m", "start.y_m", "start.heading_rad", "start.precision"),
@@ -141,6 +136,11 @@ READ_ELSEWHERE: Final = frozenset(
     }
 )
 """Keys of which `memory` makes the first state and the random numbers."""
+
+SCHEDULED: Final = tuple(
+    key.removeprefix("law.") for gain in ("kp", "ki", "kd") for key in AXIS_KEYS[gain]
+)
+"""Gains that a schedule may have, in the order of its table: of each kind for speed, turn rate."""
 
 NEVER_NS: Final = 2**63 - 1
 """Later than any time of a run."""
@@ -165,7 +165,7 @@ AXIS: Final = np.dtype(
     + [(name, np.int64) for name in ("dead_time_ns", "next_ns", "waiting_first")]
     + [(name, np.float64) for name in ("value", "rate", "low_pass")]
     + [(name, np.float64) for name in ("integral", "derivative", "error_rate", "excess")]
-    + [("has_terms", np.int64), ("last_ns", np.int64)]
+    + [("has_terms", np.int64), ("has_integral", np.int64), ("last_ns", np.int64)]
 )
 """Speed or turn rate: its numbers, and its state, from the limits to the robot."""
 
@@ -180,7 +180,6 @@ def is_compiled(scenario: Scenario, plant: Plant) -> bool:
     """Whether the compiled loop covers a scenario, whose law is resolved."""
     return (
         find_law(scenario.law.kind) in {SequentialP, SequentialPID}
-        and scenario.law.parameters.schedule is None
         and round(scenario.max_duration_s * 1e9) // plant.period_ns < MOST_TICKS
         and (scenario.loop.period_s or 1.0) * MOST_TICKS > scenario.max_duration_s
     )
@@ -222,13 +221,41 @@ def fill_axes(scenario: Scenario) -> np.ndarray[Any, Any]:
     dead_times_s = robot.speed_dead_time_s or 0.0, robot.turn_dead_time_s or 0.0
     axes["dead_time_ns"] = [round(time_s * 1e9) for time_s in dead_times_s]
     axes["next_ns"] = NEVER_NS
-    axes["has_terms"] = (axes["ki"] != 0.0) | (axes["kd"] != 0.0)
+    scheduled = _list_scheduled(scenario)
+    acts = {gain: [*map(bool, axes[gain])] for gain in ("ki", "kd")}
+    for gain, places in acts.items():
+        for place, key in enumerate(AXIS_KEYS[gain]):
+            places[place] |= key.removeprefix("law.") in scheduled
+    axes["has_integral"] = acts["ki"]
+    axes["has_terms"] = np.logical_or(acts["ki"], acts["kd"])
     return axes
+
+
+def fill_schedule(scenario: Scenario) -> np.ndarray[Any, Any]:
+    """Return the table of gains that change on the way, of no entries where none do.
+
+    Shape (entries, 7): distances or heading errors, then the gains of `SCHEDULED`, NaN where one
+    is constant.
+    """
+    schedule = scenario.law.parameters.schedule
+    if schedule is None:
+        return np.empty((0, 1 + len(SCHEDULED)))
+    table = np.full((len(schedule.at), 1 + len(SCHEDULED)), np.nan)
+    table[:, 0] = schedule.at
+    for place, name in enumerate(SCHEDULED, start=1):
+        if name in schedule.gains:
+            table[:, place] = getattr(schedule, name)
+    return table
+
+
+def _list_scheduled(scenario: Scenario) -> tuple[str, ...]:
+    schedule = scenario.law.parameters.schedule
+    return () if schedule is None else schedule.gains
 
 
 def _derive_whole(scenario: Scenario, plant: Plant) -> dict[str, int]:
     """Return the values of `DERIVED`."""
-    loop, sensing = scenario.loop, scenario.sensing
+    loop, sensing, schedule = scenario.loop, scenario.sensing, scenario.law.parameters.schedule
     duration_ns, tick_ns = round(scenario.max_duration_s * 1e9), scenario.plant.facts.period_ns
     delays_poses = loop.period_s is not None or sensing.delays_poses
     delay_ns = loop.transport_delay_ticks * plant.period_ns + round(loop.transport_delay_s * 1e9)
@@ -249,6 +276,8 @@ def _derive_whole(scenario: Scenario, plant: Plant) -> dict[str, int]:
         "is_pushed": scenario.disturbance.acts,
         "transport_ns": delay_ns,
         "late_ns": round(loop.late_s * 1e9),
+        "schedule_entries": 0 if schedule is None else len(schedule.at),
+        "has_distances": schedule is not None and schedule.over == DISTANCE,
         "sensing_delay_ns": round(sensing.delay_s * 1e9),
     }
 

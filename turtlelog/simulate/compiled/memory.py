@@ -6,11 +6,12 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.laws.schedule import MOST_ENTRIES
 from turtlelog.plants import round_to_float32
 from turtlelog.plants.lagged import find_gauss
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.scenario import Scenario
-from turtlelog.simulate.compiled.fields import AXIS, NEVER_NS, fill_axes
+from turtlelog.simulate.compiled.fields import AXIS, NEVER_NS, SCHEDULED, fill_axes, fill_schedule
 from turtlelog.simulate.random_streams import draw_events
 
 ROTATE, TRANSLATE, REORIENT = 0, 2, 3
@@ -133,6 +134,7 @@ class Memory(NamedTuple):
     directions: NDArray[Any]
     pushes: NDArray[Any]
     gauss: NDArray[np.float64]
+    schedule: NDArray[np.float64]
 
 
 class _Stream(NamedTuple):
@@ -181,6 +183,7 @@ def allocate(ticks: int, samples: int) -> Memory:
         directions=np.full(2, np.nan, DIRECTION),
         pushes=np.zeros(_PUSHES_PER_TICK, PUSH),
         gauss=np.array(find_gauss()),
+        schedule=np.empty((MOST_ENTRIES, 1 + len(SCHEDULED))),
     )
 
 
@@ -188,7 +191,14 @@ def prepare(memory: Memory, scenario: Scenario, ticks: int, samples: int) -> Non
     """Begin a scenario, from rest, and draw the random numbers of its effects, event by event."""
     memory.losses[:] = 0
     memory.axes[:] = fill_axes(scenario)
+    enter_schedule(memory, scenario)
     draw_streams(memory, list_streams(scenario), scenario.seed, ticks, samples)
+
+
+def enter_schedule(memory: Memory, scenario: Scenario) -> None:
+    """Enter the gains of a scenario that change on the way."""
+    table = fill_schedule(scenario)
+    memory.schedule[: len(table)] = table
 
 
 def list_streams(scenario: Scenario) -> frozenset[str]:

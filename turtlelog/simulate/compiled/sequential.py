@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from turtlelog.simulate.compiled.functions import (
+    call,
     clip,
     find_direction,
     find_hypot,
@@ -41,6 +42,9 @@ def decide_sequential(
     sample.integral_angular = sample.derivative_angular = 0.0
     sample.integral_linear = sample.derivative_linear = 0.0
     phase, blocks, speed, turn_rate = state.phase, 0, 0.0, 0.0
+    sample.distance_m = find_hypot(error_x_m, error_y_m)
+    if settings.schedule_entries > 0 and phase >= 0:
+        _follow_schedule(settings, state, memory, sample.distance_m, heading_rad)
     axis = memory.axes[TURN]
     if phase == TRANSLATE:
         speed = _translate(settings, state, memory, sample, time_ns, heading_rad)
@@ -68,9 +72,51 @@ def decide_sequential(
         state.has_failed = 1
     sample.phase = phase
     sample.bearing_rad, sample.heading_error_rad = state.bearing_rad, state.heading_error_rad
-    sample.distance_m = find_hypot(error_x_m, error_y_m)
     sample.world_v_x_m_s, sample.world_v_y_m_s = world_x, world_y
     return blocks, speed, turn_rate
+
+
+@call
+def _follow_schedule(
+    settings: Any, state: Any, memory: Any, distance_m: float, heading_rad: float
+) -> None:
+    """Take the gains of a distance, or of the error of the heading loop that acts or acted last."""
+    place = distance_m
+    if not settings.has_distances:
+        wanted_rad = settings.goal_heading_rad if state.phase == REORIENT else state.bearing_rad
+        place = wanted_rad - heading_rad
+        if settings.law_wrap_error:
+            place = wrap_angle(place)
+        place = abs(place)
+    table, speed, turn = memory.schedule, memory.axes[SPEED], memory.axes[TURN]
+    after, end = 0, settings.schedule_entries
+    while after < end:
+        middle = (after + end) // 2
+        if place < table[middle, 0]:
+            end = middle
+        else:
+            after = middle + 1
+    last = settings.schedule_entries - 1
+    speed.kp = _find_gain(table, 1, place, after, last, speed.kp)
+    turn.kp = _find_gain(table, 2, place, after, last, turn.kp)
+    speed.ki = _find_gain(table, 3, place, after, last, speed.ki)
+    turn.ki = _find_gain(table, 4, place, after, last, turn.ki)
+    speed.kd = _find_gain(table, 5, place, after, last, speed.kd)
+    turn.kd = _find_gain(table, 6, place, after, last, turn.kd)
+
+
+@inline
+def _find_gain(
+    table: Any, column: int, place: float, after: int, last: int, constant: float
+) -> float:
+    """Return a gain at a place; `after` is the first entry beyond it."""
+    if math.isnan(table[0, column]):
+        return constant
+    if after == 0 or after > last:
+        return table[min(after, last), column]  # type: ignore[no-any-return]
+    before = after - 1
+    share = (place - table[before, 0]) / (table[after, 0] - table[before, 0])
+    return table[before, column] + share * (table[after, column] - table[before, column])  # type: ignore[no-any-return]
 
 
 @inline
@@ -110,7 +156,7 @@ def _turn(
 ) -> float:
     """Return the turn rate of a heading error, with integral and derivative where there are."""
     error_rad = state.heading_error_rad
-    turn_rate = settings.law_kp_angular * error_rad
+    turn_rate = axis.kp * error_rad
     if not axis.has_terms:
         return turn_rate  # type: ignore[no-any-return]
     turned_rad = wrap_angle(heading_rad - state.heading_before_rad)
@@ -130,7 +176,7 @@ def _translate(
     axis = memory.axes[SPEED]
     stop_reason, speed = WITHIN_TOLERANCE, 0.0
     if abs(x_m) > tolerance_m or abs(y_m) > tolerance_m:
-        kp = settings.law_kp_linear
+        kp = axis.kp
         state.world_v_x_m_s, state.world_v_y_m_s = kp * x_m, kp * y_m
         along_rad = heading_rad if settings.law_projection else state.bearing_rad
         cos, sin = find_direction(memory.directions[OF_LAW], along_rad)
@@ -186,7 +232,7 @@ def _advance_terms(settings: Any, state: Any, axis: Any, time_ns: int, moved: fl
 def _add_terms(settings: Any, axis: Any, proportional: float, error: float) -> float:
     """Return the command, and keep how the integral goes on from here."""
     command = proportional + axis.integral + axis.derivative
-    if axis.ki == 0.0:
+    if not axis.has_integral:
         return command  # type: ignore[no-any-return]
     excess = command - clip(command, axis.limit)
     error_rate = axis.ki * error
