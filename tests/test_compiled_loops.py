@@ -120,7 +120,12 @@ def test_a_constant_of_another_file_is_compiled_anew(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["simulate.compiled.sequential_loop", "simulate.compiled.any_loop", "sweep.batch_kernel"],
+    [
+        "simulate.compiled.sequential_loop",
+        "simulate.compiled.any_loop",
+        "sweep.sequential_batch",
+        "sweep.any_batch",
+    ],
 )
 def test_every_file_that_a_kernel_takes_from_is_summed_up(name: str) -> None:
     pytest.importorskip("numba")

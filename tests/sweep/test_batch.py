@@ -22,17 +22,21 @@ METRICS: Final = (*OF_LOOPS, *OF_RUN)
 PAPER: Final = get_preset("paper")
 
 
+BATCHES: Final = (batch.BATCH, batch.ANY_BATCH)
+
+
 @pytest.fixture(scope="module", autouse=True)
-def kernel() -> Any:
+def kernels() -> list[Any]:
     pytest.importorskip("numba")
-    found = batch.BATCH.load()
-    assert found is not None
+    found = [one.load() for one in BATCHES]
+    assert None not in found
     return found
 
 
 @pytest.fixture(autouse=True)
-def loaded(monkeypatch: pytest.MonkeyPatch, kernel: Any) -> None:
-    monkeypatch.setattr(batch.BATCH, "_loops", kernel)
+def loaded(monkeypatch: pytest.MonkeyPatch, kernels: list[Any]) -> None:
+    for one, kernel in zip(BATCHES, kernels, strict=True):
+        monkeypatch.setattr(one, "_loops", kernel)
 
 
 def require_row(rows: MeasuredRows, row: int, scenario: Scenario) -> None:
@@ -164,3 +168,26 @@ def test_the_page_says_which_metrics_are_compiled() -> None:
     page = (Path(__file__).parents[2] / "docs" / "sweep.md").read_text("utf-8")
     told = page.partition("## How fast")[2].partition("##")[0]
     assert [name for name in (*LOOP_FIGURES, *OF_RUN) if f"`{name}`" not in told] == []
+
+
+def test_numbers_of_a_robot_vary_in_the_batch() -> None:
+    base = override_scenario(get_preset("textbook"), {**EFFECTS["lagged"], "max_duration_s": 8.0})
+    columns = {
+        "plant.turn_lag_s": [0.0, 0.1, 0.1, 0.6],
+        "plant.speed_gain": [1.0, 0.9, 0.9, 0.9],
+        "plant.period_s": [0.05, 0.05, 0.1, 0.1],
+    }
+    rows = measure_rows(base, columns, METRICS, threads=2)
+    assert (rows.compiled, rows.interpreted) == (4, 0)
+    for row in range(4):
+        changes = {key: column[row] for key, column in columns.items()}
+        require_row(rows, row, override_scenario(base, changes))
+
+
+def test_rows_with_schedules_of_their_own_take_the_path_of_a_run() -> None:
+    table = {"over": "distance", "at": [0.0, 1.0], "kp_linear": [1.0, 2.0]}
+    columns = {"law.schedule": [table, {**table, "kp_linear": [1.0, 3.0]}]}
+    rows = measure_rows(PAPER, columns, METRICS, threads=1)
+    assert (rows.compiled, rows.interpreted) == (0, 2)
+    for row, schedule in enumerate(columns["law.schedule"]):
+        require_row(rows, row, override_scenario(PAPER, {"law.schedule": schedule}))

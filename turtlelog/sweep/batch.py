@@ -5,7 +5,7 @@ Either way a row has the numbers of a single run, bit for bit.
 """
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Final
@@ -20,8 +20,9 @@ from turtlelog.plants import Plant
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import simulate_run
+from turtlelog.simulate.compiled.fields import is_common
 from turtlelog.simulate.compiled.memory import STOP_REASONS, Memory, allocate, draw_streams
-from turtlelog.simulate.many import COST_S, FIRST_S, SAVED_S
+from turtlelog.simulate.many import ANY_FIRST_S, COST_S, FIRST_S, SAVED_S
 from turtlelog.sweep.batch_rows import PreparedRows, find_line, prepare_rows
 from turtlelog.sweep.batch_table import (
     ABSENT,
@@ -36,13 +37,29 @@ from turtlelog.sweep.batch_table import (
 )
 from turtlelog.sweep.plan import build_row_scenario
 
-BATCH: Final = CompiledLoops("turtlelog.sweep.batch_kernel", cost_s=COST_S, first_s=FIRST_S + 10.0)
-"""The loop and what measures it, which takes some more seconds to compile."""
+_MEASURING_S: Final = 10.0
+"""What compiling the measurement takes [s]."""
+
+BATCH: Final = CompiledLoops(
+    "turtlelog.sweep.sequential_batch", cost_s=COST_S, first_s=FIRST_S + _MEASURING_S
+)
+"""The sequential laws around turtlesim, and what measures them."""
+
+ANY_BATCH: Final = CompiledLoops(
+    "turtlelog.sweep.any_batch", cost_s=COST_S, first_s=ANY_FIRST_S + _MEASURING_S
+)
+"""The sequential laws around any plant."""
 
 _STRETCH: Final = 32
 """Rows in one call: long enough to cost nothing, short enough that all cores end together."""
 
 _END_AT: Final = len(OF_LOOPS)
+
+
+def find_batch(base: Scenario, keys: Collection[str]) -> CompiledLoops:
+    """Return the compiled code for rows that vary keys of a scenario, whatever their law."""
+    is_turtle = is_common(base) and not any(key.startswith("plant.") for key in keys)
+    return BATCH if is_turtle else ANY_BATCH
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,12 +117,13 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     work = _Work(base, columns, metrics, plant, first)
     rest: Sequence[int] = range(work.count)
     if all(map(is_covered, metrics)):
-        kernel = BATCH.find()
+        batch = find_batch(base, columns)
+        kernel = batch.find()
         if kernel is None and work.count:
             work.measure_alone(0)
             rest = range(1, work.count)
             rows = max(work.count, ahead)
-            kernel = BATCH.expect(int(work.result.samples[0]) * rows, SAVED_S)
+            kernel = batch.expect(int(work.result.samples[0]) * rows, SAVED_S)
         if kernel is not None:
             rest = work.run_compiled(kernel, rest, count_cores() if threads is None else threads)
     for row in rest:
@@ -234,6 +252,7 @@ class _Work:
             or (len(local.memory.samples) < samples)
         ):
             local.memory = allocate(ticks, samples)
+            local.memory.schedule[: len(prepared.schedule)] = prepared.schedule
             local.scratch = np.empty((2, ticks))
             local.seed = None
         if local.seed != seed:

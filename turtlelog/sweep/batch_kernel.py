@@ -1,4 +1,4 @@
-"""Many rows in one call: each simulated by the compiled loop, then measured from its arrays.
+"""Many rows in one call: each simulated by a compiled loop, then measured from its arrays.
 
 What is measured are the numbers of `measure`, operation by operation, so that they are the same
 bit for bit: `response` finds the stretch of a loop, `step_response` the numbers of its curve. What
@@ -12,15 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from turtlelog.compiled_loops import sum_up_sources
 from turtlelog.measure import metric, step_response, swings
 from turtlelog.measure.step_response import SHORTEST_HOLD_S, SWING
 from turtlelog.measure.table import loop_metrics
 from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
-from turtlelog.simulate.compiled import sequential_loop
+from turtlelog.simulate.compiled import functions, memory
 from turtlelog.simulate.compiled.functions import wrap_angle
 from turtlelog.simulate.compiled.memory import MAX_DURATION, REORIENT, ROTATE, TIMEOUT, TRANSLATE
-from turtlelog.simulate.compiled.sequential_loop import run_loop
 from turtlelog.sweep import batch_table
 from turtlelog.sweep.batch_table import (
     CUT,
@@ -461,32 +459,25 @@ def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
     end[7] = y_m * line.cos - x_m * line.sin
 
 
-def _build(stamp: int) -> Any:
-    """Return the compiled function, whose cache knows the loop that it was compiled with."""
+@njit(error_model="numpy", nogil=True, forceinline=True)
+def run_rows_by(simulate: Any, rows: Any, scratch: Any, entries: Any) -> None:
+    """Simulate and measure rows, each in the same memory; numbers and statuses are entered.
 
-    @njit(nogil=True, cache=True, error_model="numpy")
-    def run_rows(begun: Any, axes: Any, memory: Any, scratch: Any, entries: Any) -> int:
-        """Simulate and measure rows, each in the same memory; numbers and statuses are entered."""
-        settings, states, lines = begun
-        for number in range(len(settings)):
-            for axis in range(2):
-                memory.axes[axis] = axes[number, axis]
-            for loss in memory.losses:
-                loss.since_ns = loss.count = loss.finished_since_ns = loss.finished = 0
-            run_loop(settings[number : number + 1], states[number : number + 1], memory)
-            state = states[number]
-            if not state.has_failed and state.samples:
-                row = _Row(settings[number], state, memory, lines[number])
-                _measure_row(row, scratch, _Entry(entries[0][number], entries[1][number]))
-        return stamp
-
-    return run_rows
+    `simulate` is the compiled loop; `rows` are settings, states and lines of each, its axes, and
+    the memory; `entries` are figures and statuses.
+    """
+    (settings, states, lines), axes, memory = rows
+    for number in range(len(settings)):
+        for axis in range(2):
+            memory.axes[axis] = axes[number, axis]
+        for loss in memory.losses:
+            loss.since_ns = loss.count = loss.finished_since_ns = loss.finished = 0
+        simulate(settings[number : number + 1], states[number : number + 1], memory)
+        state = states[number]
+        if not state.has_failed and state.samples:
+            row = _Row(settings[number], state, memory, lines[number])
+            _measure_row(row, scratch, _Entry(entries[0][number], entries[1][number]))
 
 
-SOURCES = (
-    *(sequential_loop, *sequential_loop.SOURCES),
-    *(batch_table, loop_metrics, metric, step_response, swings),
-)
+SOURCES = (batch_table, functions, loop_metrics, memory, metric, step_response, swings)
 """Whose code and constants stand in the machine code."""
-
-run_rows = _build(sum_up_sources(*SOURCES))

@@ -17,6 +17,7 @@ from turtlelog.simulate.compiled.fields import (
     AXIS_KEYS,
     SETTINGS,
     fill_axes,
+    fill_schedule,
     fill_settings,
     is_compiled,
     read_key,
@@ -59,6 +60,7 @@ class PreparedRows:
         states: Likewise, which the loop changes.
         axes: Shape (n, 2).
         lines: Shape (n,).
+        schedule: Gains that change on the way, which all of them share.
         seeds: Shape (n,).
         streams: Names of the random numbers that any of them needs.
         ticks: Most that any may have.
@@ -72,6 +74,7 @@ class PreparedRows:
     states: NDArray[Any]
     axes: NDArray[Any]
     lines: NDArray[Any]
+    schedule: NDArray[np.float64]
     seeds: NDArray[Any]
     streams: frozenset[str]
     ticks: int
@@ -93,6 +96,7 @@ class _Case:
     def __init__(self, scenario: Scenario, plant: Plant) -> None:
         self.settings, self.state = fill_settings(scenario, plant)[0], begin(scenario)[0]
         self.axes, self.seed = fill_axes(scenario), scenario.seed
+        self.schedule = fill_schedule(scenario)
         self.streams = list_streams(scenario)
         self.ticks, self.samples = count_rows(scenario, plant)
         start_xy_m = _find_start(scenario, self.state)
@@ -105,6 +109,8 @@ def prepare_rows(
     base: Scenario, columns: Mapping[str, Sequence[Any]], rows: Sequence[int], plant: Plant | None
 ) -> PreparedRows:
     """Return rows as arrays, those that are not compiled or no scenario apart."""
+    if "law.schedule" in columns:  # the memory of the loop holds one
+        return _gather([], [*rows], [], {})
     free = [] if "law.kind" in columns else [key for key in columns if key in FREE_KEYS]
     joint = [key for key in columns if key not in free]
     cases: dict[tuple[Any, ...], _Case | None] = {}
@@ -149,6 +155,7 @@ def _gather(
         states=starts.copy(),
         axes=axes,
         lines=lines,
+        schedule=cases[0].schedule if cases else np.empty((0, 0)),
         seeds=seeds,
         streams=frozenset[str]().union(*(case.streams for case in unique)),
         ticks=max((case.ticks for case in unique), default=1),
@@ -165,8 +172,6 @@ def _judge_case(
     except TurtlelogError:
         return None
     clock = scenario.plant.facts if plant is None else plant
-    if getattr(scenario.law.parameters, "schedule", None) is not None:
-        return None  # placeholder
     return _Case(scenario, clock) if is_compiled(scenario, clock) else None
 
 
@@ -187,7 +192,9 @@ def _find_start(scenario: Scenario, state: Any) -> tuple[float, float]:
     from turtlelog.plants import round_to_float32
     from turtlelog.plants.turtlesim import WORLD_SIZE_M
 
-    x_m, y_m = float(state["x_m"]), WORLD_SIZE_M - float(state["down_m"])
+    x_m, y_m = float(state["x_m"]), float(state["y_m"])
+    if scenario.plant.kind == "turtlesim":
+        y_m = WORLD_SIZE_M - float(state["down_m"])
     if scenario.loop.pose_precision == "float64":
         return x_m, y_m
     return round_to_float32(x_m), round_to_float32(y_m)

@@ -151,7 +151,7 @@ def simulate_rows(chunk: RowChunk) -> RowResults:
     return results
 
 
-_DECIDING: Final = ("law.kind", "law.reorient", "law.schedule", "path.", "plant.")
+_DECIDING: Final = ("law.kind", "law.reorient", "law.schedule", "path.", "plant.kind")
 """Beginnings of keys that decide which metrics a row has, and whether it is compiled."""
 
 

@@ -14,11 +14,17 @@ from turtlelog.log.error_boundary import name_file
 from turtlelog.measure import choose_metrics
 from turtlelog.processes import LONG_S, count_cores, map_in_processes
 from turtlelog.remote.urls import RemotePath, has_files, make_path
-from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
+from turtlelog.scenario import (
+    Scenario,
+    flatten_scenario,
+    format_scenario,
+    parse_scenario,
+    resolve_scenario,
+)
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.many import SAVED_S
 from turtlelog.sweep.assemble import SweptRows, assemble_table, find_failure, list_valueless
-from turtlelog.sweep.batch import BATCH
+from turtlelog.sweep.batch import find_batch
 from turtlelog.sweep.kept_parts import KeptParts, has_results, name_partial, require_same
 from turtlelog.sweep.plan import SweepPlan, build_row_scenario
 from turtlelog.sweep.result_table import (
@@ -267,7 +273,8 @@ def _simulate(
     if jobs is None:
         jobs = count_cores() if rest * row_s > LONG_S else 1
     count, threads = (jobs if isinstance(jobs, int) else 1), 1
-    if is_batch(first) and BATCH.expect(found.samples * rest, SAVED_S) is not None:
+    batch = find_batch(parse_scenario(sweep.base), sweep.plan.keys)
+    if is_batch(first) and batch.expect(found.samples * rest, SAVED_S) is not None:
         size = _MOST_IN_BATCH
         if isinstance(jobs, int):
             # Threads share what is loaded, and processes would take longer to start.

@@ -191,14 +191,9 @@ def prepare(memory: Memory, scenario: Scenario, ticks: int, samples: int) -> Non
     """Begin a scenario, from rest, and draw the random numbers of its effects, event by event."""
     memory.losses[:] = 0
     memory.axes[:] = fill_axes(scenario)
-    enter_schedule(memory, scenario)
-    draw_streams(memory, list_streams(scenario), scenario.seed, ticks, samples)
-
-
-def enter_schedule(memory: Memory, scenario: Scenario) -> None:
-    """Enter the gains of a scenario that change on the way."""
     table = fill_schedule(scenario)
     memory.schedule[: len(table)] = table
+    draw_streams(memory, list_streams(scenario), scenario.seed, ticks, samples)
 
 
 def list_streams(scenario: Scenario) -> frozenset[str]:
