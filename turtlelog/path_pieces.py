@@ -97,7 +97,8 @@ class PathPiece(NamedTuple):
             cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
             ahead_m, left_m = x_m - self.x_m, y_m - self.y_m
             way_m = ahead_m * cos + left_m * sin
-            square = radius_m**2 - (left_m * cos - ahead_m * sin) ** 2
+            aside_m = left_m * cos - ahead_m * sin
+            square = radius_m * radius_m - aside_m * aside_m
             if square < 0.0:
                 return None
             way_m += math.sqrt(square)
@@ -113,9 +114,8 @@ class PathPiece(NamedTuple):
         center_away_m = math.hypot(x_m - center_x_m, y_m - center_y_m)
         if center_away_m == 0.0:
             return None
-        cosine = (arc_radius_m**2 + center_away_m**2 - radius_m**2) / (
-            2.0 * arc_radius_m * center_away_m
-        )
+        squares = arc_radius_m * arc_radius_m + center_away_m * center_away_m
+        cosine = (squares - radius_m * radius_m) / (2.0 * arc_radius_m * center_away_m)
         if not -1.0 <= cosine <= 1.0:
             return None
         way_m = (self._turn_to(x_m, y_m) + math.copysign(math.acos(cosine), curvature)) / curvature

@@ -160,7 +160,7 @@ class Path:
         if self.length_m < LEAST_M:
             found = f"{self.length_m:.3g} m"
             raise PathError(f"points: expected a path of {LEAST_M} m or more, found {found}")
-        pieces = [*self._pieces, *(self._pieces[:1] if self.is_closed else ())]
+        pieces = [*self.pieces, *(self.pieces[:1] if self.is_closed else ())]
         for before, piece in pairwise(pieces):
             if abs(_find_turn(before, piece)) > TURN_BACK_RAD:
                 expected = "a path that does not turn back on itself"
@@ -177,7 +177,7 @@ class Path:
     @cached_property
     def length_m(self) -> float:
         """Its length, once around where it is closed [m]."""
-        last = self._pieces[-1]
+        last = self.pieces[-1]
         return last.start_m + last.length_m
 
     @cached_property
@@ -185,7 +185,7 @@ class Path:
         """Where its direction jumps, in order; the end of a closed path is none."""
         found = [
             (piece.start_m, turn)
-            for before, piece in pairwise(self._pieces)
+            for before, piece in pairwise(self.pieces)
             if abs(turn := _find_turn(before, piece)) >= CORNER_RAD
         ]
         ends_m = [*(arc_m for arc_m, _ in found[1:]), self.length_m]
@@ -211,15 +211,15 @@ class Path:
         """
         length_m = self.length_m
         if arc_m == length_m:  # the end, in the direction in which it is reached
-            return self._pieces[-1].locate(self._pieces[-1].length_m)
+            return self.pieces[-1].locate(self.pieces[-1].length_m)
         if self.is_closed and not 0.0 <= arc_m < length_m:
             arc_m = math.fmod(arc_m, length_m)
             arc_m += length_m if arc_m < 0.0 else 0.0
         if not self.is_closed and not 0.0 <= arc_m <= length_m:
-            piece = self._pieces[0 if arc_m < 0.0 else -1]
+            piece = self.pieces[0 if arc_m < 0.0 else -1]
             end_m = 0.0 if arc_m < 0.0 else piece.length_m
             return piece.go_straight(end_m).locate(arc_m - piece.start_m - end_m)
-        piece = self._pieces[self._find_piece(arc_m)]
+        piece = self.pieces[self._find_piece(arc_m)]
         return piece.locate(arc_m - piece.start_m)
 
     def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> PathPlace:
@@ -230,7 +230,7 @@ class Path:
         """
         if not self.is_closed:
             low_m, high_m = max(low_m, 0.0), min(high_m, self.length_m)
-        best_m, best = math.inf, (low_m, self._pieces[0])
+        best_m, best = math.inf, (low_m, self.pieces[0])
         for piece in self._list_pieces(low_m, high_m):
             start_m = piece.start_m
             ends_m = max(low_m - start_m, 0.0), min(high_m - start_m, piece.length_m)
@@ -248,7 +248,7 @@ class Path:
         """
         x_m, y_m, heading_rad = point
         best_m, best = math.inf, 0.0
-        for piece in self._pieces:
+        for piece in self.pieces:
             way_m = piece.find_nearest(x_m, y_m, 0.0, piece.length_m)
             found = piece.locate(way_m)
             away_m = math.hypot(x_m - found.x_m, y_m - found.y_m)
@@ -274,7 +274,8 @@ class Path:
         return self.locate(from_m + lookahead_m)
 
     @cached_property
-    def _pieces(self) -> tuple[PathPiece, ...]:
+    def pieces(self) -> tuple[PathPiece, ...]:
+        """What it consists of, in order."""
         if self.points is None:
             return tuple(_build_round(self))
         points = (*self.points, self.points[0]) if self.is_closed else self.points
@@ -282,7 +283,7 @@ class Path:
 
     @cached_property
     def _starts_m(self) -> list[float]:
-        return [piece.start_m for piece in self._pieces]
+        return [piece.start_m for piece in self.pieces]
 
     def _find_piece(self, arc_m: float) -> int:
         return max(bisect_right(self._starts_m, arc_m) - 1, 0)
@@ -294,10 +295,10 @@ class Path:
             first = self._find_piece(low_m)
             # A stretch that begins at a corner belongs to the piece before it, too.
             first -= first > 0 and self._starts_m[first] == low_m
-            yield from self._pieces[first : self._find_piece(high_m) + 1]
+            yield from self.pieces[first : self._find_piece(high_m) + 1]
             return
         for lap in range(math.floor(low_m / length_m), math.floor(high_m / length_m) + 1):
-            for piece in self._pieces:
+            for piece in self.pieces:
                 start_m = piece.start_m + lap * length_m
                 if start_m <= high_m and start_m + piece.length_m >= low_m:
                     yield piece._replace(start_m=start_m)
@@ -305,12 +306,12 @@ class Path:
     def _iterate_on(self, from_m: float) -> Iterator[PathPiece]:
         """Yield the pieces from an arc length on: once around, or to the end and straight on."""
         first = self._find_piece(from_m)
-        yield from self._pieces[first:]
+        yield from self.pieces[first:]
         if self.is_closed:
-            for piece in self._pieces[: first + 1]:
+            for piece in self.pieces[: first + 1]:
                 yield piece._replace(start_m=piece.start_m + self.length_m)
         else:
-            yield self._pieces[-1].go_straight(self._pieces[-1].length_m)
+            yield self.pieces[-1].go_straight(self.pieces[-1].length_m)
 
     def _find_side(self, x_m: float, y_m: float, arc_m: float, piece: PathPiece) -> float:
         """Return a number that is positive where a position is on the left of the path.
@@ -329,9 +330,9 @@ class Path:
     def _find_heading_beyond(self, piece: PathPiece, *, is_end: bool) -> float:
         """Return the direction of the path just beyond an end of a piece [rad]."""
         number = piece.number + (1 if is_end else -1)
-        if not self.is_closed and not 0 <= number < len(self._pieces):
+        if not self.is_closed and not 0 <= number < len(self.pieces):
             return piece.locate(piece.length_m if is_end else 0.0).heading_rad
-        other = self._pieces[number % len(self._pieces)]
+        other = self.pieces[number % len(self.pieces)]
         return other.locate(0.0 if is_end else other.length_m).heading_rad
 
 
@@ -349,21 +350,22 @@ class PathFollower:
 
     Attributes:
         arc_m: Arc length of the nearest point [m], None until the robot has come to the path.
+        reach_m: How far along the path from the one before the next is looked for, either way [m].
     """
 
-    __slots__ = ("_path", "_reach_m", "arc_m")
+    __slots__ = ("_path", "arc_m", "reach_m")
 
     def __init__(self, path: Path, arc_m: float | None = None) -> None:
         """Begin off the path, or at an arc length [m]."""
         self._path = path
         # A quarter of a short closed path: the way round the other side is further.
-        self._reach_m = min(REACH_M, path.length_m / 4.0) if path.is_closed else REACH_M
+        self.reach_m = min(REACH_M, path.length_m / 4.0) if path.is_closed else REACH_M
         self.arc_m = arc_m
 
     def advance(self, x_m: float, y_m: float, due_m: float | None = None) -> PathPlace:
         """Return where the robot is now; `due_m` is how far the reference is, by time [m]."""
         if self.arc_m is not None:
-            low_m, high_m = self.arc_m - self._reach_m, self.arc_m + self._reach_m
+            low_m, high_m = self.arc_m - self.reach_m, self.arc_m + self.reach_m
             place = self._path.find_nearest(x_m, y_m, low_m, high_m)
             self.arc_m = place.arc_m
             return place

@@ -26,6 +26,7 @@ from turtlelog.simulate.compiled.fields import (
     WITHOUT_EFFECT,
     is_compiled,
 )
+from turtlelog.simulate.compiled.law_fields import PLAIN_KEYS, SIGNAL_KEYS, TABLE_KEYS
 from turtlelog.simulate.compiled.runner import KernelRunner
 from turtlelog.simulate.many import ANY_LOOP, COST_S, LOOP, SAVED_S, find_loop
 
@@ -173,6 +174,105 @@ def test_compiled_loop_has_every_effect(kernels: Kernels, preset: str, effect: s
     require_same(kernels, override_scenario(get_preset(preset), changes))
 
 
+OTHER_LAWS: Final = ("posture", "kanayama", "pure-pursuit", "open-loop")
+
+
+def build_law(draw: random.Random, kind: str) -> Mapping[str, Any]:
+    """Return a law that is no sequential one, with numbers of its own."""
+    builders = {"posture": build_posture, "open-loop": build_open_loop}
+    if kind in builders:
+        return {"law.kind": kind, **builders[kind](draw)}
+    changes = {
+        "law.speed_m_s": draw.choice([0.5, 2.0]),
+        "law.end_tolerance_m": draw.choice([0.01, 0.3]),
+        **build_path(draw),
+    }
+    if kind == "kanayama":
+        changes |= {"law.kx": draw.uniform(0.5, 10.0), "law.ky": draw.uniform(1.0, 64.0)}
+        changes["law.ktheta"] = draw.uniform(1.0, 16.0)
+    else:
+        changes |= {"law.lookahead_m": draw.choice([0.1, 0.3, 1.5, 20.0])}
+        changes["law.kp_along"] = draw.choice([0.0, 1.0])
+    return {"law.kind": kind, **changes}
+
+
+def build_posture(draw: random.Random) -> Mapping[str, Any]:
+    return {
+        "law.gamma": draw.uniform(0.3, 2.0),
+        "law.k": draw.uniform(1.0, 6.0),
+        "law.h": draw.uniform(0.5, 5.0),
+        "law.timeout_s": draw.choice([3.0, math.inf]),
+        "law.position_tolerance_m": draw.choice([0.001, 0.05]),
+    }
+
+
+def build_open_loop(draw: random.Random) -> Mapping[str, Any]:
+    signal = draw.choice(["impulse", "step", "ramp", "prbs", "sequence"])
+    if signal == "sequence":
+        times = sorted({round(draw.uniform(0.0, 4.0), 3) for _ in range(8)})
+        found: dict[str, Any] = {"law.time_s": times}
+        if draw.random() < 0.7:
+            found["law.speed_m_s"] = [draw.uniform(-2.0, 2.0) for _ in times]
+        if draw.random() < 0.7:
+            found["law.turn_rate_rad_s"] = [draw.uniform(-2.0, 2.0) for _ in times]
+        return {"law.signal": signal, **found}
+    found = {"law.axis": draw.choice(["turn_rate", "speed", "both"])}
+    found |= {"law.amplitude": draw.uniform(-1.0, 1.0), "law.start_s": draw.choice([0.0, 0.5])}
+    found["law.duration_s"] = draw.choice([0.7, 3.0])
+    if signal == "prbs":
+        found |= {"law.order": draw.choice([2, 7, 9]), "law.register": draw.randint(1, 3)}
+        found["law.bit_s"] = draw.choice([0.032, 0.1])
+    if signal == "impulse":
+        found["law.width_s"] = draw.choice([0.016, 0.1])
+    return {"law.signal": signal, **found}
+
+
+def build_path(draw: random.Random) -> Mapping[str, Any]:
+    kind = draw.choice(["line", "polygon", "waypoints", "circle", "figure-eight"])
+    path: dict[str, Any] = {"path.kind": kind}
+    if draw.random() < 0.5:
+        path["path.speed_m_s"] = draw.choice([0.4, 1.5])
+    if kind in {"circle", "figure-eight"}:
+        center = {"path.center_x_m": draw.uniform(3.0, 8.0), "path.center_y_m": 5.5}
+        return {**path, **center, "path.size_m": draw.choice([0.05, 0.4, 1.5])}
+    count = {"line": 2, "polygon": draw.randint(3, 5)}.get(kind, draw.randint(2, 6))
+    points = [(draw.uniform(2.0, 9.0), draw.uniform(2.0, 9.0)) for _ in range(count)]
+    if kind == "waypoints" and draw.random() < 0.4:
+        path["path.closed"] = count > 2
+    return {**path, "path.points": points}
+
+
+def build_other(kind: str, seed: int) -> Scenario:
+    """Return a scenario of such a law with some effects, on a turtle or a robot."""
+    draw = random.Random(f"{kind} {seed}")
+    changes: dict[str, Any] = {
+        "max_duration_s": draw.choice([2.0, 12.0]),
+        "seed": draw.randrange(2**40),
+        "start.x_m": draw.uniform(1.0, 10.0),
+        "start.y_m": draw.uniform(1.0, 10.0),
+        "start.heading_rad": draw.uniform(-3.2, 3.2),
+        "goal.x_m": draw.uniform(1.0, 10.0),
+        "goal.y_m": draw.uniform(1.0, 10.0),
+        "limits.speed_m_s": draw.choice([1.0, math.inf]),
+        "limits.turn_rate_rad_s": draw.choice([1.0, math.inf]),
+        "loop.pose_precision": draw.choice(["float32", "float64"]),
+    }
+    if draw.random() < 0.5:
+        changes["goal.heading_rad"] = draw.uniform(-4.0, 4.0)
+    for effect in draw.sample(COMPILED_EFFECTS, draw.choice([0, 1, 3])):
+        changes |= EFFECTS[effect]
+    if "plant.kind" in changes:
+        changes |= build_robot(draw)
+    return override_scenario(get_preset("textbook"), changes | {**build_law(draw, kind)})
+
+
+@pytest.mark.parametrize("block", range(4))
+@pytest.mark.parametrize("kind", OTHER_LAWS)
+def test_compiled_loop_has_every_law(kernels: Kernels, kind: str, block: int) -> None:
+    for seed in range(block * 10, block * 10 + 10):
+        require_same(kernels, build_other(kind, seed))
+
+
 @pytest.mark.parametrize("effect", COMPILED_EFFECTS)
 def test_compiled_robot_is_the_interpreted_one_with_every_effect(
     kernels: Kernels, effect: str
@@ -238,8 +338,10 @@ FUNCTIONS: Final = {
     "cos": math.cos,
     "exp": math.exp,
     "expm1": math.expm1,
+    "acos": math.acos,
     "sqrt": math.sqrt,
     "floor": np.floor,
+    "ceil": np.ceil,
     "rint": np.rint,
 }
 """Functions of one number as the kernel calls them."""
@@ -259,6 +361,7 @@ def draw_numbers(seed: int) -> np.ndarray[Any, Any]:
 def test_compiled_function_is_that_of_python(name: str) -> None:
     values = draw_numbers(1).clip(-700.0, 700.0)
     values = np.abs(values) if name == "sqrt" else values
+    values = np.sin(values) if name == "acos" else values
     interpreted = OF_PYTHON.get(name) or getattr(math, name)
     found = map_compiled(FUNCTIONS[name], values)
     assert np.flatnonzero(found != [*map(interpreted, values.tolist())]).tolist() == []
@@ -312,32 +415,44 @@ def list_keys(value: Any, prefix: str = "") -> Iterator[str]:
             yield prefix + field.name
 
 
-@pytest.mark.parametrize("kind", ["sequential-p", "sequential-pid"])
-def test_every_key_of_a_scenario_is_compiled_or_refused(kind: str) -> None:
-    known = {
-        *CHOICES,
-        *WHOLE,
-        *REAL,
-        *(key for pair in AXIS_KEYS.values() for key in pair),
-        *ROBOT_KEYS,
-        *(key for keys in (*DERIVED.values(), *DERIVED_REAL.values()) for key in keys),
-        *READ_ELSEWHERE,
-        *WITHOUT_EFFECT,
-    }
-    scenario = override_scenario(get_preset("textbook"), {"law.kind": kind})
-    keys = {*list_keys(scenario)}
-    assert keys - known == set()
-    if kind == "sequential-pid":
-        assert known - keys == set()
+KNOWN_KEYS: Final = {
+    *CHOICES,
+    *WHOLE,
+    *REAL,
+    *(key for pair in AXIS_KEYS.values() for key in pair),
+    *ROBOT_KEYS,
+    *(key for keys in (*DERIVED.values(), *DERIVED_REAL.values()) for key in keys),
+    *PLAIN_KEYS,
+    *SIGNAL_KEYS,
+    *TABLE_KEYS,
+    *READ_ELSEWHERE,
+    *WITHOUT_EFFECT,
+}
+
+
+@pytest.mark.parametrize("kind", ["sequential-p", "sequential-pid", *OTHER_LAWS])
+def test_every_key_of_a_scenario_is_compiled(kind: str) -> None:
+    scenario = build_other(kind, 1) if kind in OTHER_LAWS else build_random(1)
+    scenario = override_scenario(scenario, {"law.kind": kind})
+    assert {*list_keys(scenario)} - KNOWN_KEYS == set()
+
+
+def test_every_key_that_the_compiled_loop_knows_is_one_of_a_scenario() -> None:
+    laws = ["sequential-p", "sequential-pid", *OTHER_LAWS]
+    scenarios = [build_other(kind, 1) if kind in OTHER_LAWS else build_random(1) for kind in laws]
+    scenarios.append(build_other("kanayama", 1))
+    keys = {key for one in scenarios for key in list_keys(one)}
+    keys |= {*list_keys(override_scenario(get_preset("textbook"), {"law.kind": "sequential-pid"}))}
+    assert KNOWN_KEYS - keys == set()
 
 
 @pytest.mark.parametrize(
     "changes",
     [
-        {"law.kind": "posture"},
+        {"law.kind": "tests/strange_law.py:Strange"},
         {"max_duration_s": 20_000.0},
     ],
-    ids=["other law", "long"],
+    ids=["own law", "long"],
 )
 def test_scenario_that_is_not_covered_is_interpreted(changes: Mapping[str, Any]) -> None:
     scenario = resolve_scenario(override_scenario(get_preset("textbook"), changes))

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 
 from msgspec import Meta
 
@@ -115,6 +115,13 @@ class OpenLoopParameters:
         given = {name: getattr(self, name) for name in usual}
         return {name: usual[name] if value is None else value for name, value in given.items()}
 
+    @property
+    def begins_s(self) -> float:
+        """When the signal begins; before that the command is 0 [s]."""
+        values = self.complete()
+        begins_s: float = values["time_s"][0] if "time_s" in values else values["start_s"]
+        return begins_s
+
     def _require_register(self) -> None:
         values = self.complete()
         order, register = values["order"], values["register"]
@@ -154,6 +161,61 @@ def _require_numbers(name: str, values: Iterable[float]) -> None:
             raise ParameterError(f"{name}: value {number}: expected {expected}, found {value:g}")
 
 
+class Signal(NamedTuple):
+    """What an open loop sends, in the nanoseconds in which the clocks count.
+
+    Attributes:
+        kind: As `OpenLoopParameters.signal`.
+        axis: Likewise; `both` of a sequence.
+        amplitude: Likewise; 0 of a sequence.
+        start_ns: When it begins; 0 of a sequence.
+        duration_ns: How long it lasts from then on; 0 of a sequence.
+        width_s: Of an impulse [s].
+        width_ns: Likewise [ns].
+        bit_ns: Of a PRBS.
+        bits: One period of a PRBS.
+        rows_ns: When each row of a sequence begins.
+        speeds: Of each row [m/s].
+        turn_rates: Of each row [rad/s].
+    """
+
+    kind: str
+    axis: str
+    amplitude: float
+    start_ns: int
+    duration_ns: int
+    width_s: float
+    width_ns: int
+    bit_ns: int
+    bits: tuple[int, ...]
+    rows_ns: tuple[int, ...]
+    speeds: tuple[float, ...]
+    turn_rates: tuple[float, ...]
+
+
+def build_signal(parameters: OpenLoopParameters) -> Signal:
+    """Return the signal of an open loop."""
+    values = parameters.complete()
+    rows_ns = tuple(_count_ns(time_s) for time_s in values.get("time_s", ()))
+    none = (0.0,) * len(rows_ns)
+    is_random = parameters.signal == "prbs"
+    width_s = values.get("width_s", _TICK_S)
+    return Signal(
+        kind=parameters.signal,
+        axis=values.get("axis", "both"),
+        amplitude=values.get("amplitude", 0.0),
+        start_ns=_count_ns(values.get("start_s", 0.0)),
+        duration_ns=_count_ns(values.get("duration_s", 0.0)),
+        width_s=width_s,
+        width_ns=_count_ns(width_s),
+        bit_ns=_count_ns(values.get("bit_s", _TICK_S)),
+        bits=generate_bits(values["order"], values["register"]) if is_random else (),
+        rows_ns=rows_ns,
+        speeds=values.get("speed_m_s", ()) or none,
+        turn_rates=values.get("turn_rate_rad_s", ()) or none,
+    )
+
+
 class OpenLoop:
     """Send commands over time, whatever the robot does: impulse, step, ramp, PRBS or a sequence."""
 
@@ -167,9 +229,7 @@ class OpenLoop:
     ) -> Declaration:
         """Return its phases, `wait` where the signal begins later: it has no loop and no goal."""
         del goal, path
-        values = parameters.complete()
-        begins_s = values["time_s"][0] if "time_s" in values else values["start_s"]
-        phases = (_WAIT, _EXCITE) if begins_s > 0.0 else (_EXCITE,)
+        phases = (_WAIT, _EXCITE) if parameters.begins_s > 0.0 else (_EXCITE,)
         return Declaration(phases=dict.fromkeys(phases, ()), uses_goal=False)
 
     @classmethod
@@ -180,21 +240,7 @@ class OpenLoop:
 
     def __init__(self, parameters: OpenLoopParameters) -> None:
         """Take the parameters."""
-        values = parameters.complete()
-        self._signal = parameters.signal
-        self._axis = values.get("axis", "both")
-        self._amplitude = values.get("amplitude", 0.0)
-        self._start_ns = _count_ns(values.get("start_s", 0.0))
-        self._duration_ns = _count_ns(values.get("duration_s", 0.0))
-        self._width_s = values.get("width_s", _TICK_S)
-        self._bit_ns = _count_ns(values.get("bit_s", _TICK_S))
-        self._bits: tuple[int, ...] = ()
-        if self._signal == "prbs":
-            self._bits = generate_bits(values["order"], values["register"])
-        self._rows_ns = [_count_ns(time_s) for time_s in values.get("time_s", ())]
-        none = (0.0,) * len(self._rows_ns)
-        self._speeds = values.get("speed_m_s", ()) or none
-        self._turn_rates = values.get("turn_rate_rad_s", ()) or none
+        self._signal = build_signal(parameters)
         self._first_ns: int | None = None
 
     def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
@@ -208,44 +254,45 @@ class OpenLoop:
         if self._first_ns is None:
             self._first_ns = time_ns
         since_ns = time_ns - self._first_ns
-        if self._signal == "sequence":
+        if self._signal.kind == "sequence":
             return self._decide_row(since_ns)
-        since_ns -= self._start_ns
+        since_ns -= self._signal.start_ns
         if since_ns < 0:
             return Decision(speed_m_s=0.0, turn_rate_rad_s=0.0, phase=_WAIT)
-        if since_ns >= self._duration_ns:
+        if since_ns >= self._signal.duration_ns:
             return Decision(
                 speed_m_s=0.0, turn_rate_rad_s=0.0, phase=_EXCITE, stop_reason=END_OF_SIGNAL
             )
+        axis = self._signal.axis
         return Decision(
-            speed_m_s=0.0 if self._axis == "turn_rate" else self._compute_value(since_ns, 1),
-            turn_rate_rad_s=0.0 if self._axis == "speed" else self._compute_value(since_ns, 0),
+            speed_m_s=0.0 if axis == "turn_rate" else self._compute_value(since_ns, 1),
+            turn_rate_rad_s=0.0 if axis == "speed" else self._compute_value(since_ns, 0),
             phase=_EXCITE,
         )
 
     def _decide_row(self, since_ns: int) -> Decision:
-        row = bisect_right(self._rows_ns, since_ns) - 1
+        row = bisect_right(self._signal.rows_ns, since_ns) - 1
         if row < 0:
             return Decision(speed_m_s=0.0, turn_rate_rad_s=0.0, phase=_WAIT)
         return Decision(
-            speed_m_s=self._speeds[row],
-            turn_rate_rad_s=self._turn_rates[row],
+            speed_m_s=self._signal.speeds[row],
+            turn_rate_rad_s=self._signal.turn_rates[row],
             phase=_EXCITE,
-            stop_reason=END_OF_SIGNAL if row == len(self._rows_ns) - 1 else None,
+            stop_reason=END_OF_SIGNAL if row == len(self._signal.rows_ns) - 1 else None,
         )
 
     def _compute_value(self, since_ns: int, channel: int) -> float:
         """Return the signal at a time since its start; `channel` 1 is the speed."""
-        amplitude: float = self._amplitude
-        if self._signal == "impulse":
-            return amplitude / self._width_s if since_ns < _count_ns(self._width_s) else 0.0
-        if self._signal == "ramp":
+        amplitude: float = self._signal.amplitude
+        if self._signal.kind == "impulse":
+            return amplitude / self._signal.width_s if since_ns < self._signal.width_ns else 0.0
+        if self._signal.kind == "ramp":
             return amplitude * (since_ns / 1e9)
-        if self._signal == "step":
+        if self._signal.kind == "step":
             return amplitude
-        shift = channel * (len(self._bits) // 2) if self._axis == "both" else 0
-        bit = since_ns // self._bit_ns - shift
-        return amplitude if self._bits[bit % len(self._bits)] else -amplitude
+        shift = channel * (len(self._signal.bits) // 2) if self._signal.axis == "both" else 0
+        bit = since_ns // self._signal.bit_ns - shift
+        return amplitude if self._signal.bits[bit % len(self._signal.bits)] else -amplitude
 
 
 def _count_ns(time_s: float) -> int:

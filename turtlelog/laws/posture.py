@@ -19,7 +19,7 @@ from turtlelog.paths import Path
 _DRIVE: Final = "drive"
 _TURN: Final = "turn"
 
-_SERIES_BELOW: Final = 1e-4
+SERIES_BELOW: Final = 1e-4
 """Below this angle [rad] sin(a) / a is 1 - a^2 / 6: the next term, a^4 / 120, is under 1e-18."""
 
 Gain = Annotated[float, Meta(gt=0, le=1e6)]
@@ -171,6 +171,6 @@ class Posture:
 
 def compute_sine_ratio(angle_rad: float) -> float:
     """Return sin(a) / a, which is 1 at 0."""
-    if abs(angle_rad) < _SERIES_BELOW:
+    if abs(angle_rad) < SERIES_BELOW:
         return 1.0 - angle_rad * angle_rad / 6.0
     return math.sin(angle_rad) / angle_rad

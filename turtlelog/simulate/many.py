@@ -30,7 +30,7 @@ LOOP: Final = CompiledLoops(
 )
 """Of the sequential laws around turtlesim."""
 
-ANY_FIRST_S: Final = 25.0
+ANY_FIRST_S: Final = 30.0
 """What that of all others takes before it is in the cache [s]."""
 
 ANY_LOOP: Final = CompiledLoops(
@@ -134,8 +134,8 @@ def simulate_many(
 ) -> ManyRuns:
     """Simulate scenarios one after the other, each as `simulate_run` does, bit for bit.
 
-    With the extra `fast` the sequential laws run in a compiled loop, once there is so much to do
-    that it is worth loading; everything else is interpreted.
+    With the extra `fast` the built-in laws run in a compiled loop, once there is so much to do that
+    it is worth loading; laws of the user's own are interpreted.
 
     Args:
         scenarios: What to simulate; taken as the runs are.

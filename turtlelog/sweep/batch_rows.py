@@ -17,11 +17,12 @@ from turtlelog.simulate.compiled.fields import (
     AXIS_KEYS,
     SETTINGS,
     fill_axes,
-    fill_schedule,
     fill_settings,
     is_compiled,
+    is_sequential,
     read_key,
 )
+from turtlelog.simulate.compiled.law_fields import fill_schedule
 from turtlelog.simulate.compiled.memory import STATE, begin, list_streams
 from turtlelog.simulate.compiled.runner import count_rows
 from turtlelog.sweep.plan import build_row_scenario
@@ -172,7 +173,8 @@ def _judge_case(
     except TurtlelogError:
         return None
     clock = scenario.plant.facts if plant is None else plant
-    return _Case(scenario, clock) if is_compiled(scenario, clock) else None
+    is_measured = is_sequential(scenario) and is_compiled(scenario, clock)
+    return _Case(scenario, clock) if is_measured else None
 
 
 def _judge_value(known: dict[tuple[str, Any], Any], base: Scenario, key: str, value: Any) -> Any:

@@ -29,7 +29,7 @@ from turtlelog.scenario import (
     resolve_scenario,
 )
 from turtlelog.simulate import declare_scenario, simulate_many
-from turtlelog.simulate.compiled.fields import is_compiled
+from turtlelog.simulate.compiled.fields import is_compiled, is_sequential
 from turtlelog.sweep.batch import measure_rows
 from turtlelog.sweep.batch_table import OK, STATUSES, is_covered
 from turtlelog.sweep.plan import build_row_scenario
@@ -168,7 +168,7 @@ def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricK
         scenario = resolve_scenario(base)
     except TurtlelogError:  # of its own it lacks what the rows give it
         return {}
-    if not is_compiled(scenario, scenario.plant.facts):
+    if not (is_sequential(scenario) and is_compiled(scenario, scenario.plant.facts)):
         return {}
     declaration = declare_scenario(scenario)
     names, known = choose_metrics(chunk.metrics, declaration), list_metrics(declaration)

@@ -4,16 +4,35 @@ from typing import Any
 
 from numba import njit
 
+from turtlelog import paths as path
 from turtlelog.compiled_loops import sum_up_sources
+from turtlelog.laws import posture as posture_law
 from turtlelog.plants import lagged as plant
-from turtlelog.simulate.compiled import lagged, loop, sequential, turtle
+from turtlelog.simulate.compiled import (
+    lagged,
+    law_fields,
+    loop,
+    open_loop,
+    path_tracking,
+    paths,
+    posture,
+    sequential,
+    turtle,
+)
 from turtlelog.simulate.compiled.functions import inline
 from turtlelog.simulate.compiled.lagged import step_lagged
+from turtlelog.simulate.compiled.law_fields import OPEN_LOOP, POSTURE, SEQUENTIAL
 from turtlelog.simulate.compiled.loop import SIGNATURE, simulate
+from turtlelog.simulate.compiled.open_loop import decide_open_loop
+from turtlelog.simulate.compiled.path_tracking import decide_tracking
+from turtlelog.simulate.compiled.posture import decide_posture
 from turtlelog.simulate.compiled.sequential import decide_sequential
 from turtlelog.simulate.compiled.turtle import step_turtle
 
-SOURCES = (*loop.SOURCES, loop, lagged, plant, sequential, turtle)
+SOURCES = (
+    *(*loop.SOURCES, loop, lagged, plant, law_fields, open_loop, path_tracking, paths),
+    *(path, posture, posture_law, sequential, turtle),
+)
 """Whose code and constants stand in the machine code."""
 
 
@@ -25,13 +44,31 @@ def _step(settings: Any, state: Any, memory: Any, tick: int) -> None:
         step_turtle(settings, state, memory, tick)
 
 
+@inline
+def _decide(
+    settings: Any,
+    state: Any,
+    memory: Any,
+    sample: Any,
+    time_ns: int,
+    pose: tuple[float, float, float],
+) -> tuple[int, float, float]:
+    if settings.law == SEQUENTIAL:
+        return decide_sequential(settings, state, memory, sample, time_ns, pose)  # type: ignore[no-any-return]
+    if settings.law == POSTURE:
+        return decide_posture(settings, state, sample, time_ns, pose)  # type: ignore[no-any-return]
+    if settings.law == OPEN_LOOP:
+        return decide_open_loop(settings, state, memory, sample, time_ns)  # type: ignore[no-any-return]
+    return decide_tracking(settings, state, memory, sample, time_ns, pose)  # type: ignore[no-any-return]
+
+
 def _build(stamp: int) -> Any:
     """Return the loop, whose cache knows the code that it was compiled with."""
 
     @njit(SIGNATURE, nogil=True, cache=True, error_model="numpy", _nrt=False)
     def run_loop(all_settings: Any, states: Any, memory: Any) -> int:
         """Simulate a scenario."""
-        simulate(all_settings[0], states[0], memory, _step, decide_sequential)
+        simulate(all_settings[0], states[0], memory, _step, _decide)
         return stamp
 
     return run_loop

@@ -10,9 +10,9 @@ import numpy as np
 
 from turtlelog.angles import wrap_angle
 from turtlelog.laws import SequentialP, SequentialPID, SequentialPIDParameters, find_law
-from turtlelog.laws.schedule import DISTANCE
 from turtlelog.plants import LAGGED, Plant
 from turtlelog.scenario import Scenario
+from turtlelog.simulate.compiled.law_fields import LAW_REAL, LAW_WHOLE, derive_law, is_covered
 from turtlelog.simulate.transport import find_causal_ns, needs_time
 
 CHOICES: Final[Mapping[str, tuple[Any, ...]]] = MappingProxyType(
@@ -102,8 +102,6 @@ DERIVED: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "is_pushed": (),
         "transport_ns": ("loop.transport_delay_s",),
         "late_ns": ("loop.late_s",),
-        "schedule_entries": ("law.schedule",),
-        "has_distances": ("law.schedule",),
         "sensing_delay_ns": ("sensing.delay_s",),
     }
 )
@@ -137,11 +135,6 @@ READ_ELSEWHERE: Final = frozenset(
 )
 """Keys of which `memory` makes the first state and the random numbers."""
 
-SCHEDULED: Final = tuple(
-    key.removeprefix("law.") for gain in ("kp", "ki", "kd") for key in AXIS_KEYS[gain]
-)
-"""Gains that a schedule may have, in the order of its table: of each kind for speed, turn rate."""
-
 NEVER_NS: Final = 2**63 - 1
 """Later than any time of a run."""
 
@@ -154,8 +147,8 @@ def _name(key: str) -> str:
 
 
 SETTINGS: Final = np.dtype(
-    [(_name(key), np.int64) for key in (*CHOICES, *WHOLE, *DERIVED)]
-    + [(_name(key), np.float64) for key in (*REAL, *DERIVED_REAL)]
+    [(_name(key), np.int64) for key in (*CHOICES, *WHOLE, *DERIVED, *LAW_WHOLE)]
+    + [(_name(key), np.float64) for key in (*REAL, *DERIVED_REAL, *LAW_REAL)]
 )
 """A scenario as the compiled loop takes it."""
 
@@ -179,7 +172,7 @@ _OF_PID: Final = SequentialPIDParameters()
 def is_compiled(scenario: Scenario, plant: Plant) -> bool:
     """Whether the compiled loop covers a scenario, whose law is resolved."""
     return (
-        find_law(scenario.law.kind) in {SequentialP, SequentialPID}
+        is_covered(scenario)
         and round(scenario.max_duration_s * 1e9) // plant.period_ns < MOST_TICKS
         and (scenario.loop.period_s or 1.0) * MOST_TICKS > scenario.max_duration_s
     )
@@ -187,11 +180,16 @@ def is_compiled(scenario: Scenario, plant: Plant) -> bool:
 
 def is_common(scenario: Scenario) -> bool:
     """Whether `sequential_loop` covers a scenario that is compiled; otherwise `any_loop` does."""
-    return scenario.plant.kind == "turtlesim"
+    return scenario.plant.kind == "turtlesim" and is_sequential(scenario)
+
+
+def is_sequential(scenario: Scenario) -> bool:
+    """Whether the law, which is a compiled one, is of the sequential kind."""
+    return find_law(scenario.law.kind) in {SequentialP, SequentialPID}
 
 
 def read_key(scenario: Scenario, key: str) -> Any:
-    """Return the value of a key; those of `sequential-pid` alone have its defaults."""
+    """Return the value of a key; those that a law lacks are those of `sequential-pid` as usual."""
     try:
         return _READ[key](scenario)
     except AttributeError:
@@ -200,14 +198,12 @@ def read_key(scenario: Scenario, key: str) -> Any:
 
 def fill_settings(scenario: Scenario, plant: Plant) -> np.ndarray[Any, Any]:
     """Return the settings of a scenario that the compiled loop covers, shape (1,)."""
-    values: list[float] = [CHOICES[key].index(read_key(scenario, key)) for key in CHOICES]
-    values += [read_key(scenario, key) for key in WHOLE]
-    derived = _derive_whole(scenario, plant)
-    values += [derived[name] for name in DERIVED]
-    values += [read_key(scenario, key) for key in REAL]
-    derived_real = _derive_real(scenario, plant)
-    values += [derived_real[name] for name in DERIVED_REAL]
-    return np.array([tuple(values)], dtype=SETTINGS)
+    values: dict[str, float] = {
+        _name(key): CHOICES[key].index(read_key(scenario, key)) for key in CHOICES
+    }
+    values |= {_name(key): read_key(scenario, key) for key in (*WHOLE, *REAL)}
+    values |= _derive_whole(scenario, plant) | _derive_real(scenario, plant) | derive_law(scenario)
+    return np.array([tuple(values[name] for name in SETTINGS.names or ())], dtype=SETTINGS)
 
 
 def fill_axes(scenario: Scenario) -> np.ndarray[Any, Any]:
@@ -231,31 +227,14 @@ def fill_axes(scenario: Scenario) -> np.ndarray[Any, Any]:
     return axes
 
 
-def fill_schedule(scenario: Scenario) -> np.ndarray[Any, Any]:
-    """Return the table of gains that change on the way, of no entries where none do.
-
-    Shape (entries, 7): distances or heading errors, then the gains of `SCHEDULED`, NaN where one
-    is constant.
-    """
-    schedule = scenario.law.parameters.schedule
-    if schedule is None:
-        return np.empty((0, 1 + len(SCHEDULED)))
-    table = np.full((len(schedule.at), 1 + len(SCHEDULED)), np.nan)
-    table[:, 0] = schedule.at
-    for place, name in enumerate(SCHEDULED, start=1):
-        if name in schedule.gains:
-            table[:, place] = getattr(schedule, name)
-    return table
-
-
 def _list_scheduled(scenario: Scenario) -> tuple[str, ...]:
-    schedule = scenario.law.parameters.schedule
+    schedule = getattr(scenario.law.parameters, "schedule", None)
     return () if schedule is None else schedule.gains
 
 
 def _derive_whole(scenario: Scenario, plant: Plant) -> dict[str, int]:
     """Return the values of `DERIVED`."""
-    loop, sensing, schedule = scenario.loop, scenario.sensing, scenario.law.parameters.schedule
+    loop, sensing = scenario.loop, scenario.sensing
     duration_ns, tick_ns = round(scenario.max_duration_s * 1e9), scenario.plant.facts.period_ns
     delays_poses = loop.period_s is not None or sensing.delays_poses
     delay_ns = loop.transport_delay_ticks * plant.period_ns + round(loop.transport_delay_s * 1e9)
@@ -276,8 +255,6 @@ def _derive_whole(scenario: Scenario, plant: Plant) -> dict[str, int]:
         "is_pushed": scenario.disturbance.acts,
         "transport_ns": delay_ns,
         "late_ns": round(loop.late_s * 1e9),
-        "schedule_entries": 0 if schedule is None else len(schedule.at),
-        "has_distances": schedule is not None and schedule.over == DISTANCE,
         "sensing_delay_ns": round(sensing.delay_s * 1e9),
     }
 

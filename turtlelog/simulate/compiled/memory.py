@@ -11,15 +11,27 @@ from turtlelog.plants import round_to_float32
 from turtlelog.plants.lagged import find_gauss
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.scenario import Scenario
-from turtlelog.simulate.compiled.fields import AXIS, NEVER_NS, SCHEDULED, fill_axes, fill_schedule
+from turtlelog.simulate.compiled.fields import AXIS, NEVER_NS, fill_axes
+from turtlelog.simulate.compiled.law_fields import (
+    MOST_OF_SIGNAL,
+    MOST_PIECES,
+    PIECE,
+    SCHEDULED,
+    fill_pieces,
+    fill_schedule,
+    fill_signal,
+)
 from turtlelog.simulate.random_streams import draw_events
 
 ROTATE, TRANSLATE, REORIENT = 0, 2, 3
 """Phases by their number in the declaration of the sequential laws; 1 is the pause."""
 
-STOP_REASONS: Final = ("", "within_tolerance", "standstill", "settled", "timeout", "max_duration")
+STOP_REASONS: Final = (
+    *("", "within_tolerance", "standstill", "settled", "timeout", "max_duration"),
+    *("path_end", "end_of_signal"),
+)
 """By number."""
-WITHIN_TOLERANCE, STANDSTILL, SETTLED, TIMEOUT, MAX_DURATION = range(1, 6)
+WITHIN_TOLERANCE, STANDSTILL, SETTLED, TIMEOUT, MAX_DURATION, PATH_END, END_OF_SIGNAL = range(1, 8)
 
 EVENT_KINDS: Final = (
     *("poses_lost", "commands_lost", "commands_dropped"),
@@ -55,6 +67,7 @@ STATE: Final = np.dtype(
             *("pushed_speed", "pushed_turn_rate"),
             *("bearing_rad", "heading_error_rad", "world_v_x_m_s", "world_v_y_m_s"),
             *("heading_before_rad", "error_before_x_m", "error_before_y_m"),
+            *("arc_m", "begin_m"),
         )
     ]
 )
@@ -90,11 +103,15 @@ SAMPLE: Final = np.dtype(
             *("world_v_x_m_s", "world_v_y_m_s", "wanted_speed", "wanted_turn_rate"),
             *("shaped_speed", "shaped_turn_rate", "speed", "turn_rate"),
             *("integral_angular", "derivative_angular", "integral_linear", "derivative_linear"),
+            *("lyapunov", "reference_x_m", "reference_y_m", "reference_heading_rad"),
             *("transport_jitter", "loss", "repeat", "late"),
         )
     ]
 )
-"""A sample, and the random numbers of its command; `published`: the n-th command is of which."""
+"""A sample, and the random numbers of its command; `published`: the n-th command is of which.
+
+States of a law have the names that it declares.
+"""
 
 QUEUED: Final = np.dtype(
     [
@@ -135,6 +152,8 @@ class Memory(NamedTuple):
     pushes: NDArray[Any]
     gauss: NDArray[np.float64]
     schedule: NDArray[np.float64]
+    pieces: NDArray[Any]
+    signal: NDArray[np.float64]
 
 
 class _Stream(NamedTuple):
@@ -184,6 +203,8 @@ def allocate(ticks: int, samples: int) -> Memory:
         pushes=np.zeros(_PUSHES_PER_TICK, PUSH),
         gauss=np.array(find_gauss()),
         schedule=np.empty((MOST_ENTRIES, 1 + len(SCHEDULED))),
+        pieces=np.empty(MOST_PIECES, PIECE),
+        signal=np.empty((MOST_OF_SIGNAL, 3)),
     )
 
 
@@ -191,8 +212,12 @@ def prepare(memory: Memory, scenario: Scenario, ticks: int, samples: int) -> Non
     """Begin a scenario, from rest, and draw the random numbers of its effects, event by event."""
     memory.losses[:] = 0
     memory.axes[:] = fill_axes(scenario)
-    table = fill_schedule(scenario)
-    memory.schedule[: len(table)] = table
+    for rows, table in (
+        (memory.schedule, fill_schedule(scenario)),
+        (memory.pieces, fill_pieces(scenario.path)),
+        (memory.signal, fill_signal(scenario.law.parameters)),
+    ):
+        rows[: len(table)] = table
     draw_streams(memory, list_streams(scenario), scenario.seed, ticks, samples)
 
 

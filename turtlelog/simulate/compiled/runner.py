@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.loops import Declaration
 from turtlelog.plants import Plant
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import Scenario, flatten_scenario
@@ -59,6 +60,7 @@ def count_rows(scenario: Scenario, plant: Plant) -> tuple[int, int]:
 
 def _build_run(scenario: Scenario, plant: Plant, memory: Memory, found: Any) -> Run:
     declaration = declare_scenario(scenario)
+    has_goal = declaration.uses_goal
     stop_reason = STOP_REASONS[found["stop_reason"]]
     samples = memory.samples[: found["samples"]]
     return Run(
@@ -66,9 +68,9 @@ def _build_run(scenario: Scenario, plant: Plant, memory: Memory, found: Any) -> 
         source="simulation",
         poses=_build_poses(scenario, plant, memory.ticks[: found["ticks"]]),
         commands=_build_commands(samples, samples["published"][: found["commands"]]),
-        samples=_build_samples(scenario, samples, has_states=bool(declaration.states)),
-        goal_xy_m=(scenario.goal.x_m, scenario.goal.y_m),
-        goal_heading_rad=scenario.goal.heading_rad,
+        samples=_build_samples(scenario, declaration, samples),
+        goal_xy_m=(scenario.goal.x_m, scenario.goal.y_m) if has_goal else None,
+        goal_heading_rad=scenario.goal.heading_rad if has_goal else None,
         declaration=declaration,
         parameters=flatten_scenario(scenario),
         scenario_is_complete=True,
@@ -104,26 +106,33 @@ def _build_commands(samples: NDArray[Any], published: NDArray[np.int64]) -> Comm
     )
 
 
-def _build_samples(scenario: Scenario, rows: NDArray[Any], *, has_states: bool) -> SampleColumns:
-    shapes = scenario.shaping.acts
-    states = ("integral_angular", "derivative_angular", "integral_linear", "derivative_linear")
+def _build_samples(
+    scenario: Scenario, declaration: Declaration, rows: NDArray[Any]
+) -> SampleColumns:
+    shapes, moves = scenario.shaping.acts, declaration.has_reference
+    # Only the sequential laws have a world velocity, and without a goal there are no errors.
+    has_goal, world = declaration.uses_goal, ("world_v_x_m_s", "world_v_y_m_s")
+    has_world = not np.isnan(rows[world[0]][0])
+    has_heading_error = not np.isnan(rows["heading_error_rad"][0])
     return SampleColumns(
         time_ns=rows["time_ns"].copy(),
         sequence=np.arange(len(rows)),
         pose_sequence=rows["pose_sequence"].copy(),
         phase=rows["phase"].copy(),
-        bearing_rad=rows["bearing_rad"].copy(),
-        heading_error_rad=rows["heading_error_rad"].copy(),
-        error_xy_m=_pair(rows, "error_x_m", "error_y_m"),
-        distance_m=rows["distance_m"].copy(),
+        bearing_rad=rows["bearing_rad"].copy() if has_goal else None,
+        heading_error_rad=rows["heading_error_rad"].copy() if has_heading_error else None,
+        error_xy_m=_pair(rows, "error_x_m", "error_y_m") if has_goal else None,
+        distance_m=rows["distance_m"].copy() if has_goal else None,
         wanted_speed_m_s=rows["wanted_speed"].copy(),
         wanted_turn_rate_rad_s=rows["wanted_turn_rate"].copy(),
         speed_m_s=rows["speed"].copy(),
         turn_rate_rad_s=rows["turn_rate"].copy(),
         shaped_speed_m_s=rows["shaped_speed"].copy() if shapes else None,
         shaped_turn_rate_rad_s=rows["shaped_turn_rate"].copy() if shapes else None,
-        world_velocity_m_s=_pair(rows, "world_v_x_m_s", "world_v_y_m_s"),
-        states=_pair(rows, *states) if has_states else None,
+        world_velocity_m_s=_pair(rows, *world) if has_world else None,
+        states=_pair(rows, *declaration.states) if declaration.states else None,
+        reference_xy_m=_pair(rows, "reference_x_m", "reference_y_m") if moves else None,
+        reference_heading_rad=rows["reference_heading_rad"].copy() if moves else None,
     )
 
 
