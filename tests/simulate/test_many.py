@@ -449,7 +449,7 @@ def test_every_key_that_the_compiled_loop_knows_is_one_of_a_scenario() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"law.kind": "tests/strange_law.py:Strange"},
+        {"law.kind": "tests/strange_law.py:StrangeLaw", "law.gain_a": 1.0},
         {"max_duration_s": 20_000.0},
     ],
     ids=["own law", "long"],
