@@ -48,6 +48,17 @@ def test_loops_cost_more_where_their_source_has_changed_since(module: Path) -> N
     assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 9.0
 
 
+def test_loops_cost_more_where_a_file_beside_them_has_changed_since(module: Path) -> None:
+    cache = module.parent / "__pycache__" / f"some_loops.run-1.{PYTHON}.nbi"
+    cache.parent.mkdir(exist_ok=True)
+    cache.touch()
+    for path, time_s in ((module, 1e9), (cache, 1.1e9)):
+        os.utime(path, (time_s, time_s))
+    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 1.0
+    (module.parent / "steps.py").touch()
+    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 9.0
+
+
 def test_loops_that_cost_the_same_either_way_are_loaded_at_once(module: Path) -> None:
     loops = CompiledLoops(module.stem, cost_s=1.0)
     assert loops.expect(1, 0.9) is None

@@ -59,12 +59,15 @@ class CompiledLoops:
 
     @cached_property
     def cost_s(self) -> float:
-        """What the loops take to load [s]: more where numba's cache lacks them."""
+        """What the loops take to load [s]: more where numba's cache lacks them.
+
+        What is older than a file beside the module may have to be compiled again.
+        """
         found = find_spec(self._module)
         source = Path((found and found.origin) or "").absolute()
         python = f"py{sys.version_info.major}{sys.version_info.minor}"
         try:
-            changed_s = source.stat().st_mtime
+            changed_s = max(file.stat().st_mtime for file in source.parent.glob("*.py"))
             is_kept = any(
                 index.stat().st_mtime >= changed_s
                 for folder in _list_cache_folders(source)
