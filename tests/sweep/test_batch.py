@@ -7,10 +7,10 @@ import pytest
 
 from tests.effects_cases import EFFECTS
 from tests.simulate.test_many import COMPILED_EFFECTS, build_random
-from turtlelog.errors import SimulationError, SweepError
+from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.measure import measure_run
 from turtlelog.measure.metric import Status
-from turtlelog.scenario import Scenario, get_preset, override_scenario
+from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate import simulate_run
 from turtlelog.sweep import batch
 from turtlelog.sweep.batch import MeasuredRows, measure_rows
@@ -104,22 +104,68 @@ def test_rows_are_the_same_on_one_thread_and_on_two() -> None:
     assert one.stop_reasons == two.stop_reasons
 
 
+FREE_VALUES: Final[dict[str, Any]] = {
+    "law.kp_angular": 2,
+    "law.kp_linear": 3.5,
+    "law.ki_angular": 0.2,
+    "law.ki_linear": 0.0,
+    "law.kd_angular": 0.0,
+    "law.kd_linear": 0.1,
+    "law.pause_ticks": 7,
+    "law.heading_tolerance_rad": 0.01,
+    "law.position_tolerance_m": 0.02,
+    "law.timeout_s": math.inf,
+    "law.settled_within_m": 0.02,
+    "law.settled_for_s": 2,
+    "law.standstill_samples": 30,
+    "law.standstill_below": 0.01,
+    "law.derivative_filter_s": 0.05,
+    "law.tracking_time_s": 0.3,
+    "plant.speed_gain": 0.8,
+    "plant.turn_gain": 1.2,
+    "plant.speed_lag_s": 0.3,
+    "plant.turn_lag_s": 0,
+    "seed": 11,
+}
+
+
 def test_settings_of_free_keys_are_those_of_their_scenarios() -> None:
-    values: dict[str, Any] = {
-        "law.kp_angular": 2,
-        "law.kp_linear": 3.5,
-        "law.pause_ticks": 7,
-        "law.heading_tolerance_rad": 0.01,
-        "law.position_tolerance_m": 0.02,
-        "seed": 11,
-    }
-    assert values.keys() == FREE_KEYS
-    columns = {key: [value] for key, value in values.items()}
-    joint = prepare_rows(override_scenario(PAPER, values), {"name": ["any"]}, [0], None)
-    free = prepare_rows(PAPER, columns, [0], None)
+    assert FREE_VALUES.keys() == FREE_KEYS
+    robot = {"law.kind": "sequential-pid", **EFFECTS["lagged"]}
+    base = override_scenario(PAPER, robot)
+    columns = {key: [value] for key, value in FREE_VALUES.items()}
+    joint = prepare_rows(override_scenario(base, FREE_VALUES), {"name": ["any"]}, [0], None)
+    free = prepare_rows(base, columns, [0], None)
+    assert (free.others, joint.others) == ([], [])
     for name in ("settings", "states", "axes", "lines"):
         assert getattr(free, name).tobytes() == getattr(joint, name).tobytes()
     assert free.seeds.tolist() == joint.seeds.tolist()
+
+
+@pytest.mark.parametrize(
+    ("key", "column", "others"),
+    [
+        ("law.kp_linear", [1.0, 2.0, 3.0], []),
+        ("law.kp_linear", [1.0, 0.0, 3.0], [1]),
+        ("law.kp_linear", [1.0, math.nan, 3.0], [1]),
+        ("law.kp_linear", [math.nan, 2.0, 3.0], [0]),
+        ("law.kp_linear", [1.0, 2.0, math.inf], [2]),
+        ("law.kp_linear", [1, 2.5, True], [2]),
+        ("law.kp_linear", [1.0, "2", 3.0], [1]),
+        ("law.pause_ticks", [0, 3, 1_000_001], [2]),
+        ("law.pause_ticks", [0.5, 3.0, 4.0], [0, 1, 2]),
+        ("seed", [3, -1, 2**63 + 1], [1]),
+        ("law.tracking_time_s", [1.0, 2.0, 3.0], [0, 1, 2]),
+    ],
+)
+def test_every_value_of_a_column_is_judged(key: str, column: list[Any], others: list[int]) -> None:
+    found = prepare_rows(PAPER, {key: column}, range(3), None)
+    for row, value in enumerate(column):
+        try:
+            resolve_scenario(build_row_scenario(PAPER, [key], [value], row))
+        except TurtlelogError:
+            assert row in others
+    assert found.others == others
 
 
 def test_rows_that_are_no_scenario_say_why() -> None:

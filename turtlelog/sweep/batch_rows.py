@@ -20,23 +20,33 @@ from turtlelog.simulate.compiled.fields import (
     fill_settings,
     is_compiled,
     is_sequential,
+    mark_terms,
     read_key,
 )
 from turtlelog.simulate.compiled.law_fields import fill_schedule
-from turtlelog.simulate.compiled.memory import STATE, begin, list_streams
+from turtlelog.simulate.compiled.memory import SPEED, STATE, TURN, begin, list_streams
 from turtlelog.simulate.compiled.runner import count_rows
 from turtlelog.sweep.plan import build_row_scenario
 
-FREE_KEYS: Final = frozenset(
-    {
-        *(*AXIS_KEYS["kp"], "law.pause_ticks", "seed"),
-        *("law.heading_tolerance_rad", "law.position_tolerance_m"),
-    }
+_OF_AXES: Final = {
+    **{
+        key: (gain, axis) for gain in ("kp", "ki", "kd") for axis, key in enumerate(AXIS_KEYS[gain])
+    },
+    "plant.speed_gain": ("robot_gain", SPEED),
+    "plant.turn_gain": ("robot_gain", TURN),
+    "plant.speed_lag_s": ("robot_lag_s", SPEED),
+    "plant.turn_lag_s": ("robot_lag_s", TURN),
+}
+_OF_SETTINGS: Final = (
+    *("law.heading_tolerance_rad", "law.position_tolerance_m", "law.pause_ticks", "law.timeout_s"),
+    *("law.settled_within_m", "law.settled_for_s", "law.standstill_samples"),
+    *("law.standstill_below", "law.derivative_filter_s", "law.tracking_time_s"),
 )
-"""Keys whose values may be judged one by one: no rule names them together with another key, and
-each is a number of the loop by itself. Of all other keys the combinations are judged."""
 
-_GAINS: Final = AXIS_KEYS["kp"]
+FREE_KEYS: Final = frozenset({*_OF_AXES, *_OF_SETTINGS, "seed"})
+"""Keys whose values may be judged one by one: no rule names them together with another key, each
+may be any number between two bounds, and is a number of the loop by itself. Of all other keys the
+combinations are judged."""
 
 LINE: Final = np.dtype(
     [
@@ -115,39 +125,43 @@ def prepare_rows(
     free = [] if "law.kind" in columns else [key for key in columns if key in FREE_KEYS]
     joint = [key for key in columns if key not in free]
     cases: dict[tuple[Any, ...], _Case | None] = {}
-    known: dict[tuple[str, Any], Any] = {}
-    taken, others, found, values = [], [], [], []
-    for row in rows:
+    own = {key: _judge_column(base, key, [columns[key][row] for row in rows]) for key in free}
+    taken, others, found = [], [], []
+    for place, row in enumerate(rows):
         key = tuple((type(columns[name][row]), columns[name][row]) for name in joint)
         if key not in cases:
             cases[key] = _judge_case(base, joint, [value for _, value in key], plant)
         case = cases[key]
-        own = [_judge_value(known, base, name, columns[name][row]) for name in free]
-        if case is None or None in own:
+        if case is None or any(column[place] is None for column in own.values()):
             others.append(row)
-            continue
-        taken.append(row)
-        found.append(case)
-        values.append(own)
-    return _gather(taken, others, found, dict(zip(free, zip(*values, strict=True), strict=False)))
+        else:
+            taken.append(place)
+            found.append(case)
+    values = {key: [column[place] for place in taken] for key, column in own.items()}
+    return _gather([rows[place] for place in taken], others, found, values)
 
 
 def _gather(
     taken: list[int], others: list[int], cases: list[_Case], free: Mapping[str, Sequence[Any]]
 ) -> PreparedRows:
-    settings = np.array([case.settings for case in cases], SETTINGS)
-    axes = np.array([case.axes for case in cases], AXIS).reshape(-1, 2)
-    seeds: NDArray[Any] = np.array([case.seed for case in cases], object)
+    unique = [*dict.fromkeys(cases)]
+    numbers = {case: number for number, case in enumerate(unique)}
+    of_case = np.array([numbers[case] for case in cases], np.int64)
+    settings = np.array([case.settings for case in unique], SETTINGS)[of_case]
+    axes = np.array([case.axes for case in unique], AXIS).reshape(-1, 2)[of_case]
+    seeds: NDArray[Any] = np.array([case.seed for case in unique], object)[of_case]
     for key, column in free.items():
         if key == "seed":
             seeds = np.array(column, object)
-        elif key in _GAINS:
-            axes["kp"][:, _GAINS.index(key)] = column
+        elif key in _OF_AXES:
+            name, axis = _OF_AXES[key]
+            axes[name][:, axis] = column
         else:
             settings[key.replace(".", "_")] = column
-    lines = np.array([(*case.line, SETTLING_BAND) for case in cases], LINE)
-    starts = np.array([case.state for case in cases], STATE)
-    unique = set(cases)
+    schedule = cases[0].schedule if cases else np.empty((0, 0))
+    mark_terms(axes, schedule)
+    lines = np.array([(*case.line, SETTLING_BAND) for case in unique], LINE)[of_case]
+    starts = np.array([case.state for case in unique], STATE)[of_case]
     return PreparedRows(
         rows=np.array(taken, np.int64),
         others=others,
@@ -156,7 +170,7 @@ def _gather(
         states=starts.copy(),
         axes=axes,
         lines=lines,
-        schedule=cases[0].schedule if cases else np.empty((0, 0)),
+        schedule=schedule,
         seeds=seeds,
         streams=frozenset[str]().union(*(case.streams for case in unique)),
         ticks=max((case.ticks for case in unique), default=1),
@@ -177,16 +191,29 @@ def _judge_case(
     return _Case(scenario, clock) if is_measured else None
 
 
-def _judge_value(known: dict[tuple[str, Any], Any], base: Scenario, key: str, value: Any) -> Any:
-    """Return the value of a free key as a scenario has it, None where it cannot have it."""
-    place = key, (type(value), value)
-    if place not in known:
-        try:
-            scenario = resolve_scenario(build_row_scenario(base, [key], [value], 0))
-            known[place] = scenario.seed if key == "seed" else read_key(scenario, key)
-        except TurtlelogError:
-            known[place] = None
-    return known[place]
+def _judge_column(base: Scenario, key: str, column: Sequence[Any]) -> Sequence[Any]:
+    """Return the values of a free key as a scenario has them, None where it cannot have one."""
+    if {*map(type, column)} in ({int}, {float}):
+        least, most = min(column), max(column)
+        found = _judge_value(base, key, least), _judge_value(base, key, most)
+        # What a free key may be is an interval: what lies between two of its values is one, too.
+        if None not in found and all(least <= value <= most for value in column):
+            return [*map(type(found[0]), column)]
+    known: dict[Any, Any] = {}
+    for value in column:
+        if (type(value), value) not in known:
+            known[type(value), value] = _judge_value(base, key, value)
+    return [known[type(value), value] for value in column]
+
+
+def _judge_value(base: Scenario, key: str, value: Any) -> Any:
+    try:
+        scenario = resolve_scenario(build_row_scenario(base, [key], [value], 0))
+    except TurtlelogError:
+        return None
+    if key.startswith("plant."):
+        return getattr(scenario.plant, key.removeprefix("plant."))
+    return scenario.seed if key == "seed" else read_key(scenario, key)
 
 
 def _find_start(scenario: Scenario, state: Any) -> tuple[float, float]:

@@ -12,7 +12,14 @@ from turtlelog.angles import wrap_angle
 from turtlelog.laws import SequentialP, SequentialPID, SequentialPIDParameters, find_law
 from turtlelog.plants import LAGGED, Plant
 from turtlelog.scenario import Scenario
-from turtlelog.simulate.compiled.law_fields import LAW_REAL, LAW_WHOLE, derive_law, is_covered
+from turtlelog.simulate.compiled.law_fields import (
+    LAW_REAL,
+    LAW_WHOLE,
+    SCHEDULED,
+    derive_law,
+    fill_schedule,
+    is_covered,
+)
 from turtlelog.simulate.transport import find_causal_ns, needs_time
 
 CHOICES: Final[Mapping[str, tuple[Any, ...]]] = MappingProxyType(
@@ -217,19 +224,22 @@ def fill_axes(scenario: Scenario) -> np.ndarray[Any, Any]:
     dead_times_s = robot.speed_dead_time_s or 0.0, robot.turn_dead_time_s or 0.0
     axes["dead_time_ns"] = [round(time_s * 1e9) for time_s in dead_times_s]
     axes["next_ns"] = NEVER_NS
-    scheduled = _list_scheduled(scenario)
-    acts = {gain: [*map(bool, axes[gain])] for gain in ("ki", "kd")}
-    for gain, places in acts.items():
-        for place, key in enumerate(AXIS_KEYS[gain]):
-            places[place] |= key.removeprefix("law.") in scheduled
-    axes["has_integral"] = acts["ki"]
-    axes["has_terms"] = np.logical_or(acts["ki"], acts["kd"])
+    mark_terms(axes, fill_schedule(scenario))
     return axes
 
 
-def _list_scheduled(scenario: Scenario) -> tuple[str, ...]:
-    schedule = getattr(scenario.law.parameters, "schedule", None)
-    return () if schedule is None else schedule.gains
+def mark_terms(axes: np.ndarray[Any, Any], schedule: np.ndarray[Any, Any]) -> None:
+    """Enter which loops have integral and derivative: by a gain, or by a schedule of one.
+
+    Args:
+        axes: Shape (..., 2).
+        schedule: As `fill_schedule` returns it.
+    """
+    varies = ~np.isnan(schedule[0, 1:]) if len(schedule) else np.zeros(len(SCHEDULED), bool)
+    of_speed_and_turn = dict(zip(("kp", "ki", "kd"), varies.reshape(-1, 2), strict=True))
+    axes["has_integral"] = (axes["ki"] != 0.0) | of_speed_and_turn["ki"]
+    derives = (axes["kd"] != 0.0) | of_speed_and_turn["kd"]
+    axes["has_terms"] = (axes["has_integral"] != 0) | derives
 
 
 def _derive_whole(scenario: Scenario, plant: Plant) -> dict[str, int]:
