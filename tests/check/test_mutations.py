@@ -11,12 +11,12 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from tests.measure.driven import make_driven_run, publish, respond
-from turtlelog.check import CheckResult, Spec, check_runs, parse_spec
+from turtlelog.check import CheckResult, check_runs, parse_spec
 from turtlelog.measure import list_metrics
 
 LEAST = 100
 NAMES = tuple(list_metrics(simulate().declaration))
-"""How many checks a specification holds at least: some metrics have no value in both runs."""
+"""Metrics that two runs have at least in common: some have no value in one of them."""
 
 LAGGING = {"loop__transport_delay_ticks": 6, "max_duration_s": 40.0}
 
@@ -119,6 +119,7 @@ def list_known(change: str) -> set[str]:
     return {name for name, metric in measure(change).items() if metric.value is not None}
 
 
+@cache
 def choose_pair(name: str) -> tuple[str, str]:
     """Return two runs with different values of a metric, the smaller one first.
 
@@ -135,30 +136,38 @@ def bound(name: str, pair: tuple[str, str]) -> tuple[float, float, float]:
     return low, (low + high) / 2, high
 
 
-def write_spec(name: str, pair: tuple[str, str]) -> Spec:
-    """Return a check of every metric, as tight as both runs allow, and eight that part them.
+def part(name: str, pair: tuple[str, str]) -> list[str]:
+    """Return eight checks that part two runs.
 
     The large run violates the first four of these, one for each operator, the small run the others.
     """
-    small, large = pair
     low, middle, high = bound(name, pair)
     first = {"<": middle, "<=": low, "==": low, "!=": high}
     second = {">": middle, ">=": high, "==": high, "!=": low}
-    checks = {
-        f"{operator} {limit!r}": f"{name} {operator} {limit!r}"
-        for operator, limit in (*first.items(), *second.items())
-    }
-    others = sorted(list_known(small) & list_known(large) - {name})
-    for place, other in enumerate(others, start=len(name)):
-        values = [measure(change)[other].value or 0.0 for change in pair]
-        bounds = (f"{other} <= {max(values)!r}", f"{min(values)!r} <= {other}")
-        checks[other] = bounds[place % 2]  # either, by and by
-    return parse_spec({"checks": {check: {"expect": text} for check, text in checks.items()}})
+    operators = (*first.items(), *second.items())
+    return [f"{name} {operator} {limit!r}" for operator, limit in operators]
 
 
-def find_failed(spec: Spec, change: str) -> list[CheckResult]:
-    results = check_runs(spec, [(change, build(change))])
-    return [result for result in results if result.verdict == "FAIL"]
+def keep(pair: tuple[str, str]) -> list[str]:
+    """Return two checks of every metric that both runs keep to, as tight as can be."""
+    both = sorted(list_known(pair[0]) & list_known(pair[1]))
+    # Of runs without samples there are fewer metrics.
+    assert len(both) >= (LEAST if all(len(build(one).samples) for one in pair) else LEAST // 3)
+    texts = []
+    for name in both:
+        low, high = sorted(measure(change)[name].value or 0.0 for change in pair)
+        texts += [f"{name} <= {high!r}", f"{low!r} <= {name}"]
+    return texts
+
+
+@cache
+def judge(pair: tuple[str, str]) -> list[dict[str, CheckResult]]:
+    """Judge two runs once for all metrics whose checks part them."""
+    parted = [name for name in NAMES if choose_pair(name) == pair]
+    texts = [*keep(pair), *(text for name in parted for text in part(name, pair))]
+    spec = parse_spec({"checks": {text: {"expect": text} for text in texts}})
+    judged = (check_runs(spec, [(change, build(change))]) for change in pair)
+    return [{result.check: result for result in results} for results in judged]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -166,16 +175,14 @@ def test_a_run_changed_to_violate_the_bounds_on_a_metric_fails_these_and_no_othe
     name: str,
 ) -> None:
     pair = choose_pair(name)
-    spec = write_spec(name, pair)
-    names = [check.name for check in spec.checks]
-    # Of runs without samples there are fewer metrics.
-    assert len(names) >= (LEAST if all(len(build(one).samples) for one in pair) else LEAST // 3)
-    small, large = (find_failed(spec, change) for change in pair)
-    assert [result.check for result in large] == names[:4]
-    assert [result.check for result in small] == names[4:8]
-    for result in (*small, *large):
-        assert result.margin is not None
-        assert result.margin < 0 or (result.check.startswith("!=") and result.margin == 0)
+    parting = part(name, pair)
+    for found, expected in zip(judge(pair), (parting[4:], parting[:4]), strict=True):
+        results = [found[text] for text in (*parting, *keep(pair))]
+        failed = [result for result in results if result.verdict == "FAIL"]
+        assert [result.check for result in failed] == expected
+        for result in failed:
+            assert result.margin is not None
+            assert result.margin < 0 or (" != " in result.check and result.margin == 0)
 
 
 @pytest.mark.parametrize("name", NAMES)
