@@ -1,9 +1,11 @@
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, strategies as st
+from numpy.typing import NDArray
 
 from turtlelog.errors import PathError
 from turtlelog.paths import (
@@ -73,6 +75,14 @@ def test_end_of_a_closed_path_is_its_beginning_in_the_direction_of_the_last_leg(
     assert end.heading_rad == pytest.approx(-math.pi / 2.0)
 
 
+@cache
+def locate_densely(name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return arcs half a millimetre apart, from before a path to behind it, and their points."""
+    path = PATHS[name]
+    arcs_m = np.arange(-0.1 * path.length_m, 1.1 * path.length_m + 3.0, 5e-4)
+    return arcs_m, np.array([path.locate(float(arc))[:2] for arc in arcs_m])
+
+
 @pytest.mark.parametrize("name", PATHS)
 @given(x_m=st.floats(0.0, 11.0), y_m=st.floats(0.0, 11.0), share=st.floats(0.0, 1.0))
 def test_nearest_point_is_that_of_a_dense_search(
@@ -81,8 +91,9 @@ def test_nearest_point_is_that_of_a_dense_search(
     path = PATHS[name]
     low_m = (1.2 * share - 0.1) * path.length_m if path.is_closed else share * path.length_m
     high_m = low_m + 1.0 if path.is_closed else min(low_m + 1.0, path.length_m)
-    arcs_m = np.linspace(low_m, high_m, 2001)
-    points = np.array([path.locate(float(arc))[:2] for arc in arcs_m])
+    arcs_m, points = locate_densely(name)
+    ends = [path.locate(arc_m)[:2] for arc_m in (low_m, high_m)]
+    points = np.vstack([points[(arcs_m >= low_m) & (arcs_m <= high_m)], ends])
     away_m = np.hypot(points[:, 0] - x_m, points[:, 1] - y_m)
     found = path.find_nearest(x_m, y_m, low_m, high_m)
     assert abs(found.offset_m) == pytest.approx(away_m.min(), abs=1e-3)
@@ -106,8 +117,8 @@ def test_point_ahead_is_a_lookahead_away_and_no_point_before_it_is(
     y_m = near.y_m + aside_m * math.cos(near.heading_rad)
     ahead = path.find_ahead(x_m, y_m, lookahead_m, from_m)
     assert math.hypot(ahead.x_m - x_m, ahead.y_m - y_m) == pytest.approx(lookahead_m, rel=1e-9)
-    ways_m = np.linspace(0.0, 3.0, 3001)
-    points = np.array([path.locate(from_m + float(way))[:2] for way in ways_m])
+    arcs_m, points = locate_densely(name)
+    points = points[arcs_m >= from_m]
     away_m = np.hypot(points[:, 0] - x_m, points[:, 1] - y_m)
     outside = np.flatnonzero(away_m > lookahead_m + 1e-9)
     assume(len(outside))
