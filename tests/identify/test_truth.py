@@ -31,7 +31,7 @@ from turtlelog.identify import AxisModel
 from turtlelog.identify.axis_motion import AXES, Axis
 from turtlelog.run import CommandColumns
 
-ROBOTS = 200
+ROBOTS = 100
 NOISE_M = 2e-4
 """The noise at which the error of the dead time is claimed [m]."""
 
