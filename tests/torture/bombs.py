@@ -180,6 +180,7 @@ BOMBS: Final[dict[str, Callable[[], bytes]]] = {
         chunk([_schemas(500, 9000), message(1)]) + chunk([message(1)])
     ),
     "channels": lambda: whole(chunk([_channels(65_535, loud=True)])),
+    "a fifth of the channels": lambda: whole(chunk([_channels(13_107, loud=True)])),
     "channels x 20": lambda: cut(chunk([_channels(65_535, loud=True)]) * 20),
     "channels alone": lambda: whole(_channels(65_535) + message(1, b"\0\1\0\0" + bytes(20))),
     "channel table": lambda: whole(
@@ -188,6 +189,7 @@ BOMBS: Final[dict[str, Callable[[], bytes]]] = {
     "channels by turns": _flip,
     "schemas again": lambda: cut(_some() + chunk([schema(7, "a/B", "") * 2_000_000])),
     "metadata": lambda: cut(_some() + metadata() * 550_000),
+    "a fifth of the metadata": lambda: cut(_some() + metadata() * 110_000),
     "metadata finished": lambda: whole(_some() + metadata() * 550_000),
     "metadata in a chunk": lambda: cut(_some() + chunk([metadata() * 3_000_000])),
     "attachments": lambda: whole(_some() + attachment("", b"") * 200_000),

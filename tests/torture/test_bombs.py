@@ -28,14 +28,20 @@ MOST_MEMORY_MB = 256
 MOST_CPU_S = 30.0
 """The slowest take 5 s on a quiet machine, 7 s on a slow one; what this is to find took 139 s."""
 
+FIFTHS = {"a fifth of the channels", "a fifth of the metadata"}
+START_MB = 50
+"""What a process takes that reads nothing; a fifth may take a fifth of the rest."""
+MOST_CPU_OF_FIFTH_S = 5.0
+"""They take 2.3 s on a slow machine; a fifth of what took 139 s takes 5.6 s even by its square."""
+
 QUICK = (
     "zstd 900 MB",
     "lz4 60 MB x 6",  # together more than a process may take
     "tiny messages 64 MB",
     "schema 1e7 fields",
-    "channels",
+    "a fifth of the channels",
     "channels by turns",
-    "metadata",
+    "a fifth of the metadata",
     "scenario",
 )
 
@@ -73,17 +79,21 @@ def run(*words: str) -> tuple[int, float, float, str]:
 def test_a_small_file_takes_little_whatever_it_claims(name: str, tmp_path: Path) -> None:
     path, output = tmp_path / "bomb.mcap", tmp_path / "out.mcap"
     path.write_bytes(BOMBS[name]())
+    most_memory_mb, most_cpu_s = MOST_MEMORY_MB, MOST_CPU_S
+    if name in FIFTHS:
+        most_memory_mb = START_MB + (MOST_MEMORY_MB - START_MB) // 5
+        most_cpu_s = MOST_CPU_OF_FIFTH_S
     assert path.stat().st_size < MOST_BYTES
     for words in (["info", str(path)], ["recover", str(path), "-o", str(output)]):
         code, memory_mb, cpu_s, said = run(*words)
         assert code in {0, 2}, said[-500:]
-        assert memory_mb < MOST_MEMORY_MB, words
-        assert cpu_s < MOST_CPU_S, words
+        assert memory_mb < most_memory_mb, words
+        assert cpu_s < most_cpu_s, words
         if code == 2:
             assert said.startswith(f"turtlelog: error: {path}: ")
             assert said.count("\n") == 1
     _, memory_mb, _, said = run("metrics", str(path))
-    assert memory_mb < MOST_MEMORY_MB, said[-500:]
+    assert memory_mb < most_memory_mb, said[-500:]
 
 
 def fill_chunk(size: int) -> bytes:
