@@ -141,7 +141,7 @@ def test_a_verdict_on_a_cut_trace_is_that_of_the_definitions(
 
 
 @seed(4)
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=120)
 @given(formulas, signals, ends, st.lists(signals, min_size=4, max_size=4))
 def test_a_verdict_on_a_cut_trace_stands_however_it_goes_on(
     tree: Node, trace: Trace, end_ns: int, futures: list[Trace]
