@@ -2,10 +2,12 @@
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from tests.fresh_process import run_command
 from turtlelog.errors import LibraryError
 from turtlelog.libraries import load_library
 from turtlelog.log import read_recording
@@ -44,13 +46,15 @@ def run_main(code: str, *words: str, folder: Path) -> subprocess.CompletedProces
     ids=lambda words: words[0],
 )
 def test_slim_installation_gives_the_same_output(words: tuple[str, ...], tmp_path: Path) -> None:
+    full = partial(run_command, *words)
+    slim = partial(run_main, LACKS, *words)
     outputs = []
-    for name, code in (("full", MAIN), ("slim", LACKS)):
+    for name, run in (("full", full), ("slim", slim)):
         folder = tmp_path / name
         folder.mkdir()
         spec = 'format = 1\n[checks.end]\nexpect = "final.position_error < 1"\n'
         (folder / "spec.toml").write_text(spec)
-        done = run_main(code, *words, folder=folder)
+        done = run(folder=folder)
         files = {file.name: file.read_bytes() for file in folder.iterdir()}
         outputs.append((done.returncode, done.stdout, done.stderr, files))
     assert outputs[0] == outputs[1]
