@@ -166,6 +166,84 @@ def test_what_no_candidate_has_is_said_with_its_reason(call: Call) -> None:
     assert "translate.settling_time: no_phase" in done.err
 
 
+LAW = """
+from dataclasses import dataclass
+from turtlelog.laws import Decision
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameters:
+    gain: float
+
+
+class Steer:
+    Parameters = Parameters
+
+    def __init__(self, parameters):
+        self.parameters = parameters
+
+    def reset(self, start, goal, path):
+        self.goal = goal
+
+    def step(self, time_ns, pose):
+        left_m = self.goal.x_m - pose.x_m
+        reason = "arrived" if abs(left_m) < 0.01 else None
+        speed = self.parameters.gain * left_m
+        return Decision(speed_m_s=speed, turn_rate_rad_s=0.0, stop_reason=reason)
+"""
+
+
+def test_a_key_without_a_default_is_tuned_and_the_name_tells_it(call: Call) -> None:
+    Path("mine.py").write_text(LAW, "utf-8")
+    words = ("--law", "mine.py:Steer", "--goal", "7,5.5", "--minimise", "run.duration")
+    done = call(
+        "tune",
+        *words,
+        "--vary",
+        "law.gain=0.5:4",
+        "--evaluations",
+        "8",
+        "-o",
+        "best.toml",
+        "--json",
+    )
+    assert (done.code, done.err) == (0, "")
+    best = done.json["best"]["law.gain"]
+    kept = tomllib.loads(Path("best.toml").read_text("utf-8"))
+    assert kept["law"]["gain"] == best
+    assert kept["name"] == f"textbook law=mine.py:Steer goal=7,5.5 law.gain={best:.6g}"
+
+
+def test_a_name_that_is_set_stays(call: Call) -> None:
+    words = (*VARY, *SETTLING, "--evaluations", "8", "--set", "name=mine", "-o", "best.toml")
+    assert call("tune", "textbook", *words).code == 0
+    assert tomllib.loads(Path("best.toml").read_text("utf-8"))["name"] == "mine"
+
+
+def test_keys_that_change_nothing_are_told(call: Call) -> None:
+    done = call("tune", "textbook", *VARY, "--maximise", "rotate.stable", "--evaluations", "8")
+    assert (done.code, done.err) == (0, "")
+    assert "rotate.stable, to maximise: 1.\n" in done.out
+    assert "candidates that can be compared are as good: no key counts here." in done.out
+    assert "beyond, it may be better" not in done.out
+
+
+@pytest.mark.parametrize(
+    ("word", "metric", "told"),
+    [
+        ("--minimise", "final.cross_track", 1),
+        ("--maximise", "final.cross_track", 0),
+        ("--minimise", "final.position_error", 0),
+    ],
+)
+def test_the_least_of_a_metric_with_a_sign_is_told(
+    call: Call, word: str, metric: str, told: int
+) -> None:
+    done = call("tune", "textbook", "--vary", "goal.x_m=2:9", word, metric, "--evaluations", "8")
+    assert (done.code, done.err) == (0, "")
+    assert done.out.count(f"{metric} has a sign: abs({metric}) is least") == told
+
+
 def test_ctrl_c_says_the_best_so_far(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt

@@ -259,6 +259,30 @@ def test_a_missing_value_is_no_success() -> None:
     assert found.best.objective is not None
 
 
+def test_an_overshoot_below_0_is_no_better_than_none() -> None:
+    """The slowest gain never arrives: it is furthest from overshooting, and no better for that."""
+    goal = tune.parse_goal("translate.overshoot")
+    candidates, keys = prepare("textbook", {}, {"law.kp_linear": (0.05, 20.0)}, goal)
+    found = tune.search_best(candidates, keys, evaluations=16)
+    assert found.best.objective == 0.0
+    assert found.is_flat
+    assert found.best.point[0] > 1.0
+
+
+def test_a_formula_of_an_overshoot_is_taken_as_it_is() -> None:
+    values = {"translate.overshoot": -30.0}
+    assert tune.parse_goal("translate.overshoot").compute_objective(values) == 0.0
+    assert tune.parse_goal("2 * translate.overshoot").compute_objective(values) == -60.0
+    largest = tune.parse_goal("translate.overshoot", is_maximised=True)
+    assert largest.compute_objective(values) == -30.0
+
+
+def test_what_differs_is_not_flat() -> None:
+    goal = tune.parse_goal("translate.settling_time")
+    candidates, keys = prepare("textbook", {}, BOUNDS, goal)
+    assert not tune.search_best(candidates, keys, evaluations=16).is_flat
+
+
 @pytest.mark.parametrize(
     ("texts", "reason"),
     [

@@ -1,6 +1,6 @@
 """`turtlelog tune`: the best values of keys, their neighbourhood, and how robust they are."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -38,7 +38,8 @@ class GoalOptions:
         minimise: A metric, or a formula of metrics and keys, that should be small.
         maximise: The same, that should be large.
         subject_to: What must hold, as in "rotate.overshoot <= 2"; may stand several times.
-        evaluations: How many candidates at most, about; otherwise 300 for each key.
+        evaluations: How many candidates the search takes at most, about; otherwise 300 for each
+            key. The neighbourhood takes 50 more for each, again where it holds a better one.
         seed: Of the search, and of what --monte-carlo draws; otherwise 0.
     """
 
@@ -179,10 +180,12 @@ def tune(
     runs, wanted, seed = robustness.count_runs(), goal.parse_goal(), goal.choose_seed()
     require_new_target(work.output, [] if base is None else [Path(base)], suffix=".toml")
     scenario = load_changed_scenario(base, options)
-    keys = _parse_keys(scenario, goal.vary or [], options, trust_law=work.trust_law)
+    scenario, keys = _parse_keys(scenario, goal.vary or [], options, trust_law=work.trust_law)
     more = robustness.list_variations(scenario, [key.key for key in keys])
     with work.find_any_place() as place:
         answer = _search(scenario, keys, goal, wanted, seed, place, trust_law=work.trust_law)
+        if "name" not in list_given_keys(options):
+            answer.scenario = replace(answer.scenario, name=answer.tell_name())
         if work.output is not None:
             with tl.log.replace_when_complete(work.output) as path:
                 path.write_text(tl.scenario.format_scenario(answer.scenario), "utf-8")
@@ -197,14 +200,19 @@ def tune(
 
 def _parse_keys(
     scenario: "Scenario", vary: list[str], options: LawOptions | None, *, trust_law: bool
-) -> "tuple[SearchedKey, ...]":
-    resolved = tl.scenario.resolve_scenario(scenario, trust_law=trust_law)
-    keys = tl.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(resolved))
-    given = list_given_keys(options)
+) -> "tuple[Scenario, tuple[SearchedKey, ...]]":
+    """Return the keys, and the scenario with a value for each: a law need not have defaults."""
+    flatten, given = tl.scenario.flatten_scenario, list_given_keys(options)
+    known = flatten(scenario)
+    keys = tl.tune.parse_searched_keys(vary, known)
     for key in keys:
         if key.key in given:
             raise UsageError(f"--set: expected keys that are not tuned, found {key.key}")
-    return keys
+    lows = {key.key: key.low for key in keys if key.key not in known}
+    whole = {key: int(low) if float(low).is_integer() else low for key, low in lows.items()}
+    scenario = tl.override_scenario(scenario, whole, source="--vary")
+    resolved = tl.scenario.resolve_scenario(scenario, trust_law=trust_law)
+    return scenario, tl.tune.parse_searched_keys(vary, flatten(resolved))
 
 
 def _search(  # noqa: PLR0913  (what a search takes)
@@ -219,17 +227,18 @@ def _search(  # noqa: PLR0913  (what a search takes)
 ) -> Answer:
     """Return the best values and their neighbourhood."""
     most = goal.count_evaluations(len(keys))
-    with show_progress("simulated", most, "candidates", has_rate=True) as progress:
+    expected = most + tl.tune.NEIGHBOURS * len(keys)
+    with show_progress("simulated", expected, "candidates", has_rate=True) as progress:
 
         def watch(done: int) -> None:
-            progress.done = min(done, most)
+            progress.done = min(done, expected)
 
         candidates = tl.tune.Candidates(
             scenario,
             [key.key for key in keys],
             wanted,
             jobs=place,
-            expected=most,
+            expected=expected,
             watch=watch,
             trust_law=trust_law,
         )

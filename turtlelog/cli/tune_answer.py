@@ -37,11 +37,18 @@ class Answer:
     @property
     def unit(self) -> str:
         """Of the objective, where it is a metric; otherwise empty."""
-        kind = tl.measure.find_metric_kind(self.goal.objective.text.strip())
-        if kind is None:
+        if self.goal.metric is None:
             return ""
         known = tl.measure.list_metrics(tl.simulate.declare_scenario(self.scenario))
-        return known[self.goal.objective.text.strip()].unit
+        return known[self.goal.metric].unit
+
+    def tell_name(self) -> str:
+        """Return a name that tells the best values, as that of `--set` does."""
+        told = [
+            f"{key.key}={value:.6g}"
+            for key, value in zip(self.keys, self.tuned.best.point, strict=True)
+        ]
+        return " ".join([self.scenario.name, *told])
 
 
 def describe_answer(answer: Answer) -> dict[str, Any]:
@@ -67,6 +74,7 @@ def describe_answer(answer: Answer) -> dict[str, Any]:
         "failed": tuned.failed,
         "feasible": tuned.feasible,
         "at_bounds": [*tuned.at_bounds],
+        "is_flat": tuned.is_flat,
         "neighbourhood": [
             {
                 "key": one.key,
@@ -132,27 +140,40 @@ def _list_notes(answer: Answer) -> list[str]:
     name, word = answer.goal.objective.text, "maximise" if answer.goal.is_maximised else "minimise"
     notes = []
     if best.objective is not None:
-        value = f"{format_number(best.objective)} {unit}".rstrip()
-        notes.append(f"{name}, to {word}: {value}.")
+        notes.append(f"{name}, to {word}: {format_number(best.objective, unit)}.")
     if not best.is_feasible:
         notes.append(
             "No candidate that has a value fulfils the constraints; this one comes nearest."
         )
     elif answer.around:
-        slack = f"{format_number(answer.around.slack)} {unit}".rstrip()
+        slack = format_number(answer.around.slack, unit)
         notes.append(
             "From and to: as far as this key alone can go, in the steps of the search, until the"
             f" objective is worse by {slack}, or a constraint breaks."
         )
-    notes += [
-        f"{key.key} is at the bound that was given, {format_number(number)}: beyond, it may be"
-        " better."
-        for key, number in zip(answer.keys, best.point, strict=True)
-        if key.key in tuned.at_bounds
-    ]
+    if tuned.is_flat:
+        notes.append(
+            f"All {tuned.feasible} candidates that can be compared are as good: no key counts here."
+        )
+    else:
+        notes += [
+            f"{key.key} is at the bound that was given, {format_number(number)}: beyond, it may be"
+            " better."
+            for key, number in zip(answer.keys, best.point, strict=True)
+            if key.key in tuned.at_bounds
+        ]
+    notes += _tell_sign(answer.goal, best.objective)
     if tuned.failed:
         notes.append(f"{describe_count(tuned.failed, 'candidate')} failed.")
     return notes
+
+
+def _tell_sign(goal: "TuningGoal", objective: float | None) -> list[str]:
+    """Say what is meant by the least of a metric of which neither sign is better."""
+    kind = None if goal.metric is None else tl.measure.find_metric_kind(goal.metric)
+    if kind is None or kind.better is not None or goal.is_maximised or (objective or 0.0) >= 0.0:
+        return []
+    return [f"{goal.metric} has a sign: abs({goal.metric}) is least where it is nearest to 0."]
 
 
 def _tell_end(one: "KeyRange", *, is_low: bool) -> str:

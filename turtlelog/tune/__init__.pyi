@@ -15,6 +15,7 @@ from .monte_carlo import (
     simulate_variants as simulate_variants,
 )
 from .neighbourhood import (
+    NEIGHBOURS as NEIGHBOURS,
     KeyRange as KeyRange,
     Neighbourhood as Neighbourhood,
     explore_best as explore_best,

@@ -61,8 +61,16 @@ class TuningGoal:
         names = [name for one in (self.objective, *self.constraints) for name in one.names]
         return tuple(dict.fromkeys(name for name in names if find_metric_kind(name) is not None))
 
+    @property
+    def metric(self) -> str | None:
+        """Id of the metric that is the objective; None where that is a formula."""
+        name = self.objective.text.strip()
+        return None if find_metric_kind(name) is None else name
+
     def compute_objective(self, values: Values) -> float | None:
         """Return the objective; None where it has no value.
+
+        A metric below which nothing is gained, as an overshoot below 0, counts as that.
 
         Raises:
             ExpressionError: Where it names what is not there.
@@ -73,7 +81,10 @@ class TuningGoal:
             return None
         if isinstance(found, bool) or not isinstance(found, int | float):
             raise TuneError(f"{self.objective.source}: expected a number, found {found!r}")
-        return float(found)
+        kind = None if self.metric is None else find_metric_kind(self.metric)
+        if kind is None or kind.floor is None or self.is_maximised:
+            return float(found)
+        return max(float(found), kind.floor)
 
     def judge(self, values: Values) -> tuple[ConstraintFinding, ...]:
         """Return what becomes of each constraint.

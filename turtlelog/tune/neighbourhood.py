@@ -26,6 +26,9 @@ better one."""
 _HALVINGS: Final = 8
 """Of the step in which it ends: to 1/256 of it."""
 
+NEIGHBOURS: Final = 2 * (_POINTS + _HALVINGS)
+"""Candidates that a neighbourhood takes for each key, at most."""
+
 End = Literal["objective", "constraint", "no value", "bound"]
 
 

@@ -56,6 +56,7 @@ class Tuned:
         failed: How many of them failed.
         feasible: How many fulfilled the constraints.
         at_bounds: Keys whose best value is a bound of their range.
+        is_flat: Whether all that fulfilled the constraints, two at least, have the same objective.
     """
 
     best: Candidate
@@ -63,6 +64,7 @@ class Tuned:
     failed: int
     feasible: int
     at_bounds: tuple[str, ...]
+    is_flat: bool = False
 
 
 def search_best(
@@ -103,11 +105,13 @@ def sum_up(
 ) -> Tuned:
     """Return what is known of the candidates so far; at least one is."""
     known, best = candidates.list_known(), find_best(candidates, is_maximised=is_maximised)
+    feasible = [one.objective for one in known if one.is_feasible]
     return Tuned(
         best=best,
         evaluations=candidates.evaluations,
         failed=sum(bool(one.failed) for one in known),
-        feasible=sum(one.is_feasible for one in known),
+        feasible=len(feasible),
+        is_flat=len(feasible) > 1 and len(set(feasible)) == 1,
         at_bounds=tuple(
             key.key
             for key, value in zip(keys, best.point, strict=True)
