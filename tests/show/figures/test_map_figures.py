@@ -1,5 +1,6 @@
 """Figures of sweeps: what stands in the cells, which lines lie over them, what the legend says."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,21 @@ from matplotlib.figure import Figure
 
 from tests.sweep.swept_tables import Compute, write_table
 from tests.sweep.test_gain_borders import GRID, is_stable, view_table
+from turtlelog.errors import ShowError
 from turtlelog.show.figures.map_figure import draw_map
+from turtlelog.show.figures.page import Page
+from turtlelog.show.figures.sweep_figures import write_map_figure
 from turtlelog.show.figures.swept_curves import draw_curves
 from turtlelog.show.figures.value_scale import build_scale, group_reasons
 from turtlelog.show.map_values import find_edges, is_logarithmic
-from turtlelog.sweep import SweptView, find_loop_limits, read_swept_results
+from turtlelog.sweep import (
+    Sampling,
+    SweptView,
+    build_plan,
+    choose_view,
+    find_loop_limits,
+    read_swept_results,
+)
 
 KP = "law.kp_linear"
 
@@ -116,3 +127,36 @@ def test_curves_have_a_line_for_each_value_and_its_limits(tmp_path: Path) -> Non
     # Of 0 ticks both limits lie beyond the largest gain.
     assert any(one == pytest.approx(15.07, abs=0.01) for one in found)
     assert all(2.0 <= one <= 24.0 for one in found)
+
+
+def test_curves_of_a_sample_have_a_dot_for_each_row(tmp_path: Path) -> None:
+    """Rows that were drawn share no value of another key: no line, and nothing is missing."""
+    plan = build_plan([f"{KP}=1.0:3.0", "law.kp_angular=1.0:3.0"], (), Sampling(count=9))
+    metric = {"run.duration": lambda kp, _: kp if kp < 2.5 else "not_reached"}
+    view = view_table(write_table(tmp_path / "t.parquet", plan, metric))
+    axes, (found,) = Figure().subplots(), view.results.metrics
+    named = draw_curves(axes, view, found, find_loop_limits(view))
+    dots, crosses = axes.lines
+    assert len(dots.get_xydata()) == np.isfinite(found.values).sum()
+    assert len(crosses.get_xydata()) == 9 - np.isfinite(found.values).sum()
+    assert list(named) == ["no value"]
+
+
+def test_curves_mark_no_value_only_where_there_is_a_row(tmp_path: Path) -> None:
+    view = view_metric(tmp_path, "translate.overshoot", lambda delay, kp: kp + delay)
+    few = replace(view, rows=view.rows[:-3])
+    named = draw_curves(Figure().subplots(), few, few.results.metrics[0], [])
+    assert "no value" not in named
+
+
+@pytest.mark.parametrize(("count", "fits"), [(4, True), (5, False)])
+def test_a_slide_is_refused_more_maps_than_fit(tmp_path: Path, *, count: int, fits: bool) -> None:
+    names = ["overshoot", "duration", "rise_time", "settling_time", "iae"][:count]
+    metrics = {f"translate.{name}": lambda delay, kp: kp + delay for name in names}
+    path = write_table(tmp_path / "t.parquet", GRID, metrics)
+    view = choose_view(read_swept_results(path, ["*"]))
+    if fits:
+        write_map_figure(view, [], tmp_path / "m.svg", page=Page(kind="slide"))
+        return
+    with pytest.raises(ShowError, match="expected at most 4 on a slide, found 5"):
+        write_map_figure(view, [], tmp_path / "m.svg", page=Page(kind="slide"))

@@ -1,10 +1,10 @@
 """The printed page: how wide a figure is, fonts and lines, how runs are told apart."""
 
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from math import isfinite
 from threading import RLock
 from types import MappingProxyType
 from typing import Any, Final, Literal, get_args
@@ -196,7 +196,7 @@ class Page:
         if self.dpi is not None and not _LEAST_DPI <= self.dpi <= _MOST_DPI:
             raise ShowError(f"dpi: expected {_LEAST_DPI} to {_MOST_DPI}, found {self.dpi}")
         for name, bound_s in (("from", self.from_s), ("to", self.to_s)):
-            if bound_s is not None and not isfinite(bound_s):
+            if bound_s is not None and not math.isfinite(bound_s):
                 raise ShowError(f"{name}: expected a time [s], found {bound_s}")
         if self.from_s is not None and self.to_s is not None and self.from_s >= self.to_s:
             raise ShowError(
@@ -211,6 +211,11 @@ class Page:
             return _SLIDE_INCH[0]
         whole_mm = self.text_width_mm
         return (whole_mm if self.kind == "page" else (whole_mm - _GAP_MM) / 2.0) / _MM_PER_INCH
+
+    @property
+    def height_inch(self) -> float:
+        """Height of a figure [inch]: of a slide; on paper it is what the figure needs."""
+        return _SLIDE_INCH[1] if self.kind == "slide" else math.inf
 
     @property
     def pixels_per_inch(self) -> float:

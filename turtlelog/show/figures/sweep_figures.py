@@ -29,6 +29,9 @@ _TORNADO_INCH: Final = 0.75
 _BAR_INCH: Final = 0.34
 """Heights of a tornado without bars, and of a bar: two lines of lettering."""
 
+_SQUEEZED: Final = 0.62
+"""Share of their heights to which panels fit on a slide: of less, the names of sides touch."""
+
 _NARROWEST_INCH: Final = 2.6
 """A map beside another is at least so wide: its bar and its side take an inch."""
 
@@ -93,11 +96,10 @@ def draw_sweep(
 
 def _lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
     metrics = view.results.metrics
-    columns = min(len(metrics), max(int(page.width_inch / _NARROWEST_INCH), 1))
-    rows = -(-len(metrics) // columns)
     found = [find_sensitivities(view.results, one, dict(view.held)) for one in metrics]
     most = max(len(one.keys) for one in found)
     height = _TORNADO_INCH + _BAR_INCH * most if kind == "tornado" else _PANEL_INCH
+    rows, columns = _choose_grid(len(metrics), height, page)
     figure = Figure(figsize=(page.width_inch, height * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     named: dict[str, Any] = {}
@@ -118,6 +120,22 @@ def _lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page:
         _add_legend(figure, named, view)
     page.fit(figure)
     return figure
+
+
+def _choose_grid(count: int, height_inch: float, page: Page) -> tuple[int, int]:
+    """Return rows and columns of panels.
+
+    Raises:
+        ShowError: Where a slide has no room for them.
+    """
+    columns = min(count, max(int(page.width_inch / _NARROWEST_INCH), 1))
+    rows = -(-count // columns)
+    room = page.height_inch / (height_inch * _SQUEEZED)
+    if rows > max(room, 1.0):
+        raise ShowError(
+            f"--metrics: expected at most {columns * max(int(room), 1)} on a slide, found {count}"
+        )
+    return rows, columns
 
 
 def _add_legend(figure: Figure, named: dict[str, Any], view: SweptView) -> None:

@@ -31,6 +31,9 @@ _MOST_LINES: Final = len(FEW)
 _MOST_MARKED: Final = 40
 """Values of the key up to which each is a dot on the line: one in 2 mm of a panel."""
 
+_MOST_DOTS: Final = 500
+"""Rows of a sample up to which their dots are large: they cover a tenth of a panel."""
+
 _DECADES: Final = 100.0
 """Largest over least value from which the axis is logarithmic: linear, all of the lower decade
 would lie within a line's width of its floor."""
@@ -69,12 +72,17 @@ def draw_curves(
         What a legend names, with how it looks.
     """
     along, series = choose_curve_axes(view, limits)
+    if view.results.is_sampled and series is not None:
+        return _draw_sample(axes, view, metric, along)
     found = choose_limits([one for one in limits if one.gain is along], metric)
     cells = fill_cells(view, metric)
     parts = [
         scale_values(metric, one if along is view.x else one.T)
         for one in (cells.values, cells.least, cells.most)
     ]
+    valueless = np.zeros(view.shape, dtype=bool)
+    valueless.flat[list(cells.reasons)] = True
+    valueless = valueless if along is view.x else valueless.T
     named: dict[str, Any] = {}
     theory: dict[str, Any] = {}
     places = choose_series(series)
@@ -82,6 +90,8 @@ def draw_curves(
         mean, least, most = (part[place] for part in parts)
         name = None if series is None else series.tell_row(_find_row(series, place))
         named |= _draw_line(axes, along, mean, looks, name)
+        if valueless[place].any():
+            named |= _mark_valueless(axes, along.numbers[valueless[place]], looks["color"])
         if view.seeds > 1:
             axes.fill_between(
                 along.numbers, least, most, color=looks["color"], alpha=0.2, linewidth=0.0
@@ -111,15 +121,31 @@ def _draw_line(
     alone = known & ~np.r_[False, known[:-1]] & ~np.r_[known[1:], False]
     shown = known if len(numbers) <= _MOST_MARKED else alone
     axes.plot(numbers[shown], values[shown], "o", color=color, markersize=2.6, zorder=2.1)
-    named: dict[str, Any] = {}
-    if name is not None:
-        named[name] = Line2D([], [], color=color, marker="o", markersize=2.6, linewidth=0.9)
-    if not known.all():
-        mark: dict[str, Any] = {"color": color, "marker": "x", "linestyle": "", "ms": 3.0}
-        at = np.full((~known).sum(), 0.985)
-        axes.plot(numbers[~known], at, transform=axes.get_xaxis_transform(), **mark)
-        named["no value"] = Line2D([], [], **{**mark, "color": "0.4"})
-    return named
+    if name is None:
+        return {}
+    return {name: Line2D([], [], color=color, marker="o", markersize=2.6, linewidth=0.9)}
+
+
+def _mark_valueless(axes: Axes, numbers: Values, color: Any) -> dict[str, Any]:
+    """Mark at the upper edge where rows have no value."""
+    mark: dict[str, Any] = {"color": color, "marker": "x", "linestyle": "", "ms": 3.0}
+    at = np.full(len(numbers), 0.985)
+    axes.plot(numbers, at, transform=axes.get_xaxis_transform(), **mark)
+    return {"no value": Line2D([], [], **{**mark, "color": "0.4"})}
+
+
+def _draw_sample(
+    axes: Axes, view: SweptView, metric: SweptMetric, along: SweptAxis
+) -> dict[str, Any]:
+    """Draw a dot for each row: of those that were drawn no two share a value of another key."""
+    (looks,) = choose_lines(1)
+    numbers = along.numbers[along.places[view.rows]]
+    values = scale_values(metric, metric.values[view.rows])
+    known = np.isfinite(values)
+    size = 2.6 if len(values) <= _MOST_DOTS else 1.2
+    axes.plot(numbers[known], values[known], "o", color=looks["color"], markersize=size, mew=0.0)
+    _set_axes(axes, along, metric, values)
+    return {} if known.all() else _mark_valueless(axes, numbers[~known], looks["color"])
 
 
 def _draw_limits(
