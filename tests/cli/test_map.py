@@ -99,6 +99,26 @@ def test_the_tornado_tells_what_it_left_out(call: Call, table: Path) -> None:
     ]
 
 
+def test_a_key_that_never_counts_is_told_in_one_sentence(call: Call, table: Path) -> None:
+    write_table(
+        table, GRID, {"run.duration": lambda delay, _: float(delay)}, units={"run.duration": "s"}
+    )
+    done = call("map", table.name, "--kind", "tornado")
+    assert done.out.splitlines()[1:] == [
+        "run.duration: loop.transport_delay_ticks moves it by 12 s, from 0 s at 0 to 12 s at 12;"
+        " over all values of the other keys by 12 s to 12 s",
+        "run.duration: law.kp_linear makes no difference, whatever the other keys are",
+    ]
+
+
+def test_a_tornado_needs_a_key_that_varies(call: Call, table: Path) -> None:
+    write_table(table, ["law.kp_linear=3"], {"run.duration": lambda _: 2.0})
+    done = call("map", table.name, "--kind", "tornado", "-o", "t.png")
+    assert (done.code, done.out) == (2, "")
+    assert "--kind tornado: expected a key that varies, found none in t.parquet" in done.err
+    assert call("map", table.name).code == 0
+
+
 def test_a_value_is_held_where_at_says(call: Call, table: Path) -> None:
     told = call("map", table.name, "--at", "loop.transport_delay_ticks=6", "--json").json
     assert (told["held"], told["shown"]) == ({"loop.transport_delay_ticks": 6}, 12)

@@ -1,19 +1,23 @@
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from tests.sweep.swept_tables import write_table
 from turtlelog.errors import SweepError
+from turtlelog.scenario import flatten_scenario
 from turtlelog.sweep import (
     Sampling,
     build_plan,
     choose_view,
     fill_cells,
     find_best_rows,
+    load_row_scenario,
     read_swept_results,
     require_values,
 )
+from turtlelog.sweep.result_table import list_row_numbers
 
 KP, DELAY, SEED = "law.kp_linear", "loop.transport_delay_ticks", "seed"
 GAINS = ("law.kp_linear", "law.kp_angular")
@@ -185,3 +189,25 @@ def test_rows_of_a_sample_are_all_shown(tmp_path: Path) -> None:
     view = choose_view(results, gains=GAINS)
     assert results.is_sampled
     assert (len(view.rows), dict(view.held)) == (9, {})
+
+
+def test_rows_keep_their_numbers_in_a_table_that_was_filtered(tmp_path: Path) -> None:
+    path = write_table(
+        tmp_path / "t.parquet", [f"{KP}=1:9"], {"run.duration": lambda kp: abs(kp - 7)}
+    )
+    table = pq.read_table(path)
+    pq.write_table(table.slice(3, 5), path)
+    results = read_swept_results(path)
+    (best,) = find_best_rows(choose_view(results), results.metrics[0])
+    number = results.row_numbers[best]
+    assert (best, number) == (3, 6)
+    assert results.build_scenario(best) == load_row_scenario(path, number)
+    assert flatten_scenario(load_row_scenario(path, number))[KP] == 7
+    for none in (2, 8):
+        with pytest.raises(SweepError, match=f"expected a row from 3 to 7, found {none}"):
+            load_row_scenario(path, none)
+
+
+@pytest.mark.parametrize("cells", [None, [4, 4], ["4", "5"], [4, None]])
+def test_rows_that_no_number_tells_apart_are_counted(cells: list[object] | None) -> None:
+    assert list(list_row_numbers(cells, 2)) == [0, 1]

@@ -129,6 +129,8 @@ def map_(
     gains = tl.sweep.list_gain_keys(results)
     shown = tl.sweep.choose_view(results, x=options.x, y=options.y, at=held, gains=gains)
     tl.sweep.require_values(shown)
+    if options.kind == "tornado" and not tl.sweep.list_varied(results):
+        raise UsageError(f"--kind tornado: expected a key that varies, found none in {table}")
     limits = tl.sweep.find_loop_limits(shown)
     if output is not None:
         with show_progress("drawing"):

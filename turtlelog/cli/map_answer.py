@@ -140,7 +140,9 @@ def _tell_sensitivity(metric: "SweptMetric", one: "Sensitivity") -> str:
     text = f"{name} moves it by {format_number(one.size, unit)}, from {' to '.join(ends)}"
     if not one.size:
         text = f"{name} makes no difference"
-    if one.others is not None:
+    if one.others == (0.0, 0.0):
+        text += ", whatever the other keys are"
+    elif one.others is not None:
         low, high = (format_number(value, unit) for value in one.others)
         text += f"; over all values of the other keys by {low} to {high}"
     return text
@@ -153,7 +155,7 @@ def _describe_best(view: "SweptView", metric: "SweptMetric") -> dict[str, Any] |
         return None
     row, axes = found[0], view.results.axes
     return {
-        "row": row,
+        "row": view.results.row_numbers[row],
         "value": float(metric.values[row]),
         "as_good": len(found),
         "keys": {
@@ -226,5 +228,6 @@ def _tell_metric(
     if best is not None:
         more = best["as_good"] - 1
         text += f", best in row {best['row']}" + (f" and {more} more" if more else "")
-        text += f" ({view.results.tell_row(best['row'])})"
+        place = view.results.row_numbers.index(best["row"])
+        text += f" ({view.results.tell_row(place)})"
     return text + tail

@@ -43,6 +43,7 @@ from .sensitivities import (
     Sensitivities as Sensitivities,
     Sensitivity as Sensitivity,
     find_sensitivities as find_sensitivities,
+    list_varied as list_varied,
 )
 from .simulate_rows import (
     RowRecords as RowRecords,

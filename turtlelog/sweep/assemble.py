@@ -192,18 +192,20 @@ def find_failure(table: StoredTable) -> str:
 def load_row_scenario(path: str | Path, row: int) -> Scenario:
     """Return the scenario of a row in a table of results. Loads no code, and trusts none in it.
 
+    Args:
+        path: The table.
+        row: Its number in the column `row`.
+
     Raises:
         LogError: Where the file is no table of a sweep.
         SweepError: Where it has no such row.
         ScenarioError: Where the row makes no scenario, which is why it failed.
     """
     table = open_result_table(path, kind="sweep")
-    if not 0 <= row < table.row_count:
-        last = table.row_count - 1
-        raise SweepError(f"{path}: expected a row from 0 to {last}, found {row}")
+    place = table.find_row(row)
     try:
         keys, tables = json.loads(table.facts["varied"]), parse_toml(table.facts["base"])
-        values = table.read_row(row, keys)
+        values = table.read_row(place, keys)
     except (KeyError, ValueError) as err:
         raise LogError(f"{path}: expected the base scenario of a sweep, found none") from err
     base = build_scenario(tables, source=f"{path}")

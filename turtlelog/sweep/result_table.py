@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from turtlelog.errors import LogError
+from turtlelog.errors import LogError, SweepError
 from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.error_boundary import name_file, open_file
@@ -21,6 +21,9 @@ ColumnType = Literal["whole", "real", "text", "truth"]
 
 FORMAT: Final = "1"
 """Version of the file metadata; a reader refuses newer ones."""
+
+ROW: Final = "row"
+"""The column of the rows' numbers."""
 
 _PREFIX: Final = "turtlelog."
 
@@ -198,6 +201,20 @@ def list_values(column: ResultColumn) -> list[Any]:
     return found
 
 
+def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
+    """Return the numbers of rows: those of the column `row`, where it tells every row apart.
+
+    A table that others filtered or sorted keeps them.
+
+    Args:
+        cells: Of that column; None where there is none.
+        count: How many rows there are.
+    """
+    if cells is None or len(set(cells)) < count or not all(type(one) is int for one in cells):
+        return range(count)
+    return cells
+
+
 def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
     """Return a table whose groups of rows are read one by one.
 
@@ -273,6 +290,29 @@ class StoredTable:
             row, group = row - self.group_rows[group], group + 1
         found = {one.name: list_values(one)[row] for one in self.read(names, group)}
         return [found[name] for name in names]
+
+    def find_row(self, number: int) -> int:
+        """Return where the row with a number in the column `row` stands.
+
+        Raises:
+            SweepError: Where there is none.
+            LogError: As `read` does.
+        """
+        has_numbers = ROW in self.names
+        if 0 <= number < self.row_count and (
+            not has_numbers or self.read_row(number, [ROW]) == [number]
+        ):
+            return number
+        cells = None
+        if has_numbers:
+            cells = [cell for one in self.iterate(ROW) for cell in one.to_pylist()]
+        numbers = list_row_numbers(cells, self.row_count)
+        if number in numbers:
+            return numbers.index(number)
+        if not numbers:
+            raise SweepError(f"{self._path}: expected at least one row, found none")
+        ends = f"{min(numbers)} to {max(numbers)}"
+        raise SweepError(f"{self._path}: expected a row from {ends}, found {number}")
 
     def iterate(self, name: str) -> Iterator[Any]:
         """Yield the cells of a column group by group, each an array of Arrow."""

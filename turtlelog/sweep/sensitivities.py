@@ -100,7 +100,7 @@ def find_sensitivities(
     """
     if results.is_sampled:
         return _correlate(results, metric)
-    axes = [axis for axis in results.axes if len(axis) > 1 and axis.keys != (SEED,)]
+    axes = list_varied(results)
     center = {axis: find_usual_place(results, axis)[0] for axis in axes} | (held or {})
     center = {axis: place for axis, place in center.items() if axis in axes}
     cube = _fill_cube(axes, metric)
@@ -119,6 +119,12 @@ def find_sensitivities(
         held="; ".join(f"{axis.name} = {axis.tell_place(center[axis])}" for axis in axes),
         notes=tuple(notes),
     )
+
+
+def list_varied(results: SweptResults) -> list[SweptAxis]:
+    """Return the axes that may move a metric: over seeds of a grid there are means."""
+    axes = [axis for axis in results.axes if len(axis) > 1]
+    return [axis for axis in axes if results.is_sampled or axis.keys != (SEED,)]
 
 
 def _fill_cube(axes: Sequence[SweptAxis], metric: SweptMetric) -> Values:
@@ -169,7 +175,7 @@ def _find_other_ranges(lines: Values) -> tuple[float, float] | None:
 def _correlate(results: SweptResults, metric: SweptMetric) -> Sensitivities:
     known = np.isfinite(metric.values)
     rows = int(known.sum())
-    axes = [axis for axis in results.axes if len(axis) > 1]
+    axes = list_varied(results)
     numeric = [axis for axis in axes if axis.is_number]
     notes = [
         f"{metric.name}: {axis.name} has words, which have no ranks" for axis in axes

@@ -15,7 +15,13 @@ from turtlelog.errors import LogError, SweepError, TurtlelogError, suggest_names
 from turtlelog.scenario import Scenario, build_scenario, flatten_scenario
 from turtlelog.sweep.assemble import STATUS
 from turtlelog.sweep.plan import build_row_scenario
-from turtlelog.sweep.result_table import ResultTable, read_column_names, read_result_table
+from turtlelog.sweep.result_table import (
+    ROW,
+    ResultTable,
+    list_row_numbers,
+    read_column_names,
+    read_result_table,
+)
 from turtlelog.text_files import parse_toml
 
 Values = NDArray[np.float64]
@@ -127,6 +133,7 @@ class SweptResults:
         is_sampled: Whether rows were drawn, so that few share a place.
         failed: How many rows have no run.
         row_count: How many there are.
+        row_numbers: Of each row, by which `run --from` finds it.
         base: What the rows vary.
     """
 
@@ -137,6 +144,7 @@ class SweptResults:
     is_sampled: bool
     failed: int
     row_count: int
+    row_numbers: Sequence[int]
     base: Scenario
     _known: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
@@ -163,7 +171,12 @@ class SweptResults:
         ]
         keys, values = [key for key, _ in changes], [value for _, value in changes]
         return build_row_scenario(
-            self.base, keys, values, row, source=f"{self.path}", trust_law=False
+            self.base,
+            keys,
+            values,
+            self.row_numbers[row],
+            source=f"{self.path}",
+            trust_law=False,
         )
 
     def tell_row(self, row: int) -> str:
@@ -198,11 +211,13 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
     asked = known if patterns is None else _match(path, patterns, known)
     wanted = [*(key for group in groups for key in group), *asked]
     wanted += [*(f"{name}{STATUS}" for name in asked), "failed"]
+    wanted += [ROW] if ROW in names else []
     table = read_result_table(path, kind="sweep", columns=list(dict.fromkeys(wanted)))
     count = table.row_count
     if not count:
         raise LogError(f"{path}: expected at least one row, found none")
     failed = table.find("failed")
+    numbers = table.find(ROW)
     reasons: Sequence[Any] = [None] * count if failed is None else failed.cells
     metrics = [_build_metric(table, name, reasons) for name in asked]
     if patterns is None:
@@ -216,6 +231,7 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
         is_sampled=is_sampled,
         failed=sum(reason is not None for reason in reasons),
         row_count=count,
+        row_numbers=list_row_numbers(None if numbers is None else numbers.cells, count),
         base=_build_base(path, base),
     )
 

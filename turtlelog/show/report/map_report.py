@@ -108,8 +108,9 @@ def _list_cells(view: SweptView, metric: SweptMetric) -> tuple[str | float | Non
     least, most = ends if len(known) else (None, None)
     row = best[0] if best else None
     keys = "" if row is None else view.results.tell_row(row)
+    number = "" if row is None else str(view.results.row_numbers[row])
     missing = str(len(values) - len(known))
-    return metric.name, unit, least, most, missing, "" if row is None else str(row), keys
+    return metric.name, unit, least, most, missing, number, keys
 
 
 def _write_provenance(view: SweptView, command: str) -> str:

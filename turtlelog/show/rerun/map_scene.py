@@ -150,7 +150,8 @@ def _draw_map(
     colors = _choose_colors(metric, scale_values(metric, values))
     middles = np.column_stack([_place(view, side, rows) for side in range(2)])
     labels = [
-        f"{_tell_value(metric, value, reason)}\nrow {row}: {view.results.tell_row(row)}"
+        f"{_tell_value(metric, value, reason)}\n"
+        f"row {view.results.row_numbers[row]}: {view.results.tell_row(row)}"
         for row, value, reason in zip(rows.tolist(), values.tolist(), reasons, strict=True)
     ]
     if not view.results.is_sampled:
