@@ -4,6 +4,7 @@ import io
 import pickle
 import re
 import shutil
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,20 @@ def test_csv_has_a_row_per_file_with_full_precision(call: Call, kp4: Path, kp10:
     assert float(rows[1]["rotate.overshoot [%]"]) == expected
     assert rows[1]["rotate.decay_ratio [1]"] == "not_reached"
     assert len(rows[0]) == 2 + len(METRICS)
+
+
+def test_csv_of_many_files_keeps_their_values_alone(call: Call, kp4: Path, tmp_path: Path) -> None:
+    """Of a run its summary would be 17 kB; its row of text is 2.6 kB."""
+    files = [Path(shutil.copy(kp4, tmp_path / f"{number}.mcap")) for number in range(60)]
+    call("metrics", *files[:2], "--csv", "--jobs", "1")
+    peaks = []
+    for count in (20, 60):
+        tracemalloc.start()
+        done = call("metrics", *files[:count], "--csv", "--jobs", "1")
+        peaks.append(tracemalloc.get_traced_memory()[1] - len(done.out))
+        tracemalloc.stop()
+        assert done.out.count("\n") == 1 + count
+    assert peaks[1] - peaks[0] < 40 * 12_000
 
 
 @pytest.mark.parametrize(

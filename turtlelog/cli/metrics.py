@@ -1,8 +1,9 @@
 """`turtlelog metrics`: measure recordings."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from cyclopts import Parameter
 
@@ -39,7 +40,7 @@ from turtlelog.cli.output import (
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import MeasureSettings, Run
+    from turtlelog import Declaration, MeasureSettings, Run
     from turtlelog.compare import RunSummary
     from turtlelog.sweep import TabulatedFiles
 
@@ -150,12 +151,13 @@ def metrics(
         summaries = watch_summaries(summarised, len(files), errors)
         if kind == "json":
             print_json_list(map(_describe, summaries))
+        elif kind == "csv":
+            _print_csv(summaries, patterns)
         else:
             held = list(summaries)
-            _require_some(held, patterns)
-            if kind == "csv":
-                _print_csv(held)
-            elif is_short:
+            if not any(found.metrics for found in held):
+                _refuse_patterns(patterns, [found.declaration for found in held])
+            if is_short:
                 choice = topics.build_choice()
                 held = list(tl.compare.complete_summaries(held, settings, topics=choice))
                 _print_tables(held, kind, is_short=True)
@@ -186,11 +188,13 @@ def _list_with_path(run: "Run") -> tuple[str, ...]:
     return tuple(dict.fromkeys([*essential, "run.cross_track_max"]))
 
 
-def _require_some(summaries: "Sequence[RunSummary]", patterns: Sequence[str] | None) -> None:
+def _refuse_patterns(
+    patterns: Sequence[str] | None, declarations: "Collection[Declaration]"
+) -> None:
     """Refuse patterns that stand for no metric of any of the runs."""
-    if patterns is None or not summaries or any(found.metrics for found in summaries):
+    if patterns is None or not declarations:
         return
-    known = tl.measure.list_metrics(*(found.declaration for found in summaries))
+    known = tl.measure.list_metrics(*declarations)
     near = tl.measure.suggest_metrics(patterns[0], known)
     raise UsageError(f"metric {patterns[0]!r}: expected {near}")
 
@@ -232,25 +236,67 @@ def _tell_rates(summaries: "Sequence[RunSummary]") -> "Iterator[str]":
         yield f"Measured rates are differences of poses{which}."
 
 
-def _print_csv(summaries: "Sequence[RunSummary]") -> None:
+def _print_csv(summaries: "Iterable[RunSummary]", patterns: Sequence[str] | None) -> None:
     """Print a row for every run, in the order given; a cell is empty without such a loop."""
-    chosen = tl.compare.order_ids(name for found in summaries for name in found.metrics)
-    heads = []
-    for name in chosen:
-        found = [summary.metrics[name] for summary in summaries if name in summary.metrics]
-        heads.append(f"{name} [{' or '.join(tl.compare.list_units(found))}]")
-    rows = ([found.file, found.name, *_list_cells(found, chosen)] for found in summaries)
-    print_csv(["file", "run", *heads], rows)
+    rows = _CsvRows()
+    for summary in summaries:
+        rows.add(summary)
+    if not rows.units:
+        _refuse_patterns(patterns, rows.declarations)
+    rows.print()
 
 
-def _list_cells(summary: "RunSummary", chosen: Sequence[str]) -> "Iterator[str | float | None]":
-    """Yield the cells of a run: a status where there is no value."""
-    for name in chosen:
-        found = summary.metrics.get(name)
-        if found is None:
-            yield None
-        else:
-            yield found.status.value if found.value is None else found.value
+class _CsvRow(NamedTuple):
+    """A run: its file, its name, the ids of its metrics, their values, or why there are none."""
+
+    file: str
+    name: str
+    ids: tuple[str, ...]
+    values: "array[float]"
+    reasons: dict[int, str]
+
+
+class _CsvRows:
+    """What CSV needs of runs, some kB of each: which columns there are, the last one tells."""
+
+    def __init__(self) -> None:
+        self.declarations: dict[Declaration, None] = {}
+        self._rows: list[_CsvRow] = []
+        self._ids: dict[tuple[str, ...], tuple[str, ...]] = {}
+        self.units: dict[str, dict[str, bool]] = {}
+
+    def add(self, summary: "RunSummary") -> None:
+        """Keep the values of a run, and why there are none."""
+        found = summary.metrics
+        ids = self._ids.setdefault(tuple(found), tuple(found))
+        values = array("d", [0.0 if one.value is None else one.value for one in found.values()])
+        reasons = {
+            place: str(one.status.value)
+            for place, one in enumerate(found.values())
+            if one.value is None
+        }
+        self._rows.append(_CsvRow(summary.file, summary.name, ids, values, reasons))
+        self.declarations[summary.declaration] = None
+        for name, one in found.items():
+            units = self.units.setdefault(name, {})
+            units[one.unit] = units.get(one.unit, False) or one.value is not None
+
+    def print(self) -> None:
+        """Print the rows below the names of the columns."""
+        chosen = tl.compare.order_ids(self.units)
+        heads = [f"{name} [{' or '.join(self._list_units(name))}]" for name in chosen]
+        print_csv(["file", "run", *heads], (self._list_cells(row, chosen) for row in self._rows))
+
+    def _list_units(self, name: str) -> list[str]:
+        """Return the units of those that have values; where none has, the first."""
+        units = self.units[name]
+        return [unit for unit, has_value in units.items() if has_value] or [*units][:1]
+
+    def _list_cells(self, row: _CsvRow, chosen: Sequence[str]) -> "list[str | float | None]":
+        cells = {
+            name: row.reasons.get(place, row.values[place]) for place, name in enumerate(row.ids)
+        }
+        return [row.file, row.name, *(cells.get(name) for name in chosen)]
 
 
 def _describe(summary: "RunSummary") -> dict[str, Any]:
