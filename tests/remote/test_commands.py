@@ -6,6 +6,7 @@ import pytest
 import turtlelog as tl
 from tests.remote.conftest import SIGNED
 from tests.remote.range_server import RangeServer
+from tests.sweep.swept_tables import write_table
 from turtlelog.cli.app import main
 
 
@@ -32,6 +33,23 @@ def test_a_command_answers_as_of_the_local_file(
     remote = capsys.readouterr().out
     assert _run([*words, path]) == 0
     assert json.loads(remote.replace(url, path)) == json.loads(capsys.readouterr().out)
+
+
+def test_a_row_of_a_map_is_run_again_from_its_url(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = write_table(
+        tmp_path / "t.parquet", ["law.kp_linear=1:4"], {"run.duration": lambda kp: 9 - kp}
+    )
+    with RangeServer(files={f"t.parquet{SIGNED}": table.read_bytes()}) as server:
+        url = server.url("t.parquet")
+        assert _run(["map", url + SIGNED, "-o", str(tmp_path / "map.html")]) == 0
+        told = capsys.readouterr().out.splitlines()
+        assert any(line.endswith(f" run --from {url} --row 3") for line in told)
+        assert "SECRET" not in (tmp_path / "map.html").read_text("utf-8")
+        output = tmp_path / "row.mcap"
+        assert _run(["run", "--from", url + SIGNED, "--row", "3", "-o", str(output)]) == 0
+    assert tl.read_recording(output).parameters["law.kp_linear"] == 4.0
 
 
 def test_a_report_of_a_signed_url_holds_no_signature(server: RangeServer, tmp_path: Path) -> None:

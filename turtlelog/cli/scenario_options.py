@@ -78,7 +78,7 @@ class RowOptions:
         row: Its number, in the column `row`.
     """
 
-    table: Annotated[Path | None, Parameter(name="--from", metavar="FILE")] = None
+    table: Annotated[Place | None, Parameter(name="--from", metavar="FILE")] = None
     row: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
 
     def load(self, scenario: str | None, options: LawOptions | None) -> "Scenario":

@@ -1,7 +1,6 @@
 """`turtlelog tune`: the best values of keys, their neighbourhood, and how robust they are."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
@@ -16,6 +15,7 @@ from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_cha
 from turtlelog.cli.targets import require_new_target
 from turtlelog.cli.tune_answer import Answer, describe_answer, format_answer
 from turtlelog.errors import UsageError
+from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog.scenario import Scenario
@@ -97,7 +97,7 @@ class RobustnessOptions:
     spread: Annotated[list[str] | None, Parameter(metavar="KEY=A:B", completer=complete_keys)] = (
         None
     )
-    robot: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    robot: Annotated[Place | None, Parameter(metavar="FILE")] = None
 
     def count_runs(self) -> int:
         """Return how many variants are asked for; 0 where none are."""
@@ -178,7 +178,7 @@ def tune(
     goal, robustness = goal or GoalOptions(), robustness or RobustnessOptions()
     work = work or TuneOptions()
     runs, wanted, seed = robustness.count_runs(), goal.parse_goal(), goal.choose_seed()
-    require_new_target(work.output, [] if base is None else [Path(base)], suffix=".toml")
+    require_new_target(work.output, [] if base is None else [make_path(base)], suffix=".toml")
     scenario = load_changed_scenario(base, options)
     scenario, keys = _parse_keys(scenario, goal.vary or [], options, trust_law=work.trust_law)
     more = robustness.list_variations(scenario, [key.key for key in keys])
