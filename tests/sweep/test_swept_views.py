@@ -13,6 +13,7 @@ from turtlelog.sweep import (
     choose_view,
     fill_cells,
     find_best_rows,
+    list_shown_values,
     load_row_scenario,
     read_swept_results,
     require_values,
@@ -136,6 +137,27 @@ def test_best_rows_are_those_of_the_direction_and_the_floor(tmp_path: Path) -> N
     found = {one.name: find_best_rows(view, one) for one in results.metrics}
     assert found["translate.overshoot"] == [0, 1]
     assert found["run.duration"] == [3]
+
+
+def test_over_seeds_the_best_is_the_best_mean(tmp_path: Path) -> None:
+    """A gain of 1 has the best single run, one of 3 the best mean of those that arrive."""
+    durations = {1: (1.0, 21.0), 2: (9.0, 9.0), 3: (5.0, None)}
+    path = write_table(
+        tmp_path / "t.parquet",
+        [f"{KP}=1:3", f"{SEED}=0:1"],
+        {"run.duration": lambda kp, seed: durations[int(kp)][seed] or "too_short"},
+    )
+    results = read_swept_results(path)
+    view = choose_view(results)
+    assert find_best_rows(view, results.metrics[0]) == [2]
+    rows, values = list_shown_values(view, results.metrics[0])
+    assert (rows.tolist(), values.tolist()) == ([0, 2, 4], [11.0, 9.0, 5.0])
+
+
+def test_seeds_that_were_drawn_are_no_repetitions(tmp_path: Path) -> None:
+    plan = build_plan([f"{KP}=1.0:3.0", f"{SEED}=0:99"], (), Sampling(count=9))
+    path = write_table(tmp_path / "t.parquet", plan, {"run.duration": lambda kp, _: kp})
+    assert choose_view(read_swept_results(path)).seeds == 1
 
 
 def test_a_view_without_any_value_is_refused_with_the_reason(tmp_path: Path) -> None:

@@ -69,10 +69,10 @@ def _describe_limits(view: "SweptView", limits: "LoopLimits") -> dict[str, Any]:
 def _describe_metric(
     view: "SweptView", metric: "SweptMetric", limits: "Sequence[LoopLimits]"
 ) -> dict[str, Any]:
-    values = metric.values[view.rows]
+    values = tl.sweep.list_shown_values(view, metric)[1]
     known = values[np.isfinite(values)]
     reasons: dict[str, int] = {}
-    for row in view.rows[~np.isfinite(values)].tolist():
+    for row in view.rows[~np.isfinite(metric.values[view.rows])].tolist():
         reason = str(metric.reasons[row])
         reasons[reason] = reasons.get(reason, 0) + 1
     return {
@@ -154,9 +154,10 @@ def _describe_best(view: "SweptView", metric: "SweptMetric") -> dict[str, Any] |
     if not found:
         return None
     row, axes = found[0], view.results.axes
+    rows, values = tl.sweep.list_shown_values(view, metric)
     return {
         "row": view.results.row_numbers[row],
-        "value": float(metric.values[row]),
+        "value": float(values[rows == row][0]),
         "as_good": len(found),
         "keys": {
             key: value

@@ -68,5 +68,6 @@ from .swept_views import (
     choose_view as choose_view,
     fill_cells as fill_cells,
     find_best_rows as find_best_rows,
+    list_shown_values as list_shown_values,
     require_values as require_values,
 )

@@ -204,9 +204,11 @@ def _hold_others(
     for axis in results.axes:
         if axis in shown or axis in held:
             continue
+        if results.is_sampled:
+            continue
         if axis.keys == (SEED,):
             seeds = len(axis)
-        elif not results.is_sampled:
+        else:
             held[axis], how = find_usual_place(results, axis)
             if len(axis) > 1:
                 notes.append(
@@ -287,12 +289,26 @@ def require_values(view: SweptView) -> None:
     raise SweepError(f"{path}: expected a row with a value of {names}, found {', '.join(reasons)}")
 
 
+def list_shown_values(view: SweptView, metric: SweptMetric) -> tuple[Places, Values]:
+    """Return the rows that are shown and their values; over seeds the first of each mean."""
+    if view.seeds == 1:
+        return view.rows, metric.values[view.rows]
+    first = view.find_first_rows()
+    return first[first >= 0], fill_cells(view, metric).values[first >= 0]
+
+
 def find_best_rows(view: SweptView, metric: SweptMetric) -> list[int]:
-    """Return the rows that are shown whose value is the best; () where no direction is better."""
-    kind, values = find_metric_kind(metric.name), metric.values[view.rows]
+    """Return the rows that are shown whose value is the best; () where no direction is better.
+
+    Over seeds the first row of each of the best means: of as many seeds as any mean is of.
+    """
+    kind, (rows, values) = find_metric_kind(metric.name), list_shown_values(view, metric)
     if kind is None or kind.better is None or metric.is_verdict or not np.isfinite(values).any():
         return []
+    if view.seeds > 1:
+        counts = fill_cells(view, metric).counts[view.find_first_rows() >= 0]
+        values = np.where(counts == counts.max(), values, np.nan)
     if kind.floor is not None:
         values = np.maximum(values, kind.floor)
     best = np.nanmin(values) if kind.better == "lower" else np.nanmax(values)
-    return [int(row) for row in view.rows[values == best]]
+    return [int(row) for row in rows[values == best]]

@@ -45,6 +45,9 @@ there are cells where there are none."""
 _LONGEST: Final = 16
 """Letters of such a name."""
 
+_MOST_EDGED: Final = 1_000
+"""Dots with an edge: those of more are so small that their edges would be all that shows."""
+
 _HALO: Final = 1.4
 """Points of white around a line, which makes it stand out from every colour below."""
 
@@ -172,7 +175,8 @@ def _draw_points(axes: Axes, view: SweptView, metric: SweptMetric) -> dict[str, 
         axes.scatter(x[~known], y[~known], **cross, **looks)
         mark = Line2D([], [], color="0.5", marker="x", linestyle="", markersize=4.0)
         named["no value"] = mark  # the lines that are printed say why
-    looks |= {"s": size, "linewidth": 0.25, "edgecolor": "0.3"}
+    edge = 0.25 if len(values) <= _MOST_EDGED else 0.0
+    looks |= {"s": size, "linewidth": edge, "edgecolor": "0.3"}
     if metric.is_verdict:
         classes = find_verdict_classes(values[known])
         colors = [VERDICT_COLORS[int(one)] for one in classes]

@@ -72,7 +72,7 @@ def draw_curves(
         What a legend names, with how it looks.
     """
     along, series = choose_curve_axes(view, limits)
-    if view.results.is_sampled and series is not None:
+    if view.results.is_sampled and len(view.results.axes) > 1:
         return _draw_sample(axes, view, metric, along)
     found = choose_limits([one for one in limits if one.gain is along], metric)
     cells = fill_cells(view, metric)

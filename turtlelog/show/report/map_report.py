@@ -16,7 +16,7 @@ from turtlelog.show.report.report_file import hash_file
 from turtlelog.show.report.sections import show, write_table
 from turtlelog.sweep.gain_borders import LoopLimits, find_borders, tell_borders
 from turtlelog.sweep.swept_results import SweptMetric
-from turtlelog.sweep.swept_views import SweptView, find_best_rows
+from turtlelog.sweep.swept_views import SweptView, find_best_rows, list_shown_values
 from turtlelog.version import __version__
 
 
@@ -101,8 +101,8 @@ def _tabulate(view: SweptView) -> Table:
 
 
 def _list_cells(view: SweptView, metric: SweptMetric) -> tuple[str | float | None, ...]:
-    values = metric.values[view.rows]
-    known, best = values[np.isfinite(values)], find_best_rows(view, metric)
+    values, best = list_shown_values(view, metric)[1], find_best_rows(view, metric)
+    known = values[np.isfinite(values)]
     unit = show_angle(0.0, metric.unit)[1]
     ends = (show_angle(float(find(known)), metric.unit)[0] for find in (np.min, np.max))
     least, most = ends if len(known) else (None, None)
