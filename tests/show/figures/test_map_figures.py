@@ -137,8 +137,8 @@ def test_curves_of_a_sample_have_a_dot_for_each_row(tmp_path: Path) -> None:
     axes, (found,) = Figure().subplots(), view.results.metrics
     named = draw_curves(axes, view, found, find_loop_limits(view))
     dots, crosses = axes.lines
-    assert len(dots.get_xydata()) == np.isfinite(found.values).sum()
-    assert len(crosses.get_xydata()) == 9 - np.isfinite(found.values).sum()
+    drawn = [len(np.asarray(line.get_xdata())) for line in (dots, crosses)]
+    assert drawn == [np.isfinite(found.values).sum(), np.isnan(found.values).sum()]
     assert list(named) == ["no value"]
 
 
@@ -160,3 +160,24 @@ def test_a_slide_is_refused_more_maps_than_fit(tmp_path: Path, *, count: int, fi
         return
     with pytest.raises(ShowError, match="expected at most 4 on a slide, found 5"):
         write_map_figure(view, [], tmp_path / "m.svg", page=Page(kind="slide"))
+
+
+@pytest.mark.parametrize(("count", "has_edges"), [(1_000, True), (1_001, False)])
+def test_dots_of_many_rows_have_no_edges(tmp_path: Path, *, count: int, has_edges: bool) -> None:
+    plan = build_plan([f"{KP}=1.0:3.0", "law.kp_angular=1.0:3.0"], (), Sampling(count=count))
+    view = view_table(write_table(tmp_path / "t.parquet", plan, {"run.duration": lambda kp, _: kp}))
+    axes, _ = draw(view)
+    (dots,) = axes.collections
+    assert (np.asarray(dots.get_linewidth()).item() > 0.0) is has_edges
+
+
+@pytest.mark.parametrize(("count", "size"), [(500, 2.6), (501, 1.2)])
+def test_dots_of_curves_are_small_where_there_are_many(
+    tmp_path: Path, count: int, size: float
+) -> None:
+    plan = build_plan([f"{KP}=1.0:3.0", "law.kp_angular=1.0:3.0"], (), Sampling(count=count))
+    view = view_table(write_table(tmp_path / "t.parquet", plan, {"run.duration": lambda kp, _: kp}))
+    axes = Figure().subplots()
+    draw_curves(axes, view, view.results.metrics[0], [])
+    (dots,) = axes.lines
+    assert dots.get_markersize() == size
