@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
 
-test: .venv/installed-dev
+test: .venv/compiled
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime"
 	$(BIN)/python -m pytest -n 2 -m realtime $$(grep -rl realtime tests --include='test_*.py')
 
@@ -21,6 +21,12 @@ test: .venv/installed-dev
 test-without-graphics: .venv/installed-dev
 	VK_DRIVER_FILES=/nonexistent VK_ICD_FILENAMES=/nonexistent \
 		$(BIN)/python -m pytest -n auto -rs -m viewer tests/show/rerun
+
+# Once, at the same time: each worker of the tests would compile them for itself.
+LOOPS := $(wildcard turtlelog/simulate/compiled/*.py turtlelog/sweep/*batch*.py)
+.venv/compiled: .venv/installed-dev $(LOOPS)
+	$(BIN)/python -m tests.compile_loops paper & $(BIN)/python -m tests.compile_loops lagged; wait
+	@touch $@
 
 check: .venv/installed-dev
 	$(BIN)/ruff format --check .

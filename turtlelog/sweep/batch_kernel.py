@@ -17,7 +17,7 @@ from turtlelog.measure.step_response import SHORTEST_HOLD_S, SWING
 from turtlelog.measure.table import loop_metrics
 from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
 from turtlelog.simulate.compiled import functions, memory
-from turtlelog.simulate.compiled.functions import wrap_angle
+from turtlelog.simulate.compiled.functions import measure, wrap_angle
 from turtlelog.simulate.compiled.memory import MAX_DURATION, REORIENT, ROTATE, TIMEOUT, TRANSLATE
 from turtlelog.sweep import batch_table
 from turtlelog.sweep.batch_table import (
@@ -81,10 +81,7 @@ class _Entry(NamedTuple):
     status: Any
 
 
-_compile = njit(error_model="numpy", nogil=True)
-
-
-@_compile
+@measure
 def _unwrap(ticks: Any, count: int, heading_rad: Any) -> None:
     """Count the heading through full turns, as numpy's unwrap."""
     turned = 0.0
@@ -99,20 +96,20 @@ def _unwrap(ticks: Any, count: int, heading_rad: Any) -> None:
         heading_rad[row] = ticks[row].heading_rad + turned
 
 
-@_compile
+@measure
 def _project(ticks: Any, count: int, line: Any, along_m: Any) -> None:
     for row in range(count):
         x_m, y_m = ticks[row].x_m - line.x_m, ticks[row].y_m - line.y_m
         along_m[row] = x_m * line.cos + y_m * line.sin
 
 
-@_compile
+@measure
 def _time(stretch: Any, row: int) -> float:
     """Return the time of a pose from the start of its stretch [s]."""
     return max(row * stretch.period_ns - stretch.start_ns, 0) / 1e9  # type: ignore[no-any-return]
 
 
-@_compile
+@measure
 def _interpolate(values: Any, stretch: Any, row: int, threshold: float) -> float:
     before, after = values[row], values[row + 1]
     share = (threshold - before) / (after - before)
@@ -120,7 +117,7 @@ def _interpolate(values: Any, stretch: Any, row: int, threshold: float) -> float
     return begin_s + share * (_time(stretch, row + 1) - begin_s)  # type: ignore[no-any-return]
 
 
-@_compile
+@measure
 def _find_level(values: Any, stretch: Any, step: Any, level: float) -> float:
     """Return the first time at which a share of the step is reached, NaN where it never is."""
     height = step.reference - step.initial
@@ -134,7 +131,7 @@ def _find_level(values: Any, stretch: Any, step: Any, level: float) -> float:
     return np.nan
 
 
-@_compile
+@measure
 def _find_swing_period(values: Any, stretch: Any, reference: float, half_width: float) -> float:
     """Return the period that the last two swings tell [s]; 0 where less than two are over."""
     last = after = -1
@@ -159,7 +156,7 @@ def _find_swing_period(values: Any, stretch: Any, reference: float, half_width: 
     return 0.0
 
 
-@_compile
+@measure
 def _find_settling(values: Any, stretch: Any, step: Any) -> float:
     """Return when the response enters the band for good, NaN where it does not."""
     reference = step.reference
@@ -182,7 +179,7 @@ def _find_settling(values: Any, stretch: Any, step: Any) -> float:
     return settled_s if is_held else np.nan
 
 
-@_compile
+@measure
 def _find_largest(values: Any, stretch: Any, reference: float) -> float:
     low = high = reference - values[stretch.first]
     for row in range(stretch.first, stretch.after):
@@ -191,7 +188,7 @@ def _find_largest(values: Any, stretch: Any, reference: float) -> float:
     return abs(low) if -low > high else abs(high)  # type: ignore[no-any-return]
 
 
-@_compile
+@measure
 def _count_crossings(values: Any, stretch: Any, reference: float) -> float:
     crossings, side = 0, 0
     for row in range(stretch.first, stretch.after):
@@ -202,7 +199,7 @@ def _count_crossings(values: Any, stretch: Any, reference: float) -> float:
     return float(crossings)
 
 
-@_compile
+@measure
 def _enter_curve(values: Any, stretch: Any, step: Any, found: Any) -> None:
     """Enter what the curve tells by its extremes and its end."""
     initial, reference, end = step.initial, step.reference, stretch.after - 1
@@ -235,7 +232,7 @@ class _Swings(NamedTuple):
     reference: float
 
 
-@_compile
+@measure
 def _judge_approach(values: Any, stretch: Any, found: Any, decays: bool) -> tuple[float, int]:  # noqa: FBT001
     """Return what `swings` says of a response that swings less than twice."""
     end = abs(found.reference - values[stretch.after - 1])
@@ -253,7 +250,7 @@ def _judge_approach(values: Any, stretch: Any, found: Any, decays: bool) -> tupl
     return np.nan, UNDETERMINED
 
 
-@_compile
+@measure
 def _find_peak(
     values: Any, stretch: Any, reference: float, swing: int, after: int
 ) -> tuple[float, int]:
@@ -273,7 +270,7 @@ def _find_peak(
     return peak, begin
 
 
-@_compile
+@measure
 def _judge_swings(
     values: Any, stretch: Any, reference: float, clipped: int, most: float
 ) -> tuple[float, int]:
@@ -308,7 +305,7 @@ def _judge_swings(
     return (1.0, OK) if is_small else (np.nan, UNDETERMINED)
 
 
-@_compile
+@measure
 def _find_stable(row: Any, values: Any, stretch: Any, step: Any, phase: int) -> tuple[float, int]:
     """Return whether the swings die out, at the poses up to the last that was answered."""
     if abs(step.reference - step.initial) <= SMALLEST_STEP:
@@ -334,7 +331,7 @@ def _find_stable(row: Any, values: Any, stretch: Any, step: Any, phase: int) -> 
     return _judge_swings(values, answered, step.reference, clipped, most)  # type: ignore[no-any-return]
 
 
-@_compile
+@measure
 def _measure_response(values: Any, stretch: Any, step: Any, entry: Any) -> None:
     """Enter the figures of a loop in the order of `LOOP_FIGURES`."""
     found, status = entry.figures, entry.status
@@ -357,7 +354,7 @@ def _measure_response(values: Any, stretch: Any, step: Any, entry: Any) -> None:
             status[place] = TOO_LARGE
 
 
-@_compile
+@measure
 def _find_sample(samples: Any, count: int, phase: int) -> int:
     """Return the first sample of a phase or a later one: phases only go on."""
     low, high = 0, count
@@ -370,7 +367,7 @@ def _find_sample(samples: Any, count: int, phase: int) -> int:
     return low
 
 
-@_compile
+@measure
 def _ends_blocked(state: Any, samples: Any, end_ns: int) -> bool:
     """Whether the last sample's command went out later than its pose was answered, or never."""
     last_ns = samples[state.samples - 1].time_ns
@@ -379,7 +376,7 @@ def _ends_blocked(state: Any, samples: Any, end_ns: int) -> bool:
     return samples[samples[state.commands - 1].published].published_ns > last_ns  # type: ignore[no-any-return]
 
 
-@_compile
+@measure
 def _find_stretch(row: Any, end_ns: int, phase: int) -> Any:
     """Return where the loop of a phase acts; -1 as its first row without such samples."""
     state, samples, period_ns = row.state, row.memory.samples, row.settings.period_ns
@@ -399,7 +396,7 @@ def _find_stretch(row: Any, end_ns: int, phase: int) -> Any:
     return _Stretch(min(pose, state.ticks), end, start_ns, period_ns, is_cut, is_own)
 
 
-@_compile
+@measure
 def _measure_loop(row: Any, values: Any, end_ns: int, phase: int, entry: Any) -> None:
     """Find the stretch of a loop and measure it there."""
     stretch, line = _find_stretch(row, end_ns, phase), row.line
@@ -421,7 +418,7 @@ def _measure_loop(row: Any, values: Any, end_ns: int, phase: int, entry: Any) ->
                 entry.figures[place] *= _TO_DEGREES
 
 
-@_compile
+@measure
 def _find_end_ns(row: Any) -> int:
     """Return the time of the last row of any column [ns]."""
     state, samples = row.state, row.memory.samples
@@ -431,7 +428,7 @@ def _find_end_ns(row: Any) -> int:
     return end_ns  # type: ignore[no-any-return]
 
 
-@_compile
+@measure
 def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
     ticks, samples, line = row.memory.ticks, row.memory.samples, row.line
     count, end_ns = row.state.ticks, _find_end_ns(row)

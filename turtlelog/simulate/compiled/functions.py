@@ -10,13 +10,19 @@ _TURN_RAD = 2.0 * math.pi
 _SPLIT = 134217729.0  # 2**27 + 1: halves the digits of a double
 _TINY_M, _HUGE_M = 1e-100, 1e100  # far from where the squares of doubles lose digits
 
+_OPTIONS = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# No Python calls these functions: what it would need for that took a third of compiling.
+
 # Without `_nrt` numba counts nobody's references to the arrays, and refuses what would allocate
 # memory, as a set does: counting took two thirds of the loop's time.
-inline = njit(error_model="numpy", forceinline=True, _nrt=False)
+inline = njit(forceinline=True, _nrt=False, **_OPTIONS)
 """Compiles a function into those that call it."""
 
-call = njit(error_model="numpy", _nrt=False)
+call = njit(_nrt=False, **_OPTIONS)
 """Compiles one that is called: what is long, and seldom asked for."""
+
+measure = njit(nogil=True, **_OPTIONS)
+"""Compiles one that is called, and that may allocate memory."""
 
 
 @inline
