@@ -4,6 +4,9 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from turtlelog.errors import LogError
@@ -142,6 +145,58 @@ def test_table_of_a_newer_format_is_refused(
         write_result_table(make_table(), tmp_path / "t.parquet")
     with pytest.raises(LogError, match="expected a table of format 1, found format 2"):
         read_result_table(tmp_path / "t.parquet", kind="sweep")
+
+
+def rewrite(path: Path, *types: tuple[pa.DataType, pa.DataType]) -> None:
+    """Write a table as another tool does, whose columns have other types."""
+    table, others = pq.read_table(path), dict(types)
+    fields = [pa.field(one.name, others.get(one.type, one.type)) for one in table.schema]
+    columns = [column.cast(others.get(column.type, column.type)) for column in table.columns]
+    schema = pa.schema(fields, metadata=table.schema.metadata)
+    pq.write_table(pa.table(columns, schema=schema), path)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (pa.string(), pa.large_string()),
+        (pa.string(), pa.dictionary(pa.int32(), pa.string())),
+        (pa.int64(), pa.int16()),
+        (pa.float64(), pa.float32()),
+    ],
+    ids=str,
+)
+def test_a_table_may_have_the_types_of_another_tool(
+    before: pa.DataType, after: pa.DataType, tmp_path: Path
+) -> None:
+    path = tmp_path / "t.parquet"
+    write_result_table(make_table(), path)
+    expected = read_result_table(path, kind="sweep")
+    rewrite(path, (before, after))
+    found = read_result_table(path, kind="sweep")
+    assert [one.type for one in found.columns] == [one.type for one in expected.columns]
+    for one, other in zip(found.columns, expected.columns, strict=True):
+        if one.type == "real":
+            cells = np.array(one.cells, float), np.array(other.cells, float)
+            np.testing.assert_allclose(*cells, rtol=1e-6)
+        else:
+            assert one.cells == other.cells
+
+
+def test_columns_of_other_types_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "t.parquet"
+    write_result_table(make_table(), path)
+    rewrite(path, (pa.float64(), pa.decimal128(9, 3)))
+    with pytest.raises(LogError, match="expected numbers, texts or truths, found decimal"):
+        read_result_table(path, kind="sweep")
+
+
+def test_a_table_without_its_metadata_says_what_lost_it(tmp_path: Path) -> None:
+    path = tmp_path / "t.parquet"
+    table = pa.table({"row": [0], "law.kp": [1.0], "failed": pa.nulls(1, pa.string())})
+    pq.write_table(table, path)
+    with pytest.raises(LogError, match="without its metadata, which pandas and polars do not"):
+        read_result_table(path, kind="sweep")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")

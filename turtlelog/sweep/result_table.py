@@ -225,6 +225,8 @@ def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
     stored = StoredTable(path)
     if stored.kind != kind:
         other = f"a table of {stored.kind}" if stored.kind else "another Parquet file"
+        if not stored.kind and {ROW, "failed"} <= {*stored.names}:
+            other = "its columns without its metadata, which pandas and polars do not keep"
         raise LogError(f"{path}: expected a table of {kind}, found {other}")
     return stored
 
@@ -358,21 +360,26 @@ def _read_facts(metadata: Mapping[bytes, bytes] | None) -> Mapping[str, str] | N
     return facts
 
 
+_TYPES: Final[Mapping[str, ColumnType]] = {
+    **dict.fromkeys(("int64", "int32", "int16", "int8", "uint32", "uint16", "uint8"), "whole"),
+    **dict.fromkeys(("double", "float", "halffloat"), "real"),
+    "bool": "truth",
+    **dict.fromkeys(("string", "large_string", "string_view", "null"), "text"),
+}
+"""What columns are by Arrow's names of their types, among them those that others write."""
+
+
 def _iterate_columns(table: Any) -> Iterator[ResultColumn]:
     pa = load_library("pyarrow")
-    types: dict[Any, ColumnType] = {
-        pa.int64(): "whole",
-        pa.float64(): "real",
-        pa.bool_(): "truth",
-        pa.string(): "text",
-    }
+    stored = {"whole": pa.int64(), "real": pa.float64(), "truth": pa.bool_(), "text": pa.string()}
     for one, cells in zip(table.schema, table.columns, strict=True):
-        if one.type not in types:
+        kind = _TYPES.get(str(getattr(one.type, "value_type", one.type)))
+        if kind is None or pa.types.is_nested(one.type):
             raise LogError(f"{one.name}: expected numbers, texts or truths, found {one.type}")
         unit = (one.metadata or {}).get(b"unit")
         yield ResultColumn(
             name=one.name,
-            type=types[one.type],
-            cells=cells,
+            type=kind,
+            cells=cells if one.type == stored[kind] else cells.cast(stored[kind]),
             unit=None if unit is None else unit.decode(),
         )

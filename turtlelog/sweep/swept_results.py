@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, SweepError, TurtlelogError, suggest_names
+from turtlelog.log.error_boundary import name_file
 from turtlelog.scenario import Scenario, build_scenario, flatten_scenario
 from turtlelog.sweep.assemble import STATUS
 from turtlelog.sweep.plan import build_row_scenario
@@ -219,7 +220,8 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
     failed = table.find("failed")
     numbers = table.find(ROW)
     reasons: Sequence[Any] = [None] * count if failed is None else failed.cells
-    metrics = [_build_metric(table, name, reasons) for name in asked]
+    with name_file(path, expected="a table of a sweep"):
+        metrics = [_build_metric(table, name, reasons) for name in asked]
     if patterns is None:
         metrics = _choose_usual(metrics)
     shown = [metric.name for metric in metrics]
