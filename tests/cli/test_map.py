@@ -111,6 +111,19 @@ def test_a_key_that_never_counts_is_told_in_one_sentence(call: Call, table: Path
     ]
 
 
+def test_a_table_of_failures_is_one_line(call: Call, table: Path) -> None:
+    write_table(table, ["law.kp_linear=1:2"], {"run.duration": lambda _: "absent"})
+    stored = read_result_table(table, kind="sweep")
+    columns = tuple(
+        replace(one, cells=["why", "why"]) if one.name == "failed" else one
+        for one in stored.columns
+    )
+    write_result_table(replace(stored, columns=columns), table)
+    done = call("map", table.name)
+    assert (done.code, done.out) == (2, "")
+    assert "t.parquet: expected a row with a run, found that all of them failed" in done.err
+
+
 def test_a_tornado_needs_a_key_that_varies(call: Call, table: Path) -> None:
     write_table(table, ["law.kp_linear=3"], {"run.duration": lambda _: 2.0})
     done = call("map", table.name, "--kind", "tornado", "-o", "t.png")

@@ -214,6 +214,18 @@ def test_a_key_without_a_default_is_tuned_and_the_name_tells_it(call: Call) -> N
     assert kept["name"] == f"textbook law=mine.py:Steer goal=7,5.5 law.gain={best:.6g}"
 
 
+def test_candidates_that_fail_are_counted_with_a_reason(call: Call) -> None:
+    law = LAW.replace(
+        "        left_m =", "        1 / (self.parameters.gain < 2)\n        left_m ="
+    )
+    Path("mine.py").write_text(law, "utf-8")
+    words = ("--law", "mine.py:Steer", "--goal", "7,5.5", "--minimise", "run.duration")
+    done = call("tune", *words, "--vary", "law.gain=0.5:4", "--evaluations", "8")
+    assert (done.code, done.err) == (0, "")
+    assert "candidates failed, the first: law mine.py:Steer" in done.out
+    assert "ZeroDivisionError" in done.out.replace("\n", " ")
+
+
 def test_a_name_that_is_set_stays(call: Call) -> None:
     words = (*VARY, *SETTLING, "--evaluations", "8", "--set", "name=mine", "-o", "best.toml")
     assert call("tune", "textbook", *words).code == 0

@@ -72,6 +72,7 @@ def describe_answer(answer: Answer) -> dict[str, Any]:
         ],
         "evaluations": tuned.evaluations,
         "failed": tuned.failed,
+        "failure": tuned.failure or None,
         "feasible": tuned.feasible,
         "at_bounds": [*tuned.at_bounds],
         "is_flat": tuned.is_flat,
@@ -164,7 +165,9 @@ def _list_notes(answer: Answer) -> list[str]:
         ]
     notes += _tell_sign(answer.goal, best.objective)
     if tuned.failed:
-        notes.append(f"{describe_count(tuned.failed, 'candidate')} failed.")
+        notes.append(
+            f"{describe_count(tuned.failed, 'candidate')} failed, the first: {tuned.failure}."
+        )
     return notes
 
 

@@ -280,6 +280,8 @@ def require_values(view: SweptView) -> None:
         SweepError: Where all are such.
     """
     metrics, path = view.results.metrics, view.results.path
+    if view.results.failed == view.results.row_count:
+        raise SweepError(f"{path}: expected a row with a run, found that all of them failed")
     if not metrics:
         raise SweepError(f"{path}: expected a metric, found none")
     if any(np.isfinite(metric.values[view.rows]).any() for metric in metrics):

@@ -54,6 +54,7 @@ class Tuned:
         best: The best candidate: `is_feasible` tells whether it fulfils the constraints.
         evaluations: How many candidates were simulated.
         failed: How many of them failed.
+        failure: Why the first of these did; empty where none did.
         feasible: How many fulfilled the constraints.
         at_bounds: Keys whose best value is a bound of their range.
         is_flat: Whether all that fulfilled the constraints, two at least, have the same objective.
@@ -65,6 +66,7 @@ class Tuned:
     feasible: int
     at_bounds: tuple[str, ...]
     is_flat: bool = False
+    failure: str = ""
 
 
 def search_best(
@@ -110,6 +112,7 @@ def sum_up(
         best=best,
         evaluations=candidates.evaluations,
         failed=sum(bool(one.failed) for one in known),
+        failure=next((one.failed for one in known if one.failed), ""),
         feasible=len(feasible),
         is_flat=len(feasible) > 1 and len(set(feasible)) == 1,
         at_bounds=tuple(
