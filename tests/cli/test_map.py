@@ -8,7 +8,7 @@ import pytest
 from tests.cli.conftest import Call
 from tests.sweep.swept_tables import write_table
 from tests.sweep.test_gain_borders import GRID, is_stable
-from turtlelog.sweep import read_result_table, write_result_table
+from turtlelog.sweep import Sampling, build_plan, read_result_table, write_result_table
 
 SIGNATURES = {
     ".png": b"\x89PNG",
@@ -109,6 +109,14 @@ def test_a_key_that_never_counts_is_told_in_one_sentence(call: Call, table: Path
         " over all values of the other keys by 12 s to 12 s",
         "run.duration: law.kp_linear makes no difference, whatever the other keys are",
     ]
+
+
+def test_a_report_of_a_sample_has_its_curves(call: Call, table: Path) -> None:
+    plan = build_plan(["law.kp_linear=1.0:9.0", "goal.x_m=1.0:9.0"], (), Sampling(count=12))
+    write_table(table, plan, {"run.duration": lambda kp, _: kp})
+    assert call("map", table.name, "-o", "m.html").code == 0
+    text = Path("m.html").read_text("utf-8")
+    assert [text.count(title) for title in ("<h2>Against one key", "<h2>How far each")] == [1, 1]
 
 
 def test_a_table_of_failures_is_one_line(call: Call, table: Path) -> None:

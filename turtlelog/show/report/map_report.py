@@ -62,8 +62,7 @@ figure img{{width:100%;max-width:1100px}}</style></head>
 def _list_figures(view: SweptView) -> Iterator[tuple[MapKind, str]]:
     if view.y is not None:
         yield "map", f"{view.x.name} and {view.y.name}"
-    if not view.results.is_sampled or view.y is None:
-        yield "curves", "Against one key"
+    yield "curves", "Against one key"
     if sum(len(axis) > 1 for axis in view.results.axes) > 1:
         yield "tornado", "How far each key moves a metric"
 
