@@ -124,6 +124,8 @@ def test_nothing_that_fulfils_the_constraints_is_exit_code_1(call: Call) -> None
         ((*SETTLING,), "--vary: expected a key and its bounds"),
         (("--vary", "law.kp=1:2", *SETTLING), "--vary: law.kp: expected kp_angular or kp_linear"),
         (("--vary", "law.kp_linear=-2:-1", *SETTLING), "expected a number > 0"),
+        (("--vary", "name=1:2", *SETTLING), "--vary: name: expected a key whose values are num"),
+        (("--vary", "law.wrap_error=0:1", *SETTLING), "whose values are numbers, found True"),
         ((*VARY, "--minimise", "nothing"), "unknown name 'nothing'"),
         ((*VARY, "--minimise", "final.position_eror"), "final.position_error"),
         ((*VARY, "--minimise", "along.overshoot"), "which has no such loop"),
@@ -224,6 +226,13 @@ def test_candidates_that_fail_are_counted_with_a_reason(call: Call) -> None:
     assert (done.code, done.err) == (0, "")
     assert "candidates failed, the first: law mine.py:Steer" in done.out
     assert "ZeroDivisionError" in done.out.replace("\n", " ")
+
+
+def test_values_that_make_no_scenario_are_told_by_their_option(call: Call) -> None:
+    words = ("--vary", "start.x_m=-9:9", "--minimise", "run.duration", "--evaluations", "16")
+    done = call("tune", "textbook", *words)
+    assert (done.code, done.err) == (0, "")
+    assert "failed, the first: --vary: start.x_m: expected a number from 0 to" in done.out
 
 
 def test_a_name_that_is_set_stays(call: Call) -> None:

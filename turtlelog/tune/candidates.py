@@ -21,6 +21,9 @@ Point = tuple[float | int, ...]
 _CUTS: Final = 8
 """Parts of a generation, at least: some for each of a few processes."""
 
+_ROWS: Final = "grid: "
+"""Begins what is wrong with the values of a row."""
+
 _CHUNK_S: Final = 0.5
 """Work handed out at a time [s], about: long against handing it out, short beside what a user
 waits for."""
@@ -207,6 +210,8 @@ class Candidates:
             **found,
         }
         failed = results.failed[place] or ""
+        if failed.startswith(_ROWS):
+            failed = f"--vary: {failed.removeprefix(_ROWS)}"
         objective = None if failed else self._goal.compute_objective(values)
         if objective is not None and not math.isfinite(objective):
             objective = None

@@ -59,6 +59,9 @@ def parse_searched_keys(
         if not low < high:
             raise TuneError(f"{source}: {one.key}: expected a range, found {one.text[:60]!r}")
         known = parameters.get(one.key)
+        if isinstance(known, bool) or not isinstance(known, int | float | None):
+            expected = "a key whose values are numbers"
+            raise TuneError(f"{source}: {one.key}: expected {expected}, found {known!r}")
         is_whole = isinstance(known, int) and not isinstance(known, bool)
         if is_whole and not (float(low).is_integer() and float(high).is_integer()):
             expected = "whole bounds of a key that counts"
