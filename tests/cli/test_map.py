@@ -193,8 +193,11 @@ def test_what_is_no_table_of_a_sweep_is_one_line(kind: str, call: Call, table: P
     assert not Path("m.png").exists()
 
 
-def test_the_measured_border_of_stability_is_theorys(call: Call) -> None:
+def test_the_measured_border_of_stability_is_theorys(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Gains in steps of 1 over dead times of 3 to 12 ticks; the metric knows nothing of theory."""
+    monkeypatch.chdir(tmp_path)
     grid = ("--grid", "law.kp_linear=1:40:1", "--grid", "loop.transport_delay_ticks=3:12:3")
     metrics = ("--metrics", "translate.stable,translate.overshoot", "-o", "border.parquet")
     assert call("sweep", "textbook", *grid, *metrics).code == 0
