@@ -45,13 +45,13 @@ def test_nothing_is_exact_that_is_not_true(family: str, amount: int) -> None:
 )
 def test_an_interval_of_a_gain_holds_the_truth_in_95_of_100_logs(family: str) -> None:
     said: Counter[str] = Counter()
-    for log in make_family(family, 21, 60):
+    for log in make_family(family, 21, 40):
         trace, truth = mark_breaks(trace_run(log.to_run(), PHASES)), list_truth(log)
         for found in (identify_rotation(trace)[0], identify_translation(trace)[0]):
             for key in found.keys() & {"law.kp_angular", "law.kp_linear"}:
                 said[judge(found[key], truth[key])] += 1
     fitted = said["fitted true"] + said["fitted false"]
-    assert fitted > 100
+    assert fitted > 66
     assert 0.9 <= said["fitted true"] / fitted <= 0.995
 
 
