@@ -3,7 +3,10 @@
 import gc
 import signal
 import sys
+import time
 from collections.abc import Generator
+from pathlib import Path
+from typing import Final
 
 import pytest
 from hypothesis import settings
@@ -20,12 +23,22 @@ if sys.platform != "win32" and signal.getsignal(signal.SIGQUIT) == signal.SIG_IG
     signal.signal(signal.SIGQUIT, signal.SIG_DFL)
 
 
+_LONGEST_S: Final = 300.0
+"""Collecting takes half a minute on a slow machine; where the first worker is lost, the others go
+on without it."""
+
+
 @pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Generator[None, object, object]:
+def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
     """Look for garbage once behind the collection, of which all else stays: not 6000 times in it.
 
-    Nor do the tests look through it again.
+    Nor do the tests look through it again. The first worker of several compiles the tests for all:
+    in a fresh clone each would compile every test, which takes longer than all else in it.
     """
+    worker = getattr(session.config, "workerinput", {}).get("workerid")
+    collected = worker and Path(session.config.option.basetemp).with_name("collected")
+    if worker not in {None, "gw0"}:
+        _wait_for(collected)
     gc.disable()
     try:
         return (yield)
@@ -33,3 +46,11 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
         gc.collect()
         gc.freeze()
+        if worker == "gw0":
+            collected.touch()
+
+
+def _wait_for(file: Path) -> None:
+    deadline_s = time.monotonic() + _LONGEST_S
+    while not file.exists() and time.monotonic() < deadline_s:
+        time.sleep(0.05)
