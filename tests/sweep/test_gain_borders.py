@@ -1,3 +1,4 @@
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ GRID = (f"{DELAY}=0:12:3", f"{KP}=2:24:2")
 PERIOD_S = 0.016
 
 
+@cache
 def is_stable(delay: int, kp: float) -> float:
     return float(analyse_sampled_loop(kp, period_s=PERIOD_S, dead_time_ticks=delay).stable)
 
