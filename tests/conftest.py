@@ -36,7 +36,7 @@ def pytest_collection(session: pytest.Session) -> Generator[None, object, object
     in a fresh clone each would compile every test, which takes longer than all else in it.
     """
     worker = getattr(session.config, "workerinput", {}).get("workerid")
-    collected = worker and Path(session.config.option.basetemp).with_name("collected")
+    collected = Path(session.config.option.basetemp or "").parent / "collected"
     if worker not in {None, "gw0"}:
         _wait_for(collected)
     gc.disable()
