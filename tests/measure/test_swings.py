@@ -167,3 +167,33 @@ def test_noise_leaves_a_loop_stable() -> None:
     ]
     assert set(found) <= {1.0, None}
     assert found.count(1.0) >= 20
+
+
+def hover(size: float, center: float = 0.3, swings_over: int = 6) -> list[float]:
+    """Return errors that swing about another value than 0."""
+    return [center + side * size for _ in range(swings_over) for side in (1.0, -1.0)]
+
+
+def test_what_swings_about_another_value_than_its_reference_does_not_rest() -> None:
+    # It ends in a trough near its reference, as a loop does whose line has turned away from it.
+    assert judge_errors([1.0, 0.5, -0.2, -0.1, *hover(0.15, 0.16)]) == "unknown"
+    assert judge_errors([1.0, 0.5, *hover(0.15, 0.16), 0.012, 0.011]) == "unknown"
+    assert (
+        judge_errors([1.0, 0.6, -0.5, -0.4, 0.2, 0.1, -0.09, 0.05, 0.01, 0.04, 0.01]) == "unknown"
+    )
+
+
+def test_an_error_may_grow_again_by_2_percent_behind_its_last_crossing() -> None:
+    assert judge_errors([1.0, 0.5, -0.2, -0.1, 0.05, 0.0, 0.019, 0.018]) == "rests"
+    assert judge_errors([1.0, 0.5, -0.2, -0.1, 0.05, 0.0, 0.021, 0.018]) == "unknown"
+
+
+def test_the_swing_that_the_end_cuts_is_no_larger_than_the_last_whole_ones() -> None:
+    assert judge_errors([1.0, 0.5, -0.5, -0.4, 0.2, 0.1, -0.19]) == "rests"
+    assert judge_errors([1.0, 0.5, -0.5, -0.4, 0.2, 0.1, -0.21]) == "unknown"
+    assert judge_errors([1.0, 0.5, -0.02, -0.015, 0.005, 0.004, -0.019]) == "rests"
+
+
+def judge_errors(error: list[float]) -> str:
+    rows = find_crossing_rows(np.array(error), 0.0)
+    return swings.judge_swings(np.array(error), rows, -1)

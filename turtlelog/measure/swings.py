@@ -51,7 +51,8 @@ that noise leaves of a loop at rest are smaller, or the noise is what the log sh
 
 NEAR: Final = 0.02
 """A response that does not swing is near where it ends within this share of the largest error: the
-usual settling band."""
+usual settling band. An error that grows again by more, without coming to the other side, swings
+about something else."""
 
 SLOWED: Final = 0.5
 """It came to rest where its last step is below this share of its largest. An unstable loop passes
@@ -87,14 +88,18 @@ def judge_swings(
     size = np.abs(error)
     largest, count = float(size.max()), len(rows) - 1
     decays = largest <= min(BEYOND * float(size[0]), most)
+    rest = size[rows[-1] if len(rows) else 0 :]
+    is_elsewhere = _find_rise(rest) > NEAR * largest
     if count < 2:
-        return _judge_approach(size, largest, decays=decays)
+        return _judge_approach(size, largest, decays=decays, is_elsewhere=is_elsewhere)
     peaks = np.maximum.reduceat(size[: rows[-1]], rows[:-1])
     third = count // 3 if count >= FEWEST else 1
     begun = count - 2 * third if count >= FEWEST else 0
     before, after = peaks[begun : begun + third], peaks[count - third :]
     dying, going_on = (DYING, GOING_ON) if count >= FEWEST else (HALVED, GROWN)
     share = float(after.max() / before.max())
+    is_larger = float(rest.max()) > max(float(after.max()), NEAR * largest)
+    decays = decays and not is_elsewhere and not is_larger
     if decays and share < dying and _falls(before) and _falls(after):
         return "rests"
     if (clipped is not None and clipped >= rows[begun]) or after.max() >= LARGE * largest:
@@ -110,10 +115,22 @@ def _falls(peaks: Values) -> bool:
     return bool(peaks[:2].max() >= FALLING * peaks.max())
 
 
-def _judge_approach(size: Values, largest: float, *, decays: bool) -> Verdict:
+def _find_rise(rest: Values) -> float:
+    """Return how far an error grows again behind its peak, without coming to the other side.
+
+    What decays after its last crossing does not; what swings about something else than its
+    reference does.
+    """
+    falling = rest[int(rest.argmax()) :]
+    return float((falling - np.minimum.accumulate(falling)).max())
+
+
+def _judge_approach(size: Values, largest: float, *, decays: bool, is_elsewhere: bool) -> Verdict:
     """Judge a response that swings less than twice."""
     end = float(size[-1])
     if end > NEAR * largest:
         return "away" if end == largest and end > float(size[0]) else "slow"
+    if is_elsewhere:
+        return "unknown"
     steps = np.abs(np.diff(size))
     return "rests" if decays and steps[-1] <= SLOWED * float(steps.max()) else "passing"

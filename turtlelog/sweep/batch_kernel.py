@@ -271,6 +271,19 @@ def _find_peak(
 
 
 @measure
+def _find_rise(values: Any, stretch: Any, reference: float, first: int) -> float:
+    """Return how far an error grows again behind the peak that it has from a row on."""
+    peak = least = rise = 0.0
+    for row in range(first, stretch.after):
+        size = abs(reference - values[row])
+        if size > peak:
+            peak, least, rise = size, size, 0.0
+        least = min(least, size)
+        rise = max(rise, size - least)
+    return rise
+
+
+@measure
 def _judge_swings(
     values: Any, stretch: Any, reference: float, clipped: int, most: float
 ) -> tuple[float, int]:
@@ -281,7 +294,11 @@ def _judge_swings(
     count = int(_count_crossings(values, stretch, reference)) - 1
     decays = largest <= min(swings.BEYOND * size, most)
     found = _Swings(count, size, largest, reference)
+    rest, begin = _find_peak(values, stretch, reference, count, count + 1)
+    is_elsewhere = _find_rise(values, stretch, reference, begin) > swings.NEAR * largest
     if count < 2:
+        if is_elsewhere and abs(reference - values[stretch.after - 1]) <= swings.NEAR * largest:
+            return np.nan, UNDETERMINED
         return _judge_approach(values, stretch, found, decays)  # type: ignore[no-any-return]
     is_long = count >= swings.FEWEST
     third = count // 3 if is_long else 1
@@ -294,6 +311,7 @@ def _judge_swings(
     first_after, _ = _find_peak(values, stretch, reference, last, last + min(third, 2))
     dying = swings.DYING if is_long else swings.HALVED
     share = after / before
+    decays = decays and not is_elsewhere and rest <= max(after, swings.NEAR * largest)
     falls = first_before >= swings.FALLING * before and first_after >= swings.FALLING * after
     if decays and share < dying and falls:
         return 1.0, OK
