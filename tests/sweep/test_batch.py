@@ -1,4 +1,6 @@
 import math
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any, Final
 
@@ -84,6 +86,34 @@ def test_batch_has_every_effect_and_falls_back_nowhere(effect: str) -> None:
     for row in range(3):
         changes = {key: column[row] for key, column in columns.items()}
         require_row(rows, row, override_scenario(base, changes))
+
+
+def test_sums_are_those_of_numpy_of_any_length() -> None:
+    from numba import njit
+
+    from turtlelog.sweep.batch_sums import add_up
+
+    # What the loops are built of is compiled into what calls it: Python itself cannot.
+    add = njit(lambda values, first, count: add_up(values, first, count))
+    values = np.random.default_rng(5).normal(size=3000) * 10.0 ** np.arange(-7, 8).repeat(200)
+    for first in (0, 3):
+        for count in (*range(300), *range(300, 2990, 61)):
+            wanted = float(values[first : first + count].sum())
+            assert add(values, first, count).hex() == wanted.hex()
+
+
+def test_batch_that_another_process_compiled_runs_from_the_cache() -> None:
+    code = (
+        "from turtlelog.scenario import get_preset; from turtlelog.sweep import batch\n"
+        "batch.BATCH._loops = batch.BATCH.load()\n"
+        "keys = {'law.kp_linear': [2.0, 4.0]}\n"
+        "rows = batch.measure_rows(get_preset('paper'), keys, ['run.path_length'], threads=1)\n"
+        "print(rows.compiled, *(value.hex() for value in rows.values['run.path_length']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    rows = measure_rows(PAPER, {"law.kp_linear": [2.0, 4.0]}, ["run.path_length"], threads=1)
+    lengths_m = rows.values["run.path_length"]
+    assert done.stdout.split() == ["2", *(value.hex() for value in lengths_m)]
 
 
 def test_line_to_the_goal_begins_where_a_pushed_robot_is_read_first() -> None:

@@ -112,7 +112,7 @@ def test_table_is_the_same_from_the_compiled_batch(
     [
         ("paper-kp4", "law.kp_linear", COVERED, True),
         ("paper-kp4", "law.kp_linear", ["run.iae", *COVERED], False),
-        ("paper-kp4", "law.kp_linear", None, False),
+        ("paper-kp4", "law.kp_linear", None, True),
         ("paper-kp4", "law.reorient", COVERED, False),
         ("lagged", "law.kp_linear", COVERED, True),
         ("lagged", "plant.turn_lag_s", COVERED, True),

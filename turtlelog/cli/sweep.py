@@ -81,7 +81,7 @@ class TableOptions:
     Attributes:
         output: Write the table to this .parquet file, or behind a URL.
         metrics: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics);
-            otherwise the essential ones of each row's law.
+            otherwise the essential ones of each row's law but dead_time.
         record: Write recordings of rows to this folder, or below a URL, as row-000123.mcap.
         record_where: Only of rows for which this holds, as in "translate.settling_time > 5".
     """

@@ -33,6 +33,7 @@ from turtlelog.sweep.batch_table import (
     OK,
     STATUSES,
     TOO_LARGE,
+    TOO_SHORT,
     is_covered,
 )
 from turtlelog.sweep.plan import build_row_scenario
@@ -54,6 +55,20 @@ _STRETCH: Final = 32
 """Rows in one call: long enough to cost nothing, short enough that all cores end together."""
 
 _END_AT: Final = len(OF_LOOPS)
+
+_AT_END: Final = {
+    "run.duration": "duration",
+    "run.path_length": "path_length",
+    "run.cross_track_max": "cross_track_max",
+    "run.largest_gap": "largest_gap",
+    "final.heading_error": "heading_error",
+    "final.cross_track": "cross_track",
+    "final.goal_heading_error": "goal_heading_error",
+}
+"""Metrics of the run that are entered as they are, by their name in `END`."""
+
+_WHERE_NONE: Final = {"final.goal_heading_error": ABSENT, "run.largest_gap": TOO_SHORT}
+"""What NaN of one says: no heading is wanted, or there is one sample."""
 
 
 def find_batch(base: Scenario, keys: Collection[str]) -> CompiledLoops:
@@ -253,7 +268,7 @@ class _Work:
         ):
             local.memory = allocate(ticks, samples)
             local.memory.schedule[: len(prepared.schedule)] = prepared.schedule
-            local.scratch = np.empty((2, ticks))
+            local.scratch = np.empty((4, ticks))
             local.seed = None
         if local.seed != seed:
             draw_streams(local.memory, prepared.streams, seed, ticks, samples)
@@ -296,8 +311,8 @@ class _Work:
             else:
                 values = _find_of_run(name, end, prepared, good)
                 found = np.where(np.isfinite(values), OK, TOO_LARGE).astype(np.int8)
-                if name == "final.goal_heading_error":
-                    found[np.isnan(values)] = ABSENT
+                if name in _WHERE_NONE:
+                    found[np.isnan(values)] = _WHERE_NONE[name]
             if name.startswith("reorient."):
                 found = np.where(prepared.settings["law_reorient"][good] == 1, found, NO_PHASE)
             result.values[name][rows] = np.where(found == OK, values, np.nan)
@@ -310,14 +325,8 @@ def _find_of_run(
     prepared: PreparedRows,
     good: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    if name == "run.duration":
-        return end["duration"]
-    if name == "final.heading_error":
-        return end["heading_error"]
-    if name == "final.cross_track":
-        return end["cross_track"]
+    if name in _AT_END:
+        return end[_AT_END[name]]
     settings = prepared.settings[good]
-    if name == "final.position_error":
-        ahead_m, left_m = settings["goal_x_m"] - end["x_m"], settings["goal_y_m"] - end["y_m"]
-        return np.asarray(np.hypot(ahead_m, left_m))
-    return end["goal_heading_error"]
+    ahead_m, left_m = settings["goal_x_m"] - end["x_m"], settings["goal_y_m"] - end["y_m"]
+    return np.asarray(np.hypot(ahead_m, left_m))

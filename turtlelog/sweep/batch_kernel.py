@@ -3,7 +3,7 @@
 What is measured are the numbers of `measure`, operation by operation, so that they are the same
 bit for bit: `response` finds the stretch of a loop, `step_response` the numbers of its curve. What
 rests on the cosine or the root of a library is left to numpy, as there: the line from start to goal
-is given, and of the end the places are returned.
+is given, and of the end the places are returned. What is added up stands in `batch_sums`.
 """
 
 import math
@@ -19,7 +19,15 @@ from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
 from turtlelog.simulate.compiled import functions, memory
 from turtlelog.simulate.compiled.functions import measure, wrap_angle
 from turtlelog.simulate.compiled.memory import MAX_DURATION, REORIENT, ROTATE, TIMEOUT, TRANSLATE
-from turtlelog.sweep import batch_table
+from turtlelog.sweep import batch_sums, batch_table
+from turtlelog.sweep.batch_sums import (
+    find_cross_track,
+    find_largest_gap,
+    integrate_error,
+    measure_way,
+    share_saturated,
+    tell_time,
+)
 from turtlelog.sweep.batch_table import (
     CUT,
     DEGREES,
@@ -34,7 +42,7 @@ from turtlelog.sweep.batch_table import (
 )
 
 _DURATION, _DELAY, _RISE, _PEAK, _PEAK_TIME, _OVERSHOOT, _UNDERSHOOT, _SETTLING = range(8)
-_CROSSINGS, _FINAL, _STEADY, _LARGEST, _STABLE = range(8, 13)
+_CROSSINGS, _FINAL, _STEADY, _LARGEST, _STABLE, _IAE, _SATURATED = range(8, 15)
 _COUNT = len(LOOP_FIGURES)
 _IS_ANGLE = np.array([name in DEGREES for name in LOOP_FIGURES])
 _IS_TIME = np.array([place in {_DELAY, _RISE, _SETTLING} for place in range(_COUNT)])
@@ -104,17 +112,11 @@ def _project(ticks: Any, count: int, line: Any, along_m: Any) -> None:
 
 
 @measure
-def _time(stretch: Any, row: int) -> float:
-    """Return the time of a pose from the start of its stretch [s]."""
-    return max(row * stretch.period_ns - stretch.start_ns, 0) / 1e9  # type: ignore[no-any-return]
-
-
-@measure
 def _interpolate(values: Any, stretch: Any, row: int, threshold: float) -> float:
     before, after = values[row], values[row + 1]
     share = (threshold - before) / (after - before)
-    begin_s = _time(stretch, row)
-    return begin_s + share * (_time(stretch, row + 1) - begin_s)  # type: ignore[no-any-return]
+    begin_s = tell_time(stretch, row)
+    return begin_s + share * (tell_time(stretch, row + 1) - begin_s)  # type: ignore[no-any-return]
 
 
 @measure
@@ -126,7 +128,7 @@ def _find_level(values: Any, stretch: Any, step: Any, level: float) -> float:
         reached = values[row] >= threshold if height > 0.0 else values[row] <= threshold
         if reached:
             if row == stretch.first:
-                return _time(stretch, row)  # type: ignore[no-any-return]
+                return tell_time(stretch, row)  # type: ignore[no-any-return]
             return _interpolate(values, stretch, row - 1, threshold)  # type: ignore[no-any-return]
     return np.nan
 
@@ -142,14 +144,14 @@ def _find_swing_period(values: Any, stretch: Any, reference: float, half_width: 
         side = error > 0.0
         is_last = after < 0
         if after >= 0:
-            gap_s = _time(stretch, after) - _time(stretch, row)
+            gap_s = tell_time(stretch, after) - tell_time(stretch, row)
             is_last = after - row > 1 and gap_s >= SHORTEST_HOLD_S
             is_last = is_last or side != (values[after] - reference > 0.0)
         after = row
         if not is_last or row == stretch.after - 1:
             continue
         if last >= 0:
-            between_s = _time(stretch, last) - _time(stretch, row)
+            between_s = tell_time(stretch, last) - tell_time(stretch, row)
             same = side == (values[last] - reference > 0.0)
             return between_s if same else 2.0 * between_s  # type: ignore[no-any-return]
         last = row
@@ -168,14 +170,14 @@ def _find_settling(values: Any, stretch: Any, step: Any) -> float:
     if last == end:
         return np.nan
     if last < stretch.first:
-        settled_s = _time(stretch, stretch.first)
+        settled_s = tell_time(stretch, stretch.first)
     else:
         edge = reference + math.copysign(half_width, values[last] - reference)
         settled_s = _interpolate(values, stretch, last, edge)
     if stretch.is_own:
         return settled_s  # type: ignore[no-any-return]
     period_s = _find_swing_period(values, stretch, reference, half_width)
-    is_held = _time(stretch, end) - settled_s >= max(SHORTEST_HOLD_S, period_s)
+    is_held = tell_time(stretch, end) - settled_s >= max(SHORTEST_HOLD_S, period_s)
     return settled_s if is_held else np.nan
 
 
@@ -212,9 +214,9 @@ def _enter_curve(values: Any, stretch: Any, step: Any, found: Any) -> None:
             bottom = row
     ahead, behind = (top, bottom) if reference >= initial else (bottom, top)
     error = reference - values[end]
-    found[_DURATION] = _time(stretch, end)
+    found[_DURATION] = tell_time(stretch, end)
     found[_PEAK] = values[ahead]
-    found[_PEAK_TIME] = _time(stretch, ahead)
+    found[_PEAK_TIME] = tell_time(stretch, ahead)
     found[_OVERSHOOT] = 100.0 * ((values[ahead] - reference) / height)
     found[_UNDERSHOOT] = 100.0 * ((initial - values[behind]) / height)
     found[_CROSSINGS] = _count_crossings(values, stretch, reference)
@@ -350,7 +352,7 @@ def _find_stable(row: Any, values: Any, stretch: Any, step: Any, phase: int) -> 
 
 
 @measure
-def _measure_response(values: Any, stretch: Any, step: Any, entry: Any) -> None:
+def _measure_response(values: Any, stretch: Any, step: Any, pieces: Any, entry: Any) -> None:
     """Enter the figures of a loop in the order of `LOOP_FIGURES`."""
     found, status = entry.figures, entry.status
     _enter_curve(values, stretch, step, found)
@@ -358,6 +360,7 @@ def _measure_response(values: Any, stretch: Any, step: Any, entry: Any) -> None:
     found[_DELAY] = _find_level(values, stretch, step, 0.5)
     found[_RISE] = _find_level(values, stretch, step, 0.9) - begin_s
     found[_SETTLING] = _find_settling(values, stretch, step)
+    found[_IAE] = integrate_error(values, stretch, step.reference, pieces)
     is_step = not abs(step.reference - step.initial) <= SMALLEST_STEP
     for place in range(_COUNT):
         is_time = _IS_TIME[place]
@@ -415,7 +418,7 @@ def _find_stretch(row: Any, end_ns: int, phase: int) -> Any:
 
 
 @measure
-def _measure_loop(row: Any, values: Any, end_ns: int, phase: int, entry: Any) -> None:
+def _measure_loop(row: Any, values: Any, pieces: Any, end_ns: int, phase: int, entry: Any) -> None:
     """Find the stretch of a loop and measure it there."""
     stretch, line = _find_stretch(row, end_ns, phase), row.line
     if stretch.after - stretch.first < 2:
@@ -427,9 +430,16 @@ def _measure_loop(row: Any, values: Any, end_ns: int, phase: int, entry: Any) ->
         turns = np.rint((values[stretch.after - 1] - reference) / _TURN_RAD)
         reference += turns * 2.0 * math.pi
     step = _Step(values[stretch.first], reference, line.band)
-    _measure_response(values, stretch, step, entry)
+    _measure_response(values, stretch, step, pieces, entry)
     found, status = _find_stable(row, values, stretch, step, phase)
     entry.figures[_STABLE], entry.status[_STABLE] = found, status
+    samples, axis = row.memory.samples, 0 if phase == TRANSLATE else 1
+    own = (
+        _find_sample(samples, row.state.samples, phase),
+        _find_sample(samples, row.state.samples, phase + 1),
+    )
+    share = share_saturated(samples, own, axis, row.memory.axes[axis].limit)
+    entry.figures[_SATURATED], entry.status[_SATURATED] = share, OK
     if phase != TRANSLATE:
         for place in range(_COUNT):
             if _IS_ANGLE[place]:
@@ -449,7 +459,7 @@ def _find_end_ns(row: Any) -> int:
 @measure
 def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
     ticks, samples, line = row.memory.ticks, row.memory.samples, row.line
-    count, end_ns = row.state.ticks, _find_end_ns(row)
+    count, end_ns, pieces = row.state.ticks, _find_end_ns(row), scratch[2:].reshape(-1)
     _unwrap(ticks, count, scratch[0])
     _project(ticks, count, line, scratch[1])
     for loop in range(3):
@@ -457,7 +467,7 @@ def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
         part = slice(loop * _COUNT, loop * _COUNT + _COUNT)
         values = scratch[1] if phase == TRANSLATE else scratch[0]
         own = _Entry(entry.figures[part], entry.status[part])
-        _measure_loop(row, values, end_ns, phase, own)
+        _measure_loop(row, values, pieces, end_ns, phase, own)
     turns_last = _find_sample(samples, row.state.samples, REORIENT) < row.state.samples
     wanted_rad = line.goal_heading_rad if turns_last else line.bearing_rad
     pose, first, end = (
@@ -472,6 +482,10 @@ def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
     end[5], end[6] = first.x_m, first.y_m
     x_m, y_m = pose.x_m - line.x_m, pose.y_m - line.y_m
     end[7] = y_m * line.cos - x_m * line.sin
+    first_row = -(-samples[0].time_ns // row.settings.period_ns)
+    end[8] = find_cross_track(ticks, first_row, count, line)
+    end[9] = find_largest_gap(samples, row.state.samples)
+    end[10] = measure_way(ticks, count, pieces)
 
 
 @njit(error_model="numpy", nogil=True, forceinline=True)
@@ -494,5 +508,7 @@ def run_rows_by(simulate: Any, rows: Any, scratch: Any, entries: Any) -> None:
             _measure_row(row, scratch, _Entry(entries[0][number], entries[1][number]))
 
 
-SOURCES = (batch_table, functions, loop_metrics, memory, metric, step_response, swings)
+SOURCES = (
+    *(batch_sums, batch_table, functions, loop_metrics, memory, metric, step_response, swings),
+)
 """Whose code and constants stand in the machine code."""

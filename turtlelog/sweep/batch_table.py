@@ -12,7 +12,7 @@ LOOPS: Final = ("rotate", "translate", "reorient")
 LOOP_FIGURES: Final = (
     *("duration", "delay_time", "rise_time", "peak", "peak_time", "overshoot", "undershoot"),
     *("settling_time", "crossings", "final_error", "steady_state_error", "largest_error"),
-    "stable",
+    *("stable", "iae", "saturated_share"),
 )
 """What it computes of each loop."""
 
@@ -21,7 +21,7 @@ DEGREES: Final = frozenset({"peak", "final_error", "steady_state_error", "larges
 
 END: Final = (
     *("duration", "heading_error", "x_m", "y_m", "goal_heading_error"),
-    *("first_x_m", "first_y_m", "cross_track"),
+    *("first_x_m", "first_y_m", "cross_track", "cross_track_max", "largest_gap", "path_length"),
 )
 """What it enters of a run after its loops; the places are those of the last and first pose read."""
 
@@ -50,10 +50,10 @@ OF_LOOPS: Final[Mapping[str, int]] = MappingProxyType(
 OF_RUN: Final = frozenset(
     {
         *("run.duration", "final.heading_error", "final.position_error", "final.cross_track"),
-        "final.goal_heading_error",
+        *("final.goal_heading_error", "run.path_length", "run.cross_track_max", "run.largest_gap"),
     }
 )
-"""Metrics of the run that are computed of its end."""
+"""Metrics of the run and of its end."""
 
 COLUMNS: Final = len(OF_LOOPS) + len(END)
 

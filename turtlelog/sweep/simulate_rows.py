@@ -12,6 +12,7 @@ from typing import Any, Final
 from turtlelog import expressions
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.log.recording import write_recording
+from turtlelog.loops import Declaration
 from turtlelog.measure import (
     MetricKind,
     choose_metrics,
@@ -57,7 +58,7 @@ class RowChunk:
         keys: That vary.
         first: Number of the first row.
         values: Of the keys, for each row.
-        metrics: Ids or patterns; None: the essential ones of each row's law.
+        metrics: Ids or patterns; None: those of `list_row_metrics`.
         records: None: none.
         ahead: How many rows this process has before it, about: whether the compiled loop is worth
             loading.
@@ -162,7 +163,7 @@ def is_batch(chunk: RowChunk) -> bool:
 
 def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricKind]:
     """Return the metrics of a chunk by id where the batch covers all of them, otherwise none."""
-    if chunk.records or chunk.metrics is None or any(k.startswith(_DECIDING) for k in chunk.keys):
+    if chunk.records or any(k.startswith(_DECIDING) for k in chunk.keys):
         return {}
     try:
         scenario = resolve_scenario(base)
@@ -171,7 +172,7 @@ def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricK
     if not (is_sequential(scenario) and is_compiled(scenario, scenario.plant.facts)):
         return {}
     declaration = declare_scenario(scenario)
-    names, known = choose_metrics(chunk.metrics, declaration), list_metrics(declaration)
+    names, known = list_row_metrics(declaration, chunk.metrics), list_metrics(declaration)
     if not all(name in known and is_covered(name) for name in names):
         return {}
     return {name: known[name] for name in names}
@@ -211,7 +212,7 @@ def _enter_failure(results: RowResults, err: TurtlelogError) -> None:
 
 def _enter_run(results: RowResults, chunk: RowChunk, row: int, run: Run) -> None:
     try:
-        names = list_row_metrics(run, chunk.metrics)
+        names = list_row_metrics(run.declaration, chunk.metrics)
         condition = _parse_condition(chunk.records)
         asked = () if condition is None else _list_asked(condition)
         found = measure_run(run, only=[*dict.fromkeys([*names, *asked])])
@@ -232,11 +233,16 @@ def _enter_run(results: RowResults, chunk: RowChunk, row: int, run: Run) -> None
         results.recorded += 1
 
 
-def list_row_metrics(run: Run, patterns: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the ids of the metrics of a run that are asked for."""
-    if patterns is None:
-        return list_essential_metrics(run)
-    return choose_metrics(patterns, run.declaration)
+def list_row_metrics(declaration: Declaration, patterns: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the ids of the metrics of a law that are asked for.
+
+    Where none are, the essential ones without dead times: looking for these in the log of each run
+    would take most of the time, and the scenario sets what delays there are.
+    """
+    if patterns is not None:
+        return choose_metrics(patterns, declaration)
+    essential = list_essential_metrics(declaration)
+    return tuple(name for name in essential if not name.endswith(".dead_time"))
 
 
 def _enter_metrics(results: RowResults, found: Mapping[str, Metric]) -> None:

@@ -60,7 +60,7 @@ class Sweep:
     Attributes:
         base: The scenario that the rows vary, as text.
         plan: Its rows.
-        metrics: Ids or patterns; None: the essential ones of each row's law.
+        metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
         records: Which runs are recorded; None: none.
         law_code: A checksum of the file of a law that is not built in; empty otherwise.
     """
@@ -135,7 +135,7 @@ def prepare_sweep(
     Args:
         base: What the rows vary.
         plan: The rows.
-        metrics: Ids or patterns; None: the essential ones of each row's law.
+        metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
         records: Which runs are recorded.
         trust_law: Whether a law that a recording names may run, too.
 

@@ -11,7 +11,7 @@ _SPLIT = 134217729.0  # 2**27 + 1: halves the digits of a double
 _TINY_M, _HUGE_M = 1e-100, 1e100  # far from where the squares of doubles lose digits
 
 _OPTIONS = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-# No Python calls these functions: what it would need for that took a third of compiling.
+# No Python calls these functions, and would crash: what it needs took a third of compiling.
 
 # Without `_nrt` numba counts nobody's references to the arrays, and refuses what would allocate
 # memory, as a set does: counting took two thirds of the loop's time.
