@@ -159,6 +159,7 @@ def _gather(
         else:
             settings[key.replace(".", "_")] = column
     schedule = cases[0].schedule if cases else np.empty((0, 0))
+    settings["finds_distance"] = len(schedule) > 0  # no metric of the batch reads it: 20 ns
     mark_terms(axes, schedule)
     lines = np.array([(*case.line, SETTLING_BAND) for case in unique], LINE)[of_case]
     starts = np.array([case.state for case in unique], STATE)[of_case]

@@ -42,7 +42,8 @@ def decide_sequential(
     sample.integral_angular = sample.derivative_angular = 0.0
     sample.integral_linear = sample.derivative_linear = 0.0
     phase, blocks, speed, turn_rate = state.phase, 0, 0.0, 0.0
-    sample.distance_m = find_hypot(error_x_m, error_y_m)
+    if settings.finds_distance:
+        sample.distance_m = find_hypot(error_x_m, error_y_m)
     if settings.schedule_entries > 0 and phase >= 0:
         _follow_schedule(settings, state, memory, sample.distance_m, heading_rad)
     axis = memory.axes[TURN]
