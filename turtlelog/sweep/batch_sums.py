@@ -134,3 +134,28 @@ def share_saturated(samples: Any, rows: tuple[int, int], axis: int, limit: float
         command = samples[row].turn_rate if axis else samples[row].speed
         saturated += abs(command) >= limit
     return saturated / (rows[1] - rows[0])
+
+
+@measure
+def count_crossings(values: Any, stretch: Any, reference: float) -> float:
+    """Return how often values come to the other side of the reference."""
+    crossings, side = 0, 0
+    for row in range(stretch.first, stretch.after):
+        now = 1 if values[row] > reference else -1 if values[row] < reference else 0
+        if now:
+            crossings += side == -now
+            side = now
+    return float(crossings)
+
+
+@measure
+def find_sample(samples: Any, count: int, phase: int) -> int:
+    """Return the row of the first sample of a phase or a later one; `count` where there is none."""
+    low, high = 0, count  # by halving: no law returns to an earlier phase
+    while low < high:
+        middle = (low + high) // 2
+        if samples[middle].phase < phase:
+            low = middle + 1
+        else:
+            high = middle
+    return low
