@@ -89,6 +89,43 @@ def test_loops_are_found_where_numba_keeps_them(
     assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 1.0
 
 
+PARTS = """
+from turtlelog.compiled_loops import CompiledLoops
+
+if __name__ == "__main__":
+    loops = CompiledLoops("whole", cost_s=1.0, first_s=9.0, parts=("first_part", "second_part"))
+    cost_s, whole = loops.cost_s, loops.load()
+    hits = (sum(part.double.stats.cache_hits.values()) for part in (whole.first, whole.second))
+    print(cost_s, *hits)
+"""
+
+
+@pytest.mark.parametrize("executable", ["sys.executable", "'/no/python'", "''"])
+def test_parts_compile_side_by_side_and_here_where_no_process_starts(
+    tmp_path: Path, executable: str
+) -> None:
+    pytest.importorskip("numba")
+    for name in ("first_part", "second_part"):
+        (tmp_path / f"{name}.py").write_text(COMPILED, "utf-8")
+    whole = "import first_part as first, second_part as second\n"
+    (tmp_path / "whole.py").write_text(whole, "utf-8")
+    script = f"import sys\nsys.executable = {executable}\n{PARTS}"
+    found = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", script],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=True,
+        )
+        found.append((done.stdout.split(), done.stderr))
+    of_other = "1" if executable == "sys.executable" else "0"
+    assert found == [(["9.0", "0", of_other], ""), (["1.0", "1", "1"], "")]
+
+
 FUNCTION = """
 import constants
 from constants import SIZE
@@ -134,8 +171,7 @@ def test_a_constant_of_another_file_is_compiled_anew(tmp_path: Path) -> None:
     [
         "simulate.compiled.sequential_loop",
         "simulate.compiled.any_loop",
-        "sweep.sequential_batch",
-        "sweep.any_batch",
+        "sweep.batch_kernel",
     ],
 )
 def test_every_file_that_a_kernel_takes_from_is_summed_up(name: str) -> None:

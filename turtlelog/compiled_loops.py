@@ -3,13 +3,15 @@
 import os
 import sys
 import zlib
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Lock
 from types import ModuleType
-from typing import Any
+from typing import Any, Final
 
 
 def sum_up_sources(*modules: ModuleType) -> int:
@@ -30,15 +32,24 @@ class CompiledLoops:
     So no process takes more than twice as long as if it had known before how much it has to do.
     """
 
-    def __init__(self, module: str, *, cost_s: float, first_s: float | None = None) -> None:
+    def __init__(
+        self,
+        module: str,
+        *,
+        cost_s: float,
+        first_s: float | None = None,
+        parts: Sequence[str] = (),
+    ) -> None:
         """Take the module and what it costs.
 
         Args:
             module: Its name.
             cost_s: What numba's import and the loops take from their cache [s].
             first_s: What they take before they are in it [s]; None: hardly more.
+            parts: Modules whose loops it puts together, where it has none of its own: they compile
+                side by side.
         """
-        self._module, self._cached_s = module, cost_s
+        self._module, self._parts, self._cached_s = module, parts or (module,), cost_s
         self._first_s = cost_s if first_s is None else first_s
         self._loading = Lock()
         self._saved_s = 0.0
@@ -59,23 +70,8 @@ class CompiledLoops:
 
     @cached_property
     def cost_s(self) -> float:
-        """What the loops take to load [s]: more where numba's cache lacks them.
-
-        What is older than a file beside the module may have to be compiled again.
-        """
-        found = find_spec(self._module)
-        source = Path((found and found.origin) or "").absolute()
-        python = f"py{sys.version_info.major}{sys.version_info.minor}"
-        try:
-            changed_s = max(file.stat().st_mtime for file in source.parent.glob("*.py"))
-            is_kept = any(
-                index.stat().st_mtime >= changed_s
-                for folder in _list_cache_folders(source)
-                for index in folder.glob(f"{source.stem}.*.{python}*.nbi")
-            )
-        except OSError:
-            is_kept = False
-        return self._cached_s if is_kept else self._first_s
+        """What the loops take to load [s]: more where numba's cache lacks any of them."""
+        return self._cached_s if all(map(_is_kept, self._parts)) else self._first_s
 
     def find(self) -> Any:
         """Return the compiled loops where they are loaded, otherwise None."""
@@ -88,11 +84,52 @@ class CompiledLoops:
         anew in every process.
         """
         try:
-            is_off = import_module("numba").config.DISABLE_JIT
-            return None if is_off else import_module(self._module)
+            if import_module("numba").config.DISABLE_JIT:
+                return None
+            _compile([part for part in self._parts if not _is_kept(part)])
+            return import_module(self._module)
         # A numba for another numpy raises ImportError, a cache that cannot be written RuntimeError.
         except (ImportError, RuntimeError, OSError):
             return None
+
+
+_IMPORT: Final = "import sys; sys.path[:] = sys.argv[2:]; __import__(sys.argv[1])"
+
+
+def _compile(modules: Sequence[str]) -> None:
+    """Compile the loops of modules into numba's cache: the first here, each other in a process."""
+    import subprocess  # most commands never come here
+
+    with ExitStack() as processes:
+        for module in modules[1:]:
+            # Where no process starts, or one fails, its loops are compiled where they are imported.
+            with suppress(OSError, ValueError):
+                command = [sys.executable, "-c", _IMPORT, module, *sys.path]
+                nowhere = subprocess.DEVNULL
+                processes.enter_context(
+                    subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere)
+                )
+        for module in modules[:1]:
+            import_module(module)
+
+
+def _is_kept(module: str) -> bool:
+    """Whether numba's cache has the loops of a module.
+
+    What is older than a file beside the module may have to be compiled again.
+    """
+    found = find_spec(module)
+    source = Path((found and found.origin) or "").absolute()
+    python = f"py{sys.version_info.major}{sys.version_info.minor}"
+    try:
+        changed_s = max(file.stat().st_mtime for file in source.parent.glob("*.py"))
+        return any(
+            index.stat().st_mtime >= changed_s
+            for folder in _list_cache_folders(source)
+            for index in folder.glob(f"{source.stem}.*.{python}*.nbi")
+        )
+    except OSError:
+        return False
 
 
 def _list_cache_folders(source: Path) -> list[Path]:

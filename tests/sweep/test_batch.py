@@ -99,7 +99,21 @@ def test_sums_are_those_of_numpy_of_any_length() -> None:
     for first in (0, 3):
         for count in (*range(300), *range(300, 2990, 61)):
             wanted = float(values[first : first + count].sum())
-            assert add(values, first, count).hex() == wanted.hex()
+            assert add(values.copy(), first, count).hex() == wanted.hex()
+
+
+@pytest.mark.parametrize("preset", ["paper", "track-square", "lagged"])
+def test_metric_is_the_same_asked_for_alone_and_with_all_others(preset: str) -> None:
+    base = override_scenario(get_preset(preset), {"max_duration_s": 8.0})
+    if preset == "paper":
+        base = override_scenario(base, {"law.reorient": True, "goal.heading_rad": 1.0})
+    columns = {"loop.transport_delay_ticks": [0, 6]}
+    rows = measure_rows(base, columns, METRICS, threads=1)
+    for name in METRICS:
+        alone = measure_rows(base, columns, [name], threads=1)
+        assert alone.compiled == rows.compiled
+        assert alone.values[name].tobytes() == rows.values[name].tobytes()
+        assert alone.statuses[name].tobytes() == rows.statuses[name].tobytes()
 
 
 def test_batch_that_another_process_compiled_runs_from_the_cache() -> None:

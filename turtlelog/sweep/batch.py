@@ -30,24 +30,34 @@ from turtlelog.sweep.batch_table import (
     END,
     NO_PHASE,
     OF_LOOPS,
+    OF_RUN,
     OK,
+    POSITION_ERROR,
     STATUSES,
     TOO_LARGE,
     TOO_SHORT,
+    find_column,
     is_covered,
 )
 from turtlelog.sweep.plan import build_row_scenario
 
-_MEASURING_S: Final = 10.0
-"""What compiling the measurement takes [s]."""
+_MEASURING: Final = "turtlelog.sweep.batch_kernel"
+_MEASURING_S: Final = 2.0
+"""What compiling the measurement takes, beside the loop, longer than the loop alone [s]."""
 
 BATCH: Final = CompiledLoops(
-    "turtlelog.sweep.sequential_batch", cost_s=COST_S, first_s=FIRST_S + _MEASURING_S
+    "turtlelog.sweep.sequential_batch",
+    cost_s=COST_S,
+    first_s=FIRST_S + _MEASURING_S,
+    parts=(_MEASURING, "turtlelog.simulate.compiled.sequential_loop"),
 )
 """The sequential laws around turtlesim, and what measures them."""
 
 ANY_BATCH: Final = CompiledLoops(
-    "turtlelog.sweep.any_batch", cost_s=COST_S, first_s=ANY_FIRST_S + _MEASURING_S
+    "turtlelog.sweep.any_batch",
+    cost_s=COST_S,
+    first_s=ANY_FIRST_S + _MEASURING_S,
+    parts=(_MEASURING, "turtlelog.simulate.compiled.any_loop"),
 )
 """The sequential laws around any plant."""
 
@@ -55,17 +65,6 @@ _STRETCH: Final = 32
 """Rows in one call: long enough to cost nothing, short enough that all cores end together."""
 
 _END_AT: Final = len(OF_LOOPS)
-
-_AT_END: Final = {
-    "run.duration": "duration",
-    "run.path_length": "path_length",
-    "run.cross_track_max": "cross_track_max",
-    "run.largest_gap": "largest_gap",
-    "final.heading_error": "heading_error",
-    "final.cross_track": "cross_track",
-    "final.goal_heading_error": "goal_heading_error",
-}
-"""Metrics of the run that are entered as they are, by their name in `END`."""
 
 _WHERE_NONE: Final = {"final.goal_heading_error": ABSENT, "run.largest_gap": TOO_SHORT}
 """What NaN of one says: no heading is wanted, or there is one sample."""
@@ -231,6 +230,7 @@ class _Work:
         threads: int,
     ) -> None:
         prepared.begin()
+        asked = np.isin(np.arange(COLUMNS), [find_column(name) for name in self._metrics])
         order = np.argsort(prepared.seeds, kind="stable")
         cuts = np.flatnonzero(np.diff(prepared.seeds[order])) + 1
         stretches = [
@@ -241,12 +241,12 @@ class _Work:
 
         def run(stretch: NDArray[np.int64]) -> None:
             memory, scratch = self._find_memory(prepared, int(prepared.seeds[stretch[0]]))
-            part = figures[stretch], status[stretch]
+            part = figures[stretch], status[stretch], asked
             states = prepared.states[stretch]
             settings, axes = prepared.settings[stretch], prepared.axes[stretch]
             lines = prepared.lines[stretch]
             kernel.run_rows((settings, states, lines), axes, memory, scratch, part)
-            figures[stretch], status[stretch] = part
+            figures[stretch], status[stretch] = part[:2]
             prepared.states[stretch] = states
 
         if threads == 1 or len(stretches) == 1:
@@ -325,8 +325,8 @@ def _find_of_run(
     prepared: PreparedRows,
     good: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    if name in _AT_END:
-        return end[_AT_END[name]]
+    if name != POSITION_ERROR:
+        return end[OF_RUN[name]]
     settings = prepared.settings[good]
     ahead_m, left_m = settings["goal_x_m"] - end["x_m"], settings["goal_y_m"] - end["y_m"]
     return np.asarray(np.hypot(ahead_m, left_m))

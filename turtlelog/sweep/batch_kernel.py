@@ -11,15 +11,32 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
+from turtlelog.compiled_loops import sum_up_sources
 from turtlelog.measure import metric, step_response, swings
 from turtlelog.measure.table import loop_metrics
 from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
-from turtlelog.simulate.compiled import functions, memory
+from turtlelog.simulate.compiled import fields, functions, memory, signature
+from turtlelog.simulate.compiled.fields import AXIS, SETTINGS
 from turtlelog.simulate.compiled.functions import measure, wrap_angle
-from turtlelog.simulate.compiled.memory import MAX_DURATION, REORIENT, ROTATE, TIMEOUT, TRANSLATE
-from turtlelog.sweep import batch_step_response, batch_sums, batch_swings, batch_table
+from turtlelog.simulate.compiled.memory import (
+    MAX_DURATION,
+    REORIENT,
+    ROTATE,
+    STATE,
+    TIMEOUT,
+    TRANSLATE,
+)
+from turtlelog.simulate.compiled.signature import LOOP, MEMORY, list_array
+from turtlelog.sweep import (
+    batch_rows,
+    batch_step_response,
+    batch_sums,
+    batch_swings,
+    batch_table,
+)
+from turtlelog.sweep.batch_rows import LINE
 from turtlelog.sweep.batch_step_response import measure_response
 from turtlelog.sweep.batch_sums import (
     find_cross_track,
@@ -65,15 +82,18 @@ class _Row(NamedTuple):
 
     settings: Any
     state: Any
-    memory: Any
+    ticks: Any
+    samples: Any
+    axes: Any
     line: Any
 
 
 class _Entry(NamedTuple):
-    """Where the figures of a loop, or of a row, are entered."""
+    """Where the figures of a loop, or of a row, are entered, and which are asked for."""
 
     figures: Any
     status: Any
+    asked: Any
 
 
 @measure
@@ -101,7 +121,7 @@ def _project(ticks: Any, count: int, line: Any, along_m: Any) -> None:
 @measure
 def _find_stretch(row: Any, end_ns: int, phase: int) -> Any:
     """Return where the loop of a phase acts; -1 as its first row without such samples."""
-    state, samples, period_ns = row.state, row.memory.samples, row.settings.period_ns
+    state, samples, period_ns = row.state, row.samples, row.settings.period_ns
     first = find_sample(samples, state.samples, phase)
     after = find_sample(samples, state.samples, phase + 1)
     if first == after:
@@ -141,14 +161,15 @@ def _measure_loop(row: Any, values: Any, pieces: Any, end_ns: int, phase: int, e
         reference += turns * 2.0 * math.pi
     step = _Step(values[stretch.first], reference, line.band)
     measure_response(values, stretch, step, pieces, entry)
-    found, status = _find_stable(row, values, stretch, step, phase)
-    entry.figures[_STABLE], entry.status[_STABLE] = found, status
-    samples, axis = row.memory.samples, 0 if phase == TRANSLATE else 1
+    if entry.asked[_STABLE]:
+        found, status = _find_stable(row, values, stretch, step, phase)
+        entry.figures[_STABLE], entry.status[_STABLE] = found, status
+    samples, axis = row.samples, 0 if phase == TRANSLATE else 1
     own = (
         find_sample(samples, row.state.samples, phase),
         find_sample(samples, row.state.samples, phase + 1),
     )
-    share = share_saturated(samples, own, axis, row.memory.axes[axis].limit)
+    share = share_saturated(samples, own, axis, row.axes[axis].limit)
     entry.figures[_SATURATED], entry.status[_SATURATED] = share, OK
     if phase != TRANSLATE:
         for place in range(_COUNT):
@@ -161,13 +182,13 @@ def _find_stable(row: Any, values: Any, stretch: Any, step: Any, phase: int) -> 
     """Return whether the swings die out, at the poses up to the last that was answered."""
     if abs(step.reference - step.initial) <= SMALLEST_STEP:
         return np.nan, NO_STEP
-    samples, turns = row.memory.samples, phase != TRANSLATE
+    samples, turns = row.samples, phase != TRANSLATE
     after = find_sample(samples, row.state.samples, phase + 1)
     answered_ns = samples[after - 1].time_ns
     end = min(answered_ns // stretch.period_ns + 1, stretch.after)
     if end - stretch.first < 2:
         return np.nan, TOO_SHORT
-    limit = row.memory.axes[1 if turns else 0].limit
+    limit = row.axes[1 if turns else 0].limit
     sample = after - 1
     while sample >= 0 and samples[sample].phase == phase:
         command = samples[sample].turn_rate if turns else samples[sample].speed
@@ -185,7 +206,7 @@ def _find_stable(row: Any, values: Any, stretch: Any, step: Any, phase: int) -> 
 @measure
 def _find_end_ns(row: Any) -> int:
     """Return the time of the last row of any column [ns]."""
-    state, samples = row.state, row.memory.samples
+    state, samples = row.state, row.samples
     end_ns = max((state.ticks - 1) * row.settings.period_ns, samples[state.samples - 1].time_ns)
     if state.commands:
         end_ns = max(end_ns, samples[samples[state.commands - 1].published].published_ns)
@@ -194,23 +215,21 @@ def _find_end_ns(row: Any) -> int:
 
 @measure
 def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
-    ticks, samples, line = row.memory.ticks, row.memory.samples, row.line
+    ticks, samples, line = row.ticks, row.samples, row.line
     count, end_ns, pieces = row.state.ticks, _find_end_ns(row), scratch[2:].reshape(-1)
     _unwrap(ticks, count, scratch[0])
     _project(ticks, count, line, scratch[1])
-    for loop in range(3):
-        phase = ROTATE if loop == 0 else TRANSLATE if loop == 1 else REORIENT
-        part = slice(loop * _COUNT, loop * _COUNT + _COUNT)
+    for number in range(3):
+        phase = ROTATE if number == 0 else TRANSLATE if number == 1 else REORIENT
+        part = slice(number * _COUNT, number * _COUNT + _COUNT)
         values = scratch[1] if phase == TRANSLATE else scratch[0]
-        own = _Entry(entry.figures[part], entry.status[part])
-        _measure_loop(row, values, pieces, end_ns, phase, own)
+        own = _Entry(entry.figures[part], entry.status[part], entry.asked[part])
+        if own.asked.any():
+            _measure_loop(row, values, pieces, end_ns, phase, own)
     turns_last = find_sample(samples, row.state.samples, REORIENT) < row.state.samples
     wanted_rad = line.goal_heading_rad if turns_last else line.bearing_rad
-    pose, first, end = (
-        ticks[count - 1],
-        ticks[samples[0].pose_sequence],
-        entry.figures[3 * _COUNT :],
-    )
+    pose, first = ticks[count - 1], ticks[samples[0].pose_sequence]
+    end, asked = entry.figures[3 * _COUNT :], entry.asked[3 * _COUNT :]
     end[0] = (end_ns - samples[0].time_ns) / 1e9
     end[1] = abs(wrap_angle(wanted_rad - scratch[0, count - 1])) * _TO_DEGREES
     end[2], end[3] = pose.x_m, pose.y_m
@@ -218,34 +237,63 @@ def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
     end[5], end[6] = first.x_m, first.y_m
     x_m, y_m = pose.x_m - line.x_m, pose.y_m - line.y_m
     end[7] = y_m * line.cos - x_m * line.sin
-    first_row = -(-samples[0].time_ns // row.settings.period_ns)
-    end[8] = find_cross_track(ticks, first_row, count, line)
-    end[9] = find_largest_gap(samples, row.state.samples)
-    end[10] = measure_way(ticks, count, pieces)
-
-
-@njit(error_model="numpy", nogil=True, forceinline=True)
-def run_rows_by(simulate: Any, rows: Any, scratch: Any, entries: Any) -> None:
-    """Simulate and measure rows, each in the same memory; numbers and statuses are entered.
-
-    `simulate` is the compiled loop; `rows` are settings, states and lines of each, its axes, and
-    the memory; `entries` are figures and statuses.
-    """
-    (settings, states, lines), axes, memory = rows
-    for number in range(len(settings)):
-        for axis in range(2):
-            memory.axes[axis] = axes[number, axis]
-        for loss in memory.losses:
-            loss.since_ns = loss.count = loss.finished_since_ns = loss.finished = 0
-        simulate(settings[number : number + 1], states[number : number + 1], memory)
-        state = states[number]
-        if not state.has_failed and state.samples:
-            row = _Row(settings[number], state, memory, lines[number])
-            _measure_row(row, scratch, _Entry(entries[0][number], entries[1][number]))
+    if asked[8]:
+        first_row = -(-samples[0].time_ns // row.settings.period_ns)
+        end[8] = find_cross_track(ticks, first_row, count, line)
+    if asked[9]:
+        end[9] = find_largest_gap(samples, row.state.samples)
+    if asked[10]:
+        end[10] = measure_way(ticks, count, pieces)
 
 
 SOURCES = (
-    *(batch_step_response, batch_sums, batch_swings, batch_table, functions, loop_metrics, memory),
-    *(metric, step_response, swings),
+    *(batch_rows, batch_step_response, batch_sums, batch_swings, batch_table),
+    *(fields, functions, loop_metrics, memory, metric, signature, step_response, swings),
 )
 """Whose code and constants stand in the machine code."""
+
+
+_SIGNATURE = types.int64(
+    types.FunctionType(LOOP),
+    types.Tuple([list_array(kind) for kind in (SETTINGS, STATE, LINE)]),
+    list_array(AXIS, 2),
+    MEMORY,
+    list_array(np.float64, 2),
+    types.Tuple([list_array(np.float64, 2), list_array(np.int8, 2), list_array(np.bool_)]),
+)
+
+
+def _build(stamp: int) -> Any:
+    """Return the compiled function, whose cache knows the code that it was compiled with."""
+
+    @njit(_SIGNATURE, nogil=True, cache=True, error_model="numpy", _nrt=False)
+    def run_rows(
+        simulate: Any, begun: Any, axes: Any, memory: Any, scratch: Any, entries: Any
+    ) -> int:
+        """Simulate and measure rows, each in the same memory; numbers and statuses are entered.
+
+        `simulate` is the compiled loop, a pointer here: with its code in this one, both would be
+        compiled anew for each loop. `begun` are settings, states and lines of each row, `entries`
+        figures, statuses, and which of their columns are asked for: what takes a pass of its own
+        is not computed otherwise.
+        """
+        settings, states, lines = begun
+        figures, status, asked = entries
+        for number in range(len(settings)):
+            for axis in range(2):
+                memory.axes[axis] = axes[number, axis]
+            for kind in range(len(memory.losses)):
+                loss = memory.losses[kind]
+                loss.since_ns = loss.count = loss.finished_since_ns = loss.finished = 0
+            simulate(settings[number : number + 1], states[number : number + 1], memory)
+            state = states[number]
+            if not state.has_failed and state.samples:
+                ticks, samples = memory.ticks, memory.samples
+                row = _Row(settings[number], state, ticks, samples, memory.axes, lines[number])
+                _measure_row(row, scratch, _Entry(figures[number], status[number], asked))
+        return stamp
+
+    return run_rows
+
+
+run_rows = _build(sum_up_sources(*SOURCES))

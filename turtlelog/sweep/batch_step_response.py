@@ -21,18 +21,28 @@ _NEEDS_STEP = np.array([0 < place < _CROSSINGS for place in range(_COUNT)])
 @measure
 def measure_response(values: Any, stretch: Any, step: Any, pieces: Any, entry: Any) -> None:
     """Enter the figures of a loop in the order of `LOOP_FIGURES`."""
-    found, status = entry.figures, entry.status
+    found = entry.figures
     _enter_curve(values, stretch, step, found)
+    if entry.asked[_CROSSINGS]:
+        found[_CROSSINGS] = count_crossings(values, stretch, step.reference)
+    if entry.asked[_LARGEST]:
+        found[_LARGEST] = _find_largest(values, stretch, step.reference)
     begin_s = _find_level(values, stretch, step, 0.1)
     found[_DELAY] = _find_level(values, stretch, step, 0.5)
     found[_RISE] = _find_level(values, stretch, step, 0.9) - begin_s
     found[_SETTLING] = _find_settling(values, stretch, step)
-    found[_IAE] = integrate_error(values, stretch, step.reference, pieces)
+    if entry.asked[_IAE]:
+        found[_IAE] = integrate_error(values, stretch, step.reference, pieces)
     is_step = not abs(step.reference - step.initial) <= SMALLEST_STEP
+    _enter_statuses(found, entry.status, stretch.is_cut, is_step)
+
+
+@measure
+def _enter_statuses(found: Any, status: Any, is_cut: bool, is_step: bool) -> None:  # noqa: FBT001
     for place in range(_COUNT):
         is_time = _IS_TIME[place]
         status[place] = OK
-        if stretch.is_cut and not is_time:
+        if is_cut and not is_time:
             status[place] = CUT
         elif _NEEDS_STEP[place] and not is_step:
             status[place] = NO_STEP
@@ -60,10 +70,8 @@ def _enter_curve(values: Any, stretch: Any, step: Any, found: Any) -> None:
     found[_PEAK_TIME] = tell_time(stretch, ahead)
     found[_OVERSHOOT] = 100.0 * ((values[ahead] - reference) / height)
     found[_UNDERSHOOT] = 100.0 * ((initial - values[behind]) / height)
-    found[_CROSSINGS] = count_crossings(values, stretch, reference)
     found[_FINAL] = abs(error)
     found[_STEADY] = error if reference >= initial else -error
-    found[_LARGEST] = _find_largest(values, stretch, reference)
 
 
 @measure

@@ -15,9 +15,6 @@ _BLOCK = 128
 _LANES = 8
 """As many values numpy adds in one go, in so many sums side by side."""
 
-_DEEPEST = 64
-"""Halvings that a count of 64 bits can have at most."""
-
 
 @measure
 def _add_block(values: Any, first: int, count: int) -> float:
@@ -45,26 +42,39 @@ def _add_block(values: Any, first: int, count: int) -> float:
 
 
 @measure
-def add_up(values: Any, first: int, count: int) -> float:
-    """Return the sum of so many values from one on, in the order of numpy's `sum`."""
-    # Without recursion: what calls itself crashes when numba loads it from its cache on disk.
-    rights, lefts = np.empty((_DEEPEST, 3), np.int64), np.empty(_DEEPEST)
-    depth = 0
-    while True:
-        while count > _BLOCK:
-            half = count // 2
-            half -= half % _LANES
-            rights[depth, 0], rights[depth, 1], rights[depth, 2] = first + half, count - half, 0
-            depth += 1
+def _find_half(first: int, count: int, depth: int, path: int) -> tuple[int, int]:
+    """Return where a half begins and its count; the bits of `path` tell which half of which."""
+    for level in range(depth - 1, -1, -1):
+        half = count // 2
+        half -= half % _LANES
+        if path >> level & 1:
+            first, count = first + half, count - half
+        else:
             count = half
-        total = _add_block(values, first, count)
-        while depth and rights[depth - 1, 2]:
-            depth -= 1
-            total = lefts[depth] + total
-        if not depth:
+    return first, count
+
+
+@measure
+def add_up(values: Any, first: int, count: int) -> float:
+    """Return the sum of so many values from one on, in the order of numpy's `sum`.
+
+    The sum of a left half is kept in the place of its first value, which is lost.
+    """
+    # Without recursion: what calls itself crashes when numba loads it from its cache on disk.
+    depth = path = 0
+    while True:
+        begin, left = _find_half(first, count, depth, path)
+        while left > _BLOCK:
+            depth, path = depth + 1, path << 1
+            begin, left = _find_half(first, count, depth, path)
+        total = _add_block(values, begin, left)
+        while path & 1:
+            depth, path = depth - 1, path >> 1
+            begin, _ = _find_half(first, count, depth, path)
+            total = values[begin] + total
+        if depth == 0:
             return total  # type: ignore[no-any-return]
-        lefts[depth - 1], rights[depth - 1, 2] = total, 1
-        first, count = rights[depth - 1, 0], rights[depth - 1, 1]
+        values[begin], path = total, path | 1
 
 
 @measure

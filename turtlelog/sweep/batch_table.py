@@ -47,15 +47,31 @@ OF_LOOPS: Final[Mapping[str, int]] = MappingProxyType(
 )
 """Metrics of loops by id: in which column they stand."""
 
-OF_RUN: Final = frozenset(
+POSITION_ERROR: Final = "final.position_error"
+"""Computed from the last place: `x_m` and `y_m`."""
+
+OF_RUN: Final[Mapping[str, str]] = MappingProxyType(
     {
-        *("run.duration", "final.heading_error", "final.position_error", "final.cross_track"),
-        *("final.goal_heading_error", "run.path_length", "run.cross_track_max", "run.largest_gap"),
+        "run.duration": "duration",
+        "run.path_length": "path_length",
+        "run.cross_track_max": "cross_track_max",
+        "run.largest_gap": "largest_gap",
+        "final.heading_error": "heading_error",
+        "final.cross_track": "cross_track",
+        "final.goal_heading_error": "goal_heading_error",
+        POSITION_ERROR: "x_m",
     }
 )
-"""Metrics of the run and of its end."""
+"""Metrics of the run and of its end by id: what of `END` they are."""
 
 COLUMNS: Final = len(OF_LOOPS) + len(END)
+
+
+def find_column(metric: str) -> int:
+    """Return the column of a metric that is covered."""
+    if metric in OF_LOOPS:
+        return OF_LOOPS[metric]
+    return len(OF_LOOPS) + END.index(OF_RUN[metric])
 
 
 def is_covered(metric: str) -> bool:

@@ -17,12 +17,13 @@ from turtlelog.simulate.compiled import (
     paths,
     posture,
     sequential,
+    signature,
     turtle,
 )
 from turtlelog.simulate.compiled.functions import inline
 from turtlelog.simulate.compiled.lagged import step_lagged
 from turtlelog.simulate.compiled.law_fields import OPEN_LOOP, POSTURE, SEQUENTIAL
-from turtlelog.simulate.compiled.loop import SIGNATURE, simulate
+from turtlelog.simulate.compiled.loop import simulate
 from turtlelog.simulate.compiled.open_loop import decide_open_loop
 from turtlelog.simulate.compiled.path_tracking import decide_tracking
 from turtlelog.simulate.compiled.posture import decide_posture
@@ -65,7 +66,7 @@ def _decide(
 def _build(stamp: int) -> Any:
     """Return the loop, whose cache knows the code that it was compiled with."""
 
-    @njit(SIGNATURE, nogil=True, cache=True, error_model="numpy", _nrt=False)
+    @njit(signature.LOOP, nogil=True, cache=True, error_model="numpy", _nrt=False)
     def run_loop(all_settings: Any, states: Any, memory: Any) -> int:
         """Simulate a scenario."""
         simulate(all_settings[0], states[0], memory, _step, _decide)

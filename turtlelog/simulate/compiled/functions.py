@@ -21,7 +21,7 @@ inline = njit(forceinline=True, _nrt=False, **_OPTIONS)
 call = njit(_nrt=False, **_OPTIONS)
 """Compiles one that is called: what is long, and seldom asked for."""
 
-measure = njit(nogil=True, **_OPTIONS)
+measure = njit(_nrt=False, **_OPTIONS)
 """Compiles one that is called, and that may allocate memory."""
 
 

@@ -3,8 +3,6 @@
 from types import ModuleType
 from typing import Any
 
-from numba import from_dtype, typeof, types
-
 from turtlelog.plants import turtlesim
 from turtlelog.simulate import law_driver
 from turtlelog.simulate.compiled import (
@@ -17,24 +15,19 @@ from turtlelog.simulate.compiled import (
     memory as arrays,
     samples,
     sensing,
+    signature,
 )
 from turtlelog.simulate.compiled.controller import answer, receive
 from turtlelog.simulate.compiled.events import watch
-from turtlelog.simulate.compiled.fields import SETTINGS
 from turtlelog.simulate.compiled.functions import inline
-from turtlelog.simulate.compiled.memory import MAX_DURATION, STATE, allocate
+from turtlelog.simulate.compiled.memory import MAX_DURATION
 from turtlelog.simulate.compiled.sensing import sense
 
 SOURCES: tuple[ModuleType, ...] = (
     *(commands, controller, drives, events, fields, functions, arrays, samples, sensing),
-    *(law_driver, turtlesim),
+    *(signature, law_driver, turtlesim),
 )
 """Whose code and constants stand in the machine code of every loop."""
-
-SIGNATURE = types.int64(
-    *(from_dtype(kind)[::1] for kind in (SETTINGS, STATE)), typeof(allocate(1, 1))
-)
-"""Of a loop: settings and state of one scenario, and the arrays."""
 
 
 @inline

@@ -5,8 +5,8 @@ from typing import Any
 from numba import njit
 
 from turtlelog.compiled_loops import sum_up_sources
-from turtlelog.simulate.compiled import loop, sequential, turtle
-from turtlelog.simulate.compiled.loop import SIGNATURE, simulate
+from turtlelog.simulate.compiled import loop, sequential, signature, turtle
+from turtlelog.simulate.compiled.loop import simulate
 from turtlelog.simulate.compiled.sequential import decide_sequential
 from turtlelog.simulate.compiled.turtle import step_turtle
 
@@ -17,7 +17,7 @@ SOURCES = (*loop.SOURCES, loop, sequential, turtle)
 def _build(stamp: int) -> Any:
     """Return the loop, whose cache knows the code that it was compiled with."""
 
-    @njit(SIGNATURE, nogil=True, cache=True, error_model="numpy", _nrt=False)
+    @njit(signature.LOOP, nogil=True, cache=True, error_model="numpy", _nrt=False)
     def run_loop(all_settings: Any, states: Any, memory: Any) -> int:
         """Simulate a scenario."""
         simulate(all_settings[0], states[0], memory, step_turtle, decide_sequential)
