@@ -35,8 +35,6 @@ from .result_table import (
     ResultColumn as ResultColumn,
     ResultTable as ResultTable,
     choose_type as choose_type,
-    read_result_facts as read_result_facts,
-    read_result_table as read_result_table,
     write_result_table as write_result_table,
 )
 from .sensitivities import (
@@ -47,6 +45,10 @@ from .sensitivities import (
 )
 from .simulate_rows import (
     RowRecords as RowRecords,
+)
+from .stored_table import (
+    read_result_facts as read_result_facts,
+    read_result_table as read_result_table,
 )
 from .sweep_rows import (
     Sweep as Sweep,

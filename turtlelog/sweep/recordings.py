@@ -14,13 +14,9 @@ from turtlelog.remote.urls import make_path
 from turtlelog.sweep.file_rows import ERROR, FileRows, FileState, Order, ReadFiles
 from turtlelog.sweep.find_recordings import FoundRecording, list_contents
 from turtlelog.sweep.kept_parts import KeptParts
-from turtlelog.sweep.result_table import (
-    has_result_file,
-    open_result_table,
-    read_result_facts,
-    write_result_table,
-)
+from turtlelog.sweep.result_table import write_result_table
 from turtlelog.sweep.row_columns import Row, gather_rows
+from turtlelog.sweep.stored_table import has_result_file, open_result_table, read_result_facts
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:

@@ -1,19 +1,15 @@
-"""Tables of results as Parquet files: columns with units, and what the whole file is about.
+"""Tables of results, written as Parquet files: columns with units, and what the file is about.
 
-The same table gives the same bytes, with the same pyarrow.
+The same table gives the same bytes, with the same pyarrow. `stored_table` reads them.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from turtlelog.errors import LogError, SweepError
 from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import replace_when_complete
-from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.remote.urls import is_there
 from turtlelog.version import __version__
 
 ColumnType = Literal["whole", "real", "text", "truth"]
@@ -25,7 +21,8 @@ FORMAT: Final = "1"
 ROW: Final = "row"
 """The column of the rows' numbers."""
 
-_PREFIX: Final = "turtlelog."
+PREFIX: Final = "turtlelog."
+"""Begins the names of what a file says about itself, among those of Arrow and pandas."""
 
 _MOST_GROUPED: Final = 131_072
 _CELLS_GROUPED: Final = 2**19
@@ -136,7 +133,7 @@ def _build_schema(table: ResultTable) -> Any:
         for column in table.columns
     ]
     own = {"kind": table.kind, "format": FORMAT, "version": table.version}
-    texts = {f"{_PREFIX}{name}": text for name, text in {**table.facts, **own}.items()}
+    texts = {f"{PREFIX}{name}": text for name, text in {**table.facts, **own}.items()}
     return pa.schema(fields, metadata=dict(sorted(texts.items())))
 
 
@@ -149,237 +146,3 @@ def _build_array(column: ResultColumn, rows: slice, kind: Any) -> Any:
     elif column.type == "real" and isinstance(cells, list | tuple):
         cells = [None if cell is None else float(cell) for cell in cells]
     return load_library("pyarrow").array(cells, kind)
-
-
-def has_result_file(path: Path) -> bool:
-    """Return whether there is a file to begin with, or behind a URL an object.
-
-    Raises:
-        LogError: Where that cannot be told, or an object's bucket is not there.
-    """
-    with name_file(path, expected="a place that can be looked at"):
-        return is_there(path)
-
-
-def read_result_facts(path: str | Path) -> Mapping[str, str] | None:
-    """Return what a file says about itself: `kind`, `version` and the facts of its table.
-
-    None where it is a Parquet file that turtlelog wrote no table of results to.
-
-    Raises:
-        LogError: Where it is no Parquet file, is cut, or a newer turtlelog wrote it.
-        LibraryError: Where pyarrow is not installed.
-    """
-    parquet = load_library("pyarrow.parquet")
-    with _name_table(path), open_file(path) as stream:
-        return _read_facts(parquet.read_schema(stream).metadata)
-
-
-def read_result_table(
-    path: str | Path, *, kind: str, columns: Sequence[str] | None = None
-) -> ResultTable:
-    """Return a table that `write_result_table` wrote.
-
-    Args:
-        path: The file.
-        kind: Which table is expected, as in `sweep`.
-        columns: Names of those to read; None: all.
-
-    Raises:
-        LogError: Where it cannot be read, is no Parquet file, is cut, or holds another table.
-        LibraryError: Where pyarrow is not installed.
-    """
-    stored = open_result_table(path, kind=kind)
-    found = [replace(one, cells=list_values(one)) for one in stored.read(columns)]
-    return ResultTable(kind=kind, columns=tuple(found), facts=stored.facts, version=stored.version)
-
-
-def list_values(column: ResultColumn) -> list[Any]:
-    """Return cells of Arrow as values of Python."""
-    cells: Any = column.cells
-    found: list[Any] = cells.to_pylist()
-    return found
-
-
-def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
-    """Return the numbers of rows: those of the column `row`, where it tells every row apart.
-
-    A table that others filtered or sorted keeps them.
-
-    Args:
-        cells: Of that column; None where there is none.
-        count: How many rows there are.
-    """
-    if cells is None or len(set(cells)) < count or not all(type(one) is int for one in cells):
-        return range(count)
-    return cells
-
-
-def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
-    """Return a table whose groups of rows are read one by one.
-
-    Raises:
-        LogError: As `read_result_table` does.
-        LibraryError: Likewise.
-    """
-    stored = StoredTable(path)
-    if stored.kind != kind:
-        other = f"a table of {stored.kind}" if stored.kind else "another Parquet file"
-        if not stored.kind and {ROW, "failed"} <= {*stored.names}:
-            other = "its columns without its metadata, which pandas and polars do not keep"
-        raise LogError(f"{path}: expected a table of {kind}, found {other}")
-    return stored
-
-
-class StoredTable:
-    """A table in a file, which is open only while it is read: it may be replaced meanwhile.
-
-    Attributes:
-        kind: As in `ResultTable`; empty where it is none.
-        facts: Likewise.
-        version: Likewise.
-        names: Of the columns.
-        group_rows: How many rows there are in each group.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        """Read what the file says about itself; what goes wrong is as in `read_result_table`."""
-        parquet = load_library("pyarrow.parquet")
-        self._path = path
-        with _name_table(path), open_file(path) as stream:
-            self._metadata = parquet.read_metadata(stream)
-            schema = self._metadata.schema.to_arrow_schema()
-            facts = dict(_read_facts(schema.metadata) or {})
-        self.kind, self.version = facts.pop("kind", ""), facts.pop("version", "")
-        facts.pop("format", None)
-        self.facts: Mapping[str, str] = facts
-        self.names: Sequence[str] = schema.names
-        groups = range(self._metadata.num_row_groups)
-        self.group_rows = [self._metadata.row_group(group).num_rows for group in groups]
-
-    @property
-    def row_count(self) -> int:
-        """How many rows it has."""
-        return sum(self.group_rows)
-
-    def read(
-        self, columns: Sequence[str] | None = None, group: int | None = None
-    ) -> list[ResultColumn]:
-        """Return columns whose cells are an array of Arrow.
-
-        Args:
-            columns: Names of those to read; None: all.
-            group: Of rows; None: all.
-
-        Raises:
-            LogError: As `read_result_table` does.
-        """
-        parquet, names = load_library("pyarrow.parquet"), None if columns is None else [*columns]
-        with _name_table(self._path), open_file(self._path) as stream:
-            file = parquet.ParquetFile(stream, metadata=self._metadata)
-            table = file.read(names) if group is None else file.read_row_group(group, names)
-            return list(_iterate_columns(table))
-
-    def read_row(self, row: int, names: Sequence[str]) -> list[Any]:
-        """Return the cells of columns in a row, as values of Python.
-
-        Raises:
-            KeyError: Where a column is not there.
-            LogError: As `read` does.
-        """
-        group = 0
-        while row >= self.group_rows[group]:
-            row, group = row - self.group_rows[group], group + 1
-        found = {one.name: list_values(one)[row] for one in self.read(names, group)}
-        return [found[name] for name in names]
-
-    def find_row(self, number: int) -> int:
-        """Return where the row with a number in the column `row` stands.
-
-        Raises:
-            SweepError: Where there is none.
-            LogError: As `read` does.
-        """
-        has_numbers = ROW in self.names
-        if 0 <= number < self.row_count and (
-            not has_numbers or self.read_row(number, [ROW]) == [number]
-        ):
-            return number
-        cells = None
-        if has_numbers:
-            cells = [cell for one in self.iterate(ROW) for cell in one.to_pylist()]
-        numbers = list_row_numbers(cells, self.row_count)
-        if number in numbers:
-            return numbers.index(number)
-        if not numbers:
-            raise SweepError(f"{self._path}: expected at least one row, found none")
-        ends = f"{min(numbers)} to {max(numbers)}"
-        raise SweepError(f"{self._path}: expected a row from {ends}, found {number}")
-
-    def iterate(self, name: str) -> Iterator[Any]:
-        """Yield the cells of a column group by group, each an array of Arrow."""
-        for group in range(len(self.group_rows)):
-            for column in self.read([name], group):
-                yield column.cells
-
-    def count_values(self, name: str) -> int:
-        """Return how many cells of a column have a value; none of them is read."""
-        place, groups = self.names.index(name), range(len(self.group_rows))
-        chunks = (self._metadata.row_group(group).column(place) for group in groups)
-        return sum(chunk.statistics.num_values for chunk in chunks)
-
-
-def read_column_names(path: str | Path) -> tuple[str, ...]:
-    """Return the names of a file's columns, in their order.
-
-    Raises:
-        LogError: Where it is no Parquet file, or is cut.
-        LibraryError: Where pyarrow is not installed.
-    """
-    parquet = load_library("pyarrow.parquet")
-    with _name_table(path), open_file(path) as stream:
-        return tuple(parquet.read_schema(stream).names)
-
-
-def _name_table(path: str | Path) -> AbstractContextManager[None]:
-    return name_file(path, expected="a complete Parquet file")
-
-
-def _read_facts(metadata: Mapping[bytes, bytes] | None) -> Mapping[str, str] | None:
-    texts = {key.decode(): text.decode() for key, text in (metadata or {}).items()}
-    facts = {
-        key.removeprefix(_PREFIX): text for key, text in texts.items() if key.startswith(_PREFIX)
-    }
-    if not {"kind", "format", "version"} <= facts.keys():
-        return None
-    if facts["format"] != FORMAT:
-        raise LogError(
-            f"expected a table of format {FORMAT}, found format {facts['format'][:20]} of turtlelog"
-            f" {facts['version'][:20]}: a newer one reads it"
-        )
-    return facts
-
-
-_TYPES: Final[Mapping[str, ColumnType]] = {
-    **dict.fromkeys(("int64", "int32", "int16", "int8", "uint32", "uint16", "uint8"), "whole"),
-    **dict.fromkeys(("double", "float", "halffloat"), "real"),
-    "bool": "truth",
-    **dict.fromkeys(("string", "large_string", "string_view", "null"), "text"),
-}
-"""What columns are by Arrow's names of their types, among them those that others write."""
-
-
-def _iterate_columns(table: Any) -> Iterator[ResultColumn]:
-    pa = load_library("pyarrow")
-    stored = {"whole": pa.int64(), "real": pa.float64(), "truth": pa.bool_(), "text": pa.string()}
-    for one, cells in zip(table.schema, table.columns, strict=True):
-        kind = _TYPES.get(str(getattr(one.type, "value_type", one.type)))
-        if kind is None or pa.types.is_nested(one.type):
-            raise LogError(f"{one.name}: expected numbers, texts or truths, found {one.type}")
-        unit = (one.metadata or {}).get(b"unit")
-        yield ResultColumn(
-            name=one.name,
-            type=kind,
-            cells=cells if one.type == stored[kind] else cells.cast(stored[kind]),
-            unit=None if unit is None else unit.decode(),
-        )

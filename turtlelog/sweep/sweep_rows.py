@@ -27,10 +27,7 @@ from turtlelog.sweep.assemble import SweptRows, assemble_table, find_failure, li
 from turtlelog.sweep.batch import find_batch
 from turtlelog.sweep.kept_parts import KeptParts, has_results, name_partial, require_same
 from turtlelog.sweep.plan import SweepPlan, build_row_scenario
-from turtlelog.sweep.result_table import (
-    open_result_table,
-    write_result_table,
-)
+from turtlelog.sweep.result_table import write_result_table
 from turtlelog.sweep.simulate_rows import (
     RowChunk,
     RowRecords,
@@ -39,6 +36,7 @@ from turtlelog.sweep.simulate_rows import (
     require_condition,
     simulate_rows,
 )
+from turtlelog.sweep.stored_table import open_result_table
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:

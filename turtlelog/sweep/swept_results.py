@@ -16,13 +16,8 @@ from turtlelog.log.error_boundary import name_file
 from turtlelog.scenario import Scenario, build_scenario, flatten_scenario
 from turtlelog.sweep.assemble import STATUS
 from turtlelog.sweep.plan import build_row_scenario
-from turtlelog.sweep.result_table import (
-    ROW,
-    ResultTable,
-    list_row_numbers,
-    read_column_names,
-    read_result_table,
-)
+from turtlelog.sweep.result_table import ROW, ResultTable
+from turtlelog.sweep.stored_table import StoredTable, list_row_numbers, open_result_table
 from turtlelog.text_files import parse_toml
 
 Values = NDArray[np.float64]
@@ -197,23 +192,14 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
         SweepError: Where it has no such metric, or the patterns name too many.
         LibraryError: Where pyarrow is not installed.
     """
-    head = read_result_table(path, kind="sweep", columns=[])
-    try:
-        plan, base = json.loads(head.facts["plan"]), parse_toml(head.facts["base"])
-        groups = [*((key,) for key in plan["grid"]), *([tuple(plan["zip"])] if plan["zip"] else [])]
-        is_sampled = plan["sample"] is not None
-    except (KeyError, TypeError, ValueError) as err:
-        raise LogError(f"{path}: expected the plan and the base of a sweep, found none") from err
-    names = read_column_names(path)
-    known = [name for name in names if f"{name}{STATUS}" in names]
-    missing = [key for group in groups for key in group if key not in names]
-    if missing:
-        raise LogError(f"{path}: expected a column of every key that varies, found no {missing[0]}")
+    stored = open_result_table(path, kind="sweep")
+    axes, is_sampled, base = _parse_facts(path, stored)
+    known = [name for name in stored.names if f"{name}{STATUS}" in stored.names]
     asked = known if patterns is None else _match(path, patterns, known)
-    wanted = [*(key for group in groups for key in group), *asked]
+    wanted = [*(key for keys in axes for key in keys), *asked]
     wanted += [*(f"{name}{STATUS}" for name in asked), "failed"]
-    wanted += [ROW] if ROW in names else []
-    table = read_result_table(path, kind="sweep", columns=list(dict.fromkeys(wanted)))
+    wanted += [ROW] if ROW in stored.names else []
+    table = stored.load(list(dict.fromkeys(wanted)))
     count = table.row_count
     if not count:
         raise LogError(f"{path}: expected at least one row, found none")
@@ -227,14 +213,14 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
     shown = [metric.name for metric in metrics]
     return SweptResults(
         path=path,
-        axes=tuple(_build_axis(table, group) for group in groups),
+        axes=tuple(_build_axis(table, keys) for keys in axes),
         metrics=tuple(metrics),
         others=tuple(name for name in known if name not in shown),
         is_sampled=is_sampled,
         failed=sum(reason is not None for reason in reasons),
         row_count=count,
         row_numbers=list_row_numbers(None if numbers is None else numbers.cells, count),
-        base=_build_base(path, base),
+        base=base,
     )
 
 
@@ -245,9 +231,21 @@ def format_value(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _build_base(path: str | Path, tables: dict[str, Any]) -> Scenario:
+def _parse_facts(
+    path: str | Path, stored: StoredTable
+) -> tuple[list[tuple[str, ...]], bool, Scenario]:
+    """Return the keys of each axis, whether rows were drawn, and the base scenario."""
     try:
-        return build_scenario(tables, source=f"{path}")
+        plan, tables = json.loads(stored.facts["plan"]), parse_toml(stored.facts["base"])
+        axes = [*((key,) for key in plan["grid"]), *([tuple(plan["zip"])] if plan["zip"] else [])]
+        is_sampled = plan["sample"] is not None
+    except (KeyError, TypeError, ValueError) as err:
+        raise LogError(f"{path}: expected the plan and the base of a sweep, found none") from err
+    missing = [key for keys in axes for key in keys if key not in stored.names]
+    if missing:
+        raise LogError(f"{path}: expected a column of every key that varies, found no {missing[0]}")
+    try:
+        return axes, is_sampled, build_scenario(tables, source=f"{path}")
     except TurtlelogError as err:
         raise LogError(f"{path}: expected the base scenario of a sweep, found: {err}") from err
 
