@@ -24,6 +24,10 @@ from .plan import (
     SweepPlan as SweepPlan,
     build_plan as build_plan,
 )
+from .prepared_sweep import (
+    Sweep as Sweep,
+    prepare_sweep as prepare_sweep,
+)
 from .recordings import (
     RecordingTable as RecordingTable,
     TabulatedFiles as TabulatedFiles,
@@ -51,11 +55,9 @@ from .stored_table import (
     read_result_table as read_result_table,
 )
 from .sweep_rows import (
-    Sweep as Sweep,
     SweepEstimate as SweepEstimate,
     SweepSummary as SweepSummary,
     estimate_sweep as estimate_sweep,
-    prepare_sweep as prepare_sweep,
     run_sweep as run_sweep,
 )
 from .swept_results import (

@@ -1,7 +1,5 @@
-"""A sweep: a plan of a base scenario's rows, simulated on all cores into one table."""
+"""The rows of a sweep, simulated on all cores into one table."""
 
-import hashlib
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,35 +7,26 @@ from functools import partial as partial_call
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, overload
 
-from turtlelog.errors import LogError, ScenarioError, SweepError
+from turtlelog.errors import LogError, SweepError
 from turtlelog.log.error_boundary import name_file
-from turtlelog.measure import choose_metrics
 from turtlelog.processes import LONG_S, count_cores, map_in_processes
 from turtlelog.remote.urls import RemotePath, has_files, make_path
 from turtlelog.scenario import (
-    Scenario,
-    flatten_scenario,
-    format_scenario,
     parse_scenario,
-    resolve_scenario,
 )
-from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.many import SAVED_S
 from turtlelog.sweep.assemble import SweptRows, assemble_table, find_failure, list_valueless
 from turtlelog.sweep.batch import find_batch
 from turtlelog.sweep.kept_parts import KeptParts, has_results, name_partial, require_same
-from turtlelog.sweep.plan import SweepPlan, build_row_scenario
+from turtlelog.sweep.prepared_sweep import Sweep
 from turtlelog.sweep.result_table import write_result_table
 from turtlelog.sweep.simulate_rows import (
     RowChunk,
-    RowRecords,
     RowResults,
     is_batch,
-    require_condition,
     simulate_rows,
 )
 from turtlelog.sweep.stored_table import open_result_table
-from turtlelog.version import __version__
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -49,52 +38,6 @@ _MOST_IN_CHUNK: Final = 1024
 
 _MOST_IN_BATCH: Final = 2048
 """Rows that compiled code takes at once: half a second of usual ones, and a few hundred calls."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sweep:
-    """What a sweep is of; `prepare_sweep` makes one that can run.
-
-    Attributes:
-        base: The scenario that the rows vary, as text.
-        plan: Its rows.
-        metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
-        records: Which runs are recorded; None: none.
-        law_code: A checksum of the file of a law that is not built in; empty otherwise.
-    """
-
-    base: str
-    plan: SweepPlan
-    metrics: tuple[str, ...] | None = None
-    records: RowRecords | None = None
-    law_code: str = ""
-
-    def list_facts(self) -> dict[str, str]:
-        """Return what makes two sweeps the same, as file metadata have it."""
-        where = None if self.records is None else (self.records.folder, self.records.where)
-        return {
-            "base": self.base,
-            "plan": self.plan.describe(),
-            "metrics": json.dumps(self.metrics),
-            "records": json.dumps(where),
-            "law_code": self.law_code,
-            "version": __version__,
-        }
-
-    def cut_chunk(self, first: int, count: int, *, ahead: int = 0, threads: int = 1) -> RowChunk:
-        """Return the work on some rows."""
-        rows = range(first, first + count)
-        columns = [self.plan.list_values(rows, key) for key in self.plan.keys]
-        return RowChunk(
-            base=self.base,
-            keys=self.plan.keys,
-            first=first,
-            values=tuple(zip(*columns, strict=True)),
-            metrics=self.metrics,
-            records=self.records,
-            ahead=ahead,
-            threads=threads,
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,65 +61,6 @@ class SweepSummary:
     recorded: int = 0
     first_failure: str = ""
     valueless: Mapping[str, str] = field(default_factory=dict)
-
-
-def prepare_sweep(
-    base: Scenario,
-    plan: SweepPlan,
-    *,
-    metrics: Sequence[str] | None = None,
-    records: RowRecords | None = None,
-    trust_law: bool = False,
-) -> Sweep:
-    """Return a sweep of a base scenario, after the first, the middle and the last row were built.
-
-    Args:
-        base: What the rows vary.
-        plan: The rows.
-        metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
-        records: Which runs are recorded.
-        trust_law: Whether a law that a recording names may run, too.
-
-    Raises:
-        ScenarioError: Where none of these rows makes a scenario, or the law may not run.
-        MeasureError: Where a metric is not known.
-        ExpressionError: Where the condition of the recordings cannot be judged.
-    """
-    trusted = True if trust_law else None
-    found, errors = [], []
-    for row in plan.list_probes():
-        try:
-            scenario = build_row_scenario(
-                base, plan.keys, plan.find_values(row), row, trust_law=trusted
-            )
-            found.append(resolve_scenario(scenario, trust_law=trust_law))
-        except ScenarioError as err:
-            errors.append(err)
-    if not found:
-        raise errors[0]
-    known = [flatten_scenario(one) for one in found]
-    real = {key for key in plan.keys if any(isinstance(one.get(key), float) for one in known)}
-    if metrics is not None:
-        for one in found:
-            choose_metrics(metrics, declare_scenario(one))
-    first = dict(zip(plan.keys, plan.find_values(0), strict=True))
-    require_condition(records, {**known[0], **first})
-    kinds = {one.law.kind for one in found} | {str(one.get("law.kind")) for one in known}
-    return Sweep(
-        base=format_scenario(base),
-        plan=plan.with_reals(real),
-        metrics=None if metrics is None else tuple(metrics),
-        records=records,
-        law_code=_sum_up_code(sorted(kinds)),
-    )
-
-
-def _sum_up_code(kinds: Sequence[str]) -> str:
-    """Return a checksum of the files of laws, empty where all are built in or modules."""
-    files = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
-    if not files:
-        return ""
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
 def run_sweep(
