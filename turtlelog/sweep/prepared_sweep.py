@@ -8,12 +8,7 @@ from pathlib import Path
 
 from turtlelog.errors import ScenarioError
 from turtlelog.measure import choose_metrics
-from turtlelog.scenario import (
-    Scenario,
-    flatten_scenario,
-    format_scenario,
-    resolve_scenario,
-)
+from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.plan import SweepPlan, build_row_scenario
 from turtlelog.sweep.simulate_rows import RowChunk, RowRecords, require_condition

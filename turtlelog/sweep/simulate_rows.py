@@ -24,11 +24,7 @@ from turtlelog.measure import (
 from turtlelog.measure.metric import Metric
 from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
-from turtlelog.scenario import (
-    Scenario,
-    parse_scenario,
-    resolve_scenario,
-)
+from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_many
 from turtlelog.simulate.compiled.fields import is_compiled, is_sequential
 from turtlelog.sweep.batch import measure_rows

@@ -10,14 +10,7 @@ from turtlelog.errors import LogError, SweepError
 from turtlelog.libraries import load_library
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.remote.urls import is_there
-from turtlelog.sweep.result_table import (
-    FORMAT,
-    PREFIX,
-    ROW,
-    ColumnType,
-    ResultColumn,
-    ResultTable,
-)
+from turtlelog.sweep.result_table import FORMAT, PREFIX, ROW, ColumnType, ResultColumn, ResultTable
 
 
 def has_result_file(path: Path) -> bool:

@@ -11,21 +11,14 @@ from turtlelog.errors import LogError, SweepError
 from turtlelog.log.error_boundary import name_file
 from turtlelog.processes import LONG_S, count_cores, map_in_processes
 from turtlelog.remote.urls import RemotePath, has_files, make_path
-from turtlelog.scenario import (
-    parse_scenario,
-)
+from turtlelog.scenario import parse_scenario
 from turtlelog.simulate.many import SAVED_S
 from turtlelog.sweep.assemble import SweptRows, assemble_table, find_failure, list_valueless
 from turtlelog.sweep.batch import find_batch
 from turtlelog.sweep.kept_parts import KeptParts, has_results, name_partial, require_same
 from turtlelog.sweep.prepared_sweep import Sweep
 from turtlelog.sweep.result_table import write_result_table
-from turtlelog.sweep.simulate_rows import (
-    RowChunk,
-    RowResults,
-    is_batch,
-    simulate_rows,
-)
+from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
 from turtlelog.sweep.stored_table import open_result_table
 
 if TYPE_CHECKING:

@@ -5,12 +5,7 @@ from typing import Any
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.simulate.compiled.commands import end_stretch
 from turtlelog.simulate.compiled.functions import inline
-from turtlelog.simulate.compiled.memory import (
-    COMMANDS_DROPPED,
-    POSES_DROPPED,
-    STOP,
-    WALL_HIT,
-)
+from turtlelog.simulate.compiled.memory import COMMANDS_DROPPED, POSES_DROPPED, STOP, WALL_HIT
 
 
 @inline

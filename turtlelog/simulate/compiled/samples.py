@@ -3,13 +3,7 @@
 import math
 from typing import Any
 
-from turtlelog.simulate.compiled.functions import (
-    clip,
-    inline,
-    least,
-    most,
-    round_to_step,
-)
+from turtlelog.simulate.compiled.functions import clip, inline, least, most, round_to_step
 from turtlelog.simulate.compiled.memory import SPEED, TURN
 from turtlelog.simulate.law_driver import LARGEST_FLOAT
 

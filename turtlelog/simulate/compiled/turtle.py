@@ -7,12 +7,7 @@ import numpy as np
 from turtlelog.plants.turtlesim import _PI, _TWO_PI, WORLD_SIZE_M
 from turtlelog.simulate.compiled.commands import take
 from turtlelog.simulate.compiled.drives import find_push, publish_pose
-from turtlelog.simulate.compiled.functions import (
-    find_direction,
-    inline,
-    least,
-    most,
-)
+from turtlelog.simulate.compiled.functions import find_direction, inline, least, most
 from turtlelog.simulate.compiled.memory import OF_TURTLE
 
 
