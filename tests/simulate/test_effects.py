@@ -11,6 +11,7 @@ from tests.effects_cases import EFFECTS, RANDOM, SENSED, SHAPED, build_case
 from turtlelog.run import Run
 from turtlelog.scenario import format_scenario, parse_scenario
 from turtlelog.simulate import simulate_run
+from turtlelog.simulate.random_streams import list_streams
 
 PAIRS = list(combinations(EFFECTS, 2))
 
@@ -61,6 +62,7 @@ def test_each_effect_changes_the_run_and_repeats(effect: str) -> None:
     assert list_columns(run) != list_columns(simulate_pair(**without))
     other = list_columns(simulate_pair(effect, seed=1))
     assert (other != list_columns(run)) == (effect in RANDOM)
+    assert bool(list_streams(build_case(effect))) == (effect in RANDOM)
 
 
 def test_each_stream_is_the_same_whatever_else_is_on() -> None:

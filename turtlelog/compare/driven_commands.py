@@ -3,7 +3,8 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
+from itertools import chain
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
 from turtlelog.run import CommandColumns, Run
 from turtlelog.run.columns import take_rows
 from turtlelog.scenario import Scenario
+from turtlelog.simulate.random_streams import RANDOM_KEYS, list_streams
 
 _FADED: Final = 1e-3
 """Share of an earlier rate below which it no longer counts."""
@@ -85,31 +87,22 @@ def find_known(run: Run, scenario: Scenario) -> int:
 
 def silence(scenario: Scenario) -> Scenario:
     """Return a scenario without its random effects."""
-    loop = replace(
-        scenario.loop,
-        jitter_s=0.0,
-        loss_probability=0.0,
-        repeat_probability=0.0,
-        late_probability=0.0,
-    )
-    return replace(
-        scenario,
-        loop=loop,
-        disturbance=replace(scenario.disturbance, noise_speed=0.0, noise_turn_rate=0.0),
-        sensing=replace(
-            scenario.sensing,
-            noise_position_m=0.0,
-            noise_heading_rad=0.0,
-            outlier_probability=0.0,
-            dropout_probability=0.0,
-        ),
-    )
+    tables: dict[str, dict[str, float]] = {}
+    for key in chain.from_iterable(RANDOM_KEYS.values()):
+        table, _, name = key.partition(".")
+        tables.setdefault(table, {})[name] = 0.0
+    changes: dict[str, Any] = {
+        table: replace(getattr(scenario, table), **names) for table, names in tables.items()
+    }
+    return replace(scenario, **changes)
 
 
 def is_random(scenario: Scenario) -> bool:
-    """Return whether simulations of a scenario differ by their seeds; dropout is not simulated."""
-    sensing = replace(scenario.sensing, dropout_probability=0.0)
-    return replace(scenario, sensing=sensing) != silence(scenario)
+    """Return whether what is sensed of a driven robot differs by the seed of its scenario.
+
+    Sensed poses are never lost or late there.
+    """
+    return bool(list_streams(scenario) - {"dropout", "sensing_jitter"})
 
 
 def _counts_commands(scenario: Scenario) -> bool:

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from turtlelog.errors import ExplainError, suggest_names
 from turtlelog.laws import find_law, list_mechanisms, list_sample_counters
-from turtlelog.loops import Mechanism
+from turtlelog.loops import PUSH_KEYS, Mechanism
 from turtlelog.run import Run
 from turtlelog.scenario import (
     Scenario,
@@ -21,6 +21,7 @@ from turtlelog.scenario import (
     resolve_scenario,
 )
 from turtlelog.simulate import simulate_run
+from turtlelog.simulate.random_streams import RANDOM_KEYS
 
 FINER: Final = 8
 """Steps that a tick is divided into without sampling: 2 ms each."""
@@ -102,12 +103,7 @@ LOOP_MECHANISMS: Final = (
     Mechanism(
         name="disturbance",
         kind="effect",
-        neutral={
-            "disturbance.speed_m_s": 0.0,
-            "disturbance.turn_rate_rad_s": 0.0,
-            "disturbance.noise_speed": 0.0,
-            "disturbance.noise_turn_rate": 0.0,
-        },
+        neutral=dict.fromkeys(PUSH_KEYS, 0.0),
         meaning="nothing pushes the robot",
     ),
     Mechanism(
@@ -155,31 +151,18 @@ LOOP_MECHANISMS: Final = (
 )
 """What lies between law and plant, whatever the law. Dead time and lag of a robot are its own."""
 
-_AMOUNTS: Final = (
-    "loop.jitter_s",
-    "sensing.jitter_s",
-    "sensing.noise_position_m",
-    "sensing.noise_heading_rad",
-    "sensing.outlier_probability",
-    "disturbance.noise_speed",
-    "disturbance.noise_turn_rate",
-)
-"""Settings that draw random numbers unless they are 0."""
-
-_CHANCES: Final = (
-    "loop.loss_probability",
-    "loop.repeat_probability",
-    "loop.late_probability",
-    "sensing.dropout_probability",
-)
-"""Settings that draw random numbers unless they are 0 or 1."""
+_CHANCES: Final = frozenset({"loss", "repeat", "late", "dropout"})
+"""Streams of effects that are certain at a probability of 1: the seed then changes nothing."""
 
 
 def draws_random(scenario: Scenario) -> bool:
     """Return whether a scenario's run is another one with another seed."""
     values = flatten_scenario(scenario)
-    chances = [values.get(key, 0.0) for key in _CHANCES]
-    return any(values.get(key) for key in _AMOUNTS) or any(c not in {0.0, 1.0} for c in chances)
+    return any(
+        values.get(key, 0.0) not in ({0.0, 1.0} if stream in _CHANCES else {0.0})
+        for stream, keys in RANDOM_KEYS.items()
+        for key in keys
+    )
 
 
 def find_mechanisms(scenario: Scenario) -> Mapping[str, Mechanism]:

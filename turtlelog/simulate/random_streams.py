@@ -1,31 +1,43 @@
 """Random numbers of effects: one stream each, so that switching one off changes no other."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from operator import attrgetter
+from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-_NUMBERS: Final = {
-    name: number
-    for number, name in enumerate(
-        (
-            "noise",
-            "dropout",
-            "outlier",
-            "sensing_jitter",
-            "transport_jitter",
-            "loss",
-            "repeat",
-            "late",
-            "disturbance",
-        )
-    )
-}
-"""Number of each stream: with the seed it determines all that is drawn. New names come last."""
+from turtlelog.scenario import Scenario
+
+RANDOM_KEYS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "noise": ("sensing.noise_position_m", "sensing.noise_heading_rad"),
+        "dropout": ("sensing.dropout_probability",),
+        "outlier": ("sensing.outlier_probability",),
+        "sensing_jitter": ("sensing.jitter_s",),
+        "transport_jitter": ("loop.jitter_s",),
+        "loss": ("loop.loss_probability",),
+        "repeat": ("loop.repeat_probability",),
+        "late": ("loop.late_probability",),
+        "disturbance": ("disturbance.noise_speed", "disturbance.noise_turn_rate"),
+    }
+)
+"""The keys of each stream's effect: where all of them are 0, none of its numbers is used.
+
+The place of a name here and the seed determine all that is drawn. New names come last.
+"""
+
+_NUMBERS: Final = {name: number for number, name in enumerate(RANDOM_KEYS)}
+_READ: Final = {name: tuple(attrgetter(key) for key in keys) for name, keys in RANDOM_KEYS.items()}
 
 _BLOCK: Final = 256
 """Events drawn at once."""
+
+
+def list_streams(scenario: Scenario) -> frozenset[str]:
+    """Return the names of the streams whose numbers a scenario uses."""
+    return frozenset(name for name, keys in _READ.items() if any(read(scenario) for read in keys))
 
 
 class RandomStream:

@@ -24,8 +24,9 @@ from turtlelog.simulate.compiled.fields import (
     read_key,
 )
 from turtlelog.simulate.compiled.law_fields import fill_schedule
-from turtlelog.simulate.compiled.memory import SPEED, STATE, TURN, begin, list_streams
+from turtlelog.simulate.compiled.memory import SPEED, STATE, TURN, begin
 from turtlelog.simulate.compiled.runner import count_rows
+from turtlelog.simulate.random_streams import list_streams
 from turtlelog.sweep.plan import build_row_scenario
 
 _OF_AXES: Final = {

@@ -1,6 +1,6 @@
 """The arrays of the compiled loop: what a scenario begins with, its queues, what its run holds."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from turtlelog.simulate.compiled.law_fields import (
     fill_schedule,
     fill_signal,
 )
-from turtlelog.simulate.random_streams import draw_events
+from turtlelog.simulate.random_streams import draw_events, list_streams
 
 ROTATE, TRANSLATE, REORIENT = 0, 2, 3
 """Phases by their number in the declaration of the sequential laws; 1 is the pause."""
@@ -157,37 +157,23 @@ class Memory(NamedTuple):
 
 
 class _Stream(NamedTuple):
-    """The random numbers of an effect: where they stand, and whether it acts."""
+    """Where the random numbers of an effect stand, and how they are distributed."""
 
-    acts: Callable[[Scenario], object]
     fields: tuple[str, ...]
     kind: Literal["uniform", "normal"] = "uniform"
 
 
 _OF_TICKS: Final = {
-    "noise": _Stream(
-        lambda scenario: scenario.sensing.noise_position_m or scenario.sensing.noise_heading_rad,
-        ("noise_x", "noise_y", "noise_heading"),
-        "normal",
-    ),
-    "outlier": _Stream(
-        lambda scenario: scenario.sensing.outlier_probability,
-        ("outlier_chance", "outlier_direction", "outlier_side"),
-    ),
-    "dropout": _Stream(lambda scenario: scenario.sensing.dropout_probability, ("dropout",)),
-    "sensing_jitter": _Stream(lambda scenario: scenario.sensing.jitter_s, ("sensing_jitter",)),
-    "disturbance": _Stream(
-        lambda scenario: scenario.disturbance.noise_speed or scenario.disturbance.noise_turn_rate,
-        ("push", "turn_push"),
-        "normal",
-    ),
+    "noise": _Stream(("noise_x", "noise_y", "noise_heading"), "normal"),
+    "outlier": _Stream(("outlier_chance", "outlier_direction", "outlier_side")),
+    "dropout": _Stream(("dropout",)),
+    "sensing_jitter": _Stream(("sensing_jitter",)),
+    "disturbance": _Stream(("push", "turn_push"), "normal"),
 }
 _OF_SAMPLES: Final = {
-    "transport_jitter": _Stream(lambda scenario: scenario.loop.jitter_s, ("transport_jitter",)),
-    "loss": _Stream(lambda scenario: scenario.loop.loss_probability, ("loss",)),
-    "repeat": _Stream(lambda scenario: scenario.loop.repeat_probability, ("repeat",)),
-    "late": _Stream(lambda scenario: scenario.loop.late_probability, ("late",)),
+    name: _Stream((name,)) for name in ("transport_jitter", "loss", "repeat", "late")
 }
+"""The streams of `RANDOM_KEYS`, by what their numbers belong to."""
 
 
 def allocate(ticks: int, samples: int) -> Memory:
@@ -219,12 +205,6 @@ def prepare(memory: Memory, scenario: Scenario, ticks: int, samples: int) -> Non
     ):
         rows[: len(table)] = table
     draw_streams(memory, list_streams(scenario), scenario.seed, ticks, samples)
-
-
-def list_streams(scenario: Scenario) -> frozenset[str]:
-    """Return the names of the random numbers that a scenario needs."""
-    streams = {**_OF_TICKS, **_OF_SAMPLES}
-    return frozenset(name for name, stream in streams.items() if stream.acts(scenario))
 
 
 def draw_streams(
