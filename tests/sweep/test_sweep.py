@@ -359,7 +359,7 @@ def test_compiled_rows_go_to_a_cluster_in_large_chunks(tmp_path: Path) -> None:
     sweep = prepare_sweep(base, build_plan(["seed=0:999999"]), metrics=["run.duration"])
     with pytest.raises(KeyboardInterrupt):
         run_sweep(sweep, tmp_path / "t.parquet", jobs=Here(), watch=_stop_beyond_two)
-    assert sizes[:-1] == [2048] * 488
+    assert sizes[:-1] == [4096] * 244
 
 
 def _stop_beyond_two(done: int) -> None:
