@@ -3,11 +3,15 @@
 import csv
 import io
 import re
+import tracemalloc
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.cli.conftest import Call
+from turtlelog.check import CheckResult, Verdict
+from turtlelog.cli.check_answers import CountedResults
 
 RATES = """format = 1
 [checks.rate]
@@ -130,3 +134,32 @@ def test_a_name_that_steers_the_terminal_stays_text_beside_colours(
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.delenv("NO_COLOR", raising=False)
     assert "\x1b[2J" not in call("check", spec, odd).out
+
+
+def test_results_of_many_files_are_counted_and_few_of_them_kept() -> None:
+    def make(count: int) -> Iterator[CheckResult]:
+        for number in range(count):
+            yield CheckResult(
+                file=f"run-{number}.mcap",
+                check="drift",
+                verdict=Verdict.FAIL if number % 7 == 0 else Verdict.PASS,
+                expected="drift < 1",
+                value=number / count,
+                limit=1.0,
+                margin=1.0 - number / count,
+            )
+
+    def measure(count: int) -> int:
+        tracemalloc.start()
+        counted = CountedResults(make(count))
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert counted.verdict == "FAIL"
+        assert counted.verdicts["FAIL"] == -(-count // 7)  # type: ignore[index]
+        assert counted.nearest["drift"].file == f"run-{count - 1}.mcap"
+        assert [one.file for one in counted.failures[:2]] == ["run-0.mcap", "run-7.mcap"]
+        assert len(counted.failures) == 40
+        return peak
+
+    few, many = measure(1_000), measure(20_000)
+    assert many < 1.2 * few

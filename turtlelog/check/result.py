@@ -1,7 +1,7 @@
 """What a check comes to on one recording, and a question to one; both may be undecided."""
 
 import enum
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -174,7 +174,11 @@ class CheckOutcome:
 
 def join_verdicts(results: Iterable[CheckResult]) -> Verdict:
     """Return FAIL where any fails, PASS where any passes, SKIPPED where nothing was judged."""
-    found = {result.verdict for result in results}
+    return decide_verdict({result.verdict for result in results})
+
+
+def decide_verdict(found: Container[Verdict]) -> Verdict:
+    """Return the verdict of all where some are found, as `join_verdicts`."""
     order = (Verdict.FAIL, Verdict.PASS)
     return next((verdict for verdict in order if verdict in found), Verdict.SKIPPED)
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from sys import intern
 from typing import Any, Final
@@ -31,6 +31,9 @@ _KEYS: Final = (
 )
 _DECIDED: Final = Key("decided", "whole")
 """1 or 0: whether it is known that the verdict is right."""
+
+_ROWS_AT_ONCE: Final = 4096
+"""Of a table that are values of Python at a time."""
 
 _RECORDING: Final = "recording"
 """The check that fails where a recording cannot be read, or has lost something."""
@@ -88,8 +91,8 @@ def _build_row(result: CheckResult) -> Row:
     }
 
 
-def read_verdicts(path: Path, files: Mapping[str, str]) -> list[CheckResult]:
-    """Return the results that a table holds.
+def read_verdicts(path: Path, files: Mapping[str, str]) -> Iterator[CheckResult]:
+    """Yield the results that a table holds.
 
     Args:
         path: The table.
@@ -98,13 +101,16 @@ def read_verdicts(path: Path, files: Mapping[str, str]) -> list[CheckResult]:
     keys = (FILE, *_KEYS, _DECIDED)
     names = [key.name for key in keys]
     table = open_result_table(path, kind="verdicts")
-    results: list[CheckResult] = []
-    for group in range(len(table.group_rows)):  # few rows at a time are cells of Python
-        columns = {one.name: list_values(one) for one in table.read(names, group)}
-        rows: Iterator[Any] = zip(*(columns[name] for name in names), strict=True)
-        found = (dict(zip(names, row, strict=True)) for row in rows)
-        results += [_build_result(cells, files) for cells in found if cells["verdict"] is not None]
-    return results
+    for group, count in enumerate(table.group_rows):
+        columns = table.read(names, group)
+        for first in range(0, count, _ROWS_AT_ONCE):
+            part = {
+                one.name: list_values(replace(one, cells=one.cells[first : first + _ROWS_AT_ONCE]))
+                for one in columns
+            }
+            rows: Iterator[Any] = zip(*(part[name] for name in names), strict=True)
+            found = (dict(zip(names, row, strict=True)) for row in rows)
+            yield from (_build_result(one, files) for one in found if one["verdict"] is not None)
 
 
 def _build_result(cells: dict[str, Any], files: Mapping[str, str]) -> CheckResult:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.check_answers import describe_results, print_results
+from turtlelog.cli.check_answers import print_results
 from turtlelog.cli.check_files import ReportOptions, check_files, check_into_table, read_to_judge
 from turtlelog.cli.folders import find_files
 from turtlelog.cli.options import Output, Place, ReadingOptions, require_files
@@ -104,11 +104,7 @@ def check(
         results = check_into_table(first.output, spec, found, reports, topics)
     else:
         results = check_files(spec, files, reports, topics)
-    verdict = tl.check.join_verdicts(results)
-    if kind == "json":
-        print_json(describe_results(verdict, results))
-    else:
-        print_results(spec, results, files=len(files), kind=kind)
+    verdict = print_results(spec, results, files=len(files), kind=kind)
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
 
 

@@ -2,17 +2,18 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import format_table, print_tables, print_verdicts
+from turtlelog.cli.output import format_table, print_json, print_tables, print_verdicts
 from turtlelog.display import show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import CheckResult, Spec
+    from turtlelog.check import Verdict
     from turtlelog.compare import Table
     from turtlelog.compare.table import Cell
 
@@ -51,24 +52,33 @@ def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str
 
 
 def print_results(
-    spec: "Spec", results: "Sequence[CheckResult]", *, files: int, kind: str = "txt"
-) -> None:
-    """Print a table per file, of several files the verdicts as a matrix, and the verdict.
+    spec: "Spec", results: "Iterable[CheckResult]", *, files: int, kind: str = "txt"
+) -> "Verdict":
+    """Print a table per file, of several files the verdicts as a matrix, and return the verdict.
 
     Args:
         spec: Says why a bound is what it is.
-        results: Of all files, in their order.
+        results: Of all files, in their order; of many they are counted as they come.
         files: How many there are.
         kind: As `FormatOptions` chooses; a file of values has rows and nothing else.
     """
-    if kind == "csv":
+    if kind == "txt" and files > _MOST_FILES:
+        counted = CountedResults(results)
+        print_verdicts(_format_counted(counted, files=files, spec=spec))
+        return counted.verdict
+    results = [*results]
+    verdict = tl.check.join_verdicts(results)
+    if kind == "json":
+        print_json(describe_results(verdict, results))
+    elif kind == "csv":
         print_tables([_tabulate(results, "Checks", names_file=True)], kind)
     elif kind == "txt":
         print_verdicts(format_results(results, files=files, spec=spec))
     else:
         tables = [*_tabulate_files(results), *_tabulate_matrix(results)]
-        notes = (*_list_reasons(spec, results), _summarise(results, files=files))
+        notes = (*_list_reasons(spec, results), _summarise(CountedResults(results), files=files))
         print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
+    return verdict
 
 
 def format_results(
@@ -82,58 +92,94 @@ def format_results(
         spec: Says why a bound is what it is; None: what passes is left out.
     """
     failed = [result for result in results if result.verdict == "FAIL"]
-    if files > _MOST_FILES:
-        shown = failed[:_MOST_FAILURES]
-        tables = [_count_checks(results, files=files)]
-        tables += [_tabulate(shown, "Failures", names_file=True)] if shown else []
-        more = len(failed) - len(shown)
-        lines = [*_list_reasons(spec, shown)]
-        lines += (
-            [f"{more} of {len(failed)} failures are not shown: --csv and --json show them"]
-            if more
-            else []
-        )
-    else:
-        shown = failed if spec is None else [*results]
-        tables = [*_tabulate_files(shown), *_tabulate_matrix(shown)]
-        lines = [*_list_reasons(spec, shown), *_list_worst(shown)]
+    shown = failed if spec is None else [*results]
+    tables = [*_tabulate_files(shown), *_tabulate_matrix(shown)]
+    lines = [*_list_reasons(spec, shown), *_list_worst(shown)]
+    return _join(tables, lines, _summarise(CountedResults(results), files=files))
+
+
+def _format_counted(counted: "CountedResults", *, files: int, spec: "Spec") -> str:
+    """Return how often each check passes, the first failures, and how many there are."""
+    shown = counted.failures
+    tables = [_count_checks(counted, files=files)]
+    tables += [_tabulate(shown, "Failures", names_file=True)] if shown else []
+    failed = counted.verdicts[tl.check.Verdict.FAIL]
+    more = failed - len(shown)
+    lines = [*_list_reasons(spec, shown)]
+    if more:
+        lines.append(f"{more} of {failed} failures are not shown: --csv and --json show them")
+    return _join(tables, lines, _summarise(counted, files=files))
+
+
+def _join(tables: "Sequence[Table]", lines: Sequence[str], summary: str) -> str:
     parts = ["Checks; times from the first sample"] if tables else []
     parts += [format_table(table).rstrip("\n") for table in tables]
     parts += ["\n".join(map(escape_controls, lines))] if lines else []
-    return "\n\n".join([*parts, _summarise(results, files=files)])
+    return "\n\n".join([*parts, summary])
 
 
-def _count_checks(results: "Sequence[CheckResult]", *, files: int) -> "Table":
+class CountedResults:
+    """Results counted one by one: memory does not grow with them.
+
+    Attributes:
+        verdicts: How many there are of each.
+        of_checks: Likewise, by check.
+        nearest: The one of each check that is nearest to its limit, or the furthest beyond it.
+        failures: The first that fail.
+    """
+
+    def __init__(self, results: "Iterable[CheckResult]") -> None:
+        """Count results as they come."""
+        self.verdicts: Counter[Verdict] = Counter()
+        self.of_checks: dict[str, Counter[Verdict]] = {}
+        self.nearest: dict[str, CheckResult] = {}
+        self.failures: list[CheckResult] = []
+        for result in results:
+            self._count(result)
+
+    def _count(self, result: "CheckResult") -> None:
+        self.verdicts[result.verdict] += 1
+        self.of_checks.setdefault(result.check, Counter())[result.verdict] += 1
+        if result.margin is not None:
+            nearest = self.nearest.setdefault(result.check, result)
+            if result.margin < (nearest.margin or 0.0):
+                self.nearest[result.check] = result
+        if result.verdict == "FAIL" and len(self.failures) < _MOST_FAILURES:
+            self.failures.append(result)
+
+    @property
+    def verdict(self) -> "Verdict":
+        """The verdict of all of them."""
+        from turtlelog.check.result import decide_verdict
+
+        return decide_verdict(self.verdicts)
+
+
+def _count_checks(counted: CountedResults, *, files: int) -> "Table":
     """Return how often each check passes, and where it is nearest to its limit, or beyond."""
-    by_check: dict[str, list[CheckResult]] = {}
-    for result in results:
-        by_check.setdefault(result.check, []).append(result)
     titles = ("check", "PASS", "FAIL", "SKIPPED", "unit", "least margin", "file")
     return tl.compare.Table(
-        title=f"{files} recordings, {len(by_check)} checks",
+        title=f"{files} recordings, {len(counted.of_checks)} checks",
         columns=tuple(tl.compare.Column(title=title) for title in titles),
-        rows=tuple(_count_check(check, found) for check, found in by_check.items()),
+        rows=tuple(_count_check(check, counted) for check in counted.of_checks),
     )
 
 
-def _count_check(check: str, results: "Sequence[CheckResult]") -> "tuple[Cell, ...]":
-    verdicts = Counter(result.verdict.value for result in results)
-    counts = tuple(verdicts[name] for name in ("PASS", "FAIL", "SKIPPED"))
-    measured = [result for result in results if result.margin is not None]
-    if not measured:
+def _count_check(check: str, counted: CountedResults) -> "tuple[Cell, ...]":
+    verdicts = counted.of_checks[check]
+    counts = tuple(verdicts[name] for name in tl.check.Verdict)
+    nearest = counted.nearest.get(check)
+    if nearest is None:
         return (check, *counts, None, None, None)
-    worst = min(measured, key=lambda result: result.margin or 0.0)
-    unit, *_, margin = _show(worst)
-    return (check, *counts, unit, margin, worst.file)
+    unit, *_, margin = _show(nearest)
+    return (check, *counts, unit, margin, nearest.file)
 
 
-def _summarise(results: "Sequence[CheckResult]", *, files: int) -> str:
-    counts = [
-        f"{sum(result.verdict == verdict for result in results)} {word}"
-        for verdict, word in (("PASS", "pass"), ("FAIL", "fail"), ("SKIPPED", "skipped"))
-    ]
+def _summarise(counted: CountedResults, *, files: int) -> str:
+    words = zip(tl.check.Verdict, ("pass", "fail", "skipped"), strict=True)
+    counts = [f"{counted.verdicts[verdict]} {word}" for verdict, word in words]
     recordings = "1 recording" if files == 1 else f"{files} recordings"
-    return f"{tl.check.join_verdicts(results)}: {recordings}, {', '.join(counts)}"
+    return f"{counted.verdict}: {recordings}, {', '.join(counts)}"
 
 
 def _tabulate_files(results: "Sequence[CheckResult]") -> "list[Table]":

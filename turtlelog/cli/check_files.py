@@ -1,7 +1,7 @@
 """Files held to a specification one by one, and what is written beside the answer."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -62,7 +62,7 @@ def check_into_table(
     found: "Sequence[FoundRecording]",
     reports: ReportOptions,
     topics: ReadingOptions,
-) -> "list[CheckResult]":
+) -> "Iterator[CheckResult]":
     """Return the results of files, of those that have not changed as a table holds them."""
     from turtlelog.check.verdict_rows import plan_verdict_table, read_verdicts
 
@@ -96,12 +96,12 @@ def _prepare_judge(
 
 def check_files(
     spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
-) -> "list[CheckResult]":
-    """Return the results of files, and write what is asked for beside them."""
+) -> "Iterator[CheckResult]":
+    """Yield the results of files, and write what is asked for beside them."""
     if reports.scheduler is not None and reports.report is not None:
         raise UsageError("--report: expected no --scheduler beside it, found one")
     with reports.find_place(files, file_s=_FILE_S) as place:
-        return _check_files(spec, files, reports, topics, place=place)
+        yield from _check_files(spec, files, reports, topics, place=place)
 
 
 def _check_files(
@@ -111,7 +111,7 @@ def _check_files(
     topics: ReadingOptions,
     *,
     place: "int | Executor",
-) -> "list[CheckResult]":
+) -> "Iterator[CheckResult]":
     from turtlelog.check.junit import CheckedFile, format_junit
 
     jobs = 1 if reports.report is not None else place
@@ -119,29 +119,30 @@ def _check_files(
     is_described = reports.junit is not None
     judge = _prepare_judge(spec, topics, is_described=is_described, keeps_runs=keeps_runs)
     judged = map_in_processes(judge, files, jobs)
-    checked: list[CheckedFile] = []
+    checked: list[CheckedFile] = []  # what a report needs
     runs: dict[str, Run] = {}
     with ExitStack() as stack:
         writer = reports.artifacts and stack.enter_context(
             tl.check.ArtifactWriter(reports.artifacts)
         )
         for path, file in zip(files, watch_files(judged, len(files)), strict=True):
-            checked.append(file.checked)
+            if reports.junit is not None or reports.report is not None:
+                checked.append(file.checked)
             print_run_notes(file.checked.file, file.notes)
             if file.run is not None and reports.report is not None:
                 runs[file.checked.file] = file.run
             if writer:
                 # Of files judged in other processes those that fail are read here once more.
                 _write_artifacts(file if keeps_runs else judge.look_closer(path, file), writer)
+            yield from file.checked.results
     if reports.junit is not None:
         with tl.log.replace_when_complete(reports.junit) as part:
             part.write_text(format_junit(checked), encoding="utf-8")
         print_note(f"wrote {reports.junit}")
-    results = [result for file in checked for result in file.results]
     if reports.report is not None:
+        results = [result for file in checked for result in file.results]
         words = [*runs, *list_reading_words(topics), "--report", str(reports.report)]
         _write_report(reports.report, runs, results, _join_command(spec, words))
-    return results
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
