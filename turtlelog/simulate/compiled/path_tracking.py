@@ -26,22 +26,14 @@ def decide_tracking(
     if state.phase < 0:
         state.phase, state.first_ns = _TRACK, time_ns
         state.arc_m = state.begin_m = math.nan
-    behind_m, speed_m_s = 0.0, settings.law_speed_m_s
     if settings.path_has_speed:
         speed_m_s = settings.path_speed_m_s
-        since_s = (time_ns - state.first_ns) / 1e9
-        reference_m = least(speed_m_s * since_s, settings.path_length_m)
-        nearest_m = _follow(settings, state, memory, (x_m, y_m), reference_m)
-        behind_m = reference_m - nearest_m
-        is_over = reference_m >= settings.path_length_m
+        target_m, nearest_m, is_over = _find_due(settings, state, memory, (x_m, y_m), time_ns)
     else:
-        reference_m = nearest_m = _follow(settings, state, memory, (x_m, y_m), 0.0)
-        if math.isnan(state.begin_m) and not math.isnan(state.arc_m):
-            state.begin_m = nearest_m if settings.path_is_closed else 0.0
-        begin_m = 0.0 if math.isnan(state.begin_m) else state.begin_m
-        end_m = begin_m + settings.path_length_m - settings.law_end_tolerance_m
-        is_over = not math.isnan(state.begin_m) and nearest_m >= end_m
-    point = locate(settings, memory, reference_m)
+        speed_m_s = settings.law_speed_m_s
+        nearest_m, is_over = _find_nearest(settings, state, memory, (x_m, y_m))
+        target_m = nearest_m
+    point = locate(settings, memory, target_m)
     speed = turn_rate = 0.0
     if is_over:
         state.stop_reason = PATH_END
@@ -49,7 +41,7 @@ def decide_tracking(
         speed, turn_rate = _steer_to_point(settings, pose, point, speed_m_s)
     else:
         ahead = find_ahead(settings, memory, (x_m, y_m), settings.law_lookahead_m, nearest_m)
-        speed = speed_m_s + settings.law_kp_along * behind_m
+        speed = speed_m_s + settings.law_kp_along * (target_m - nearest_m)
         turn_rate = _steer_ahead(pose, ahead, speed)
     if not math.isfinite(point[0] + point[1] + point[2]):
         state.has_failed = 1
@@ -62,10 +54,40 @@ def decide_tracking(
 
 
 @inline
+def _find_due(
+    settings: Any, state: Any, memory: Any, position: tuple[float, float], time_ns: int
+) -> tuple[float, float, bool]:
+    """Return the arc lengths of the point that is due and of the nearest [m], and if it is over."""
+    since_s = (time_ns - state.first_ns) / 1e9
+    due_m = least(settings.path_speed_m_s * since_s, settings.path_length_m)
+    nearest_m = _follow(settings, state, memory, position, due_m)
+    return due_m, nearest_m, due_m >= settings.path_length_m
+
+
+@inline
+def _find_nearest(
+    settings: Any, state: Any, memory: Any, position: tuple[float, float]
+) -> tuple[float, bool]:
+    """Return the arc length of the nearest point [m] of a path without a speed, and if it is over.
+
+    A closed path is over after a whole lap.
+    """
+    nearest_m = _follow(settings, state, memory, position, 0.0)
+    if math.isnan(state.begin_m) and not math.isnan(state.arc_m):
+        state.begin_m = nearest_m if settings.path_is_closed else 0.0
+    begin_m = 0.0 if math.isnan(state.begin_m) else state.begin_m
+    end_m = begin_m + settings.path_length_m - settings.law_end_tolerance_m
+    return nearest_m, not math.isnan(state.begin_m) and nearest_m >= end_m
+
+
+@inline
 def _follow(
     settings: Any, state: Any, memory: Any, position: tuple[float, float], due_m: float
 ) -> float:
-    """Return the arc length of the point that is nearest to a robot; as a `PathFollower`."""
+    """Return the arc length of the point that is nearest to a robot [m]; as a `PathFollower`.
+
+    `due_m` is how far the reference is by time [m]; 0 on a path without a speed.
+    """
     if math.isnan(state.arc_m):
         joins_anywhere = settings.path_is_closed and not settings.path_has_speed
         last_m = settings.path_length_m if joins_anywhere else due_m
