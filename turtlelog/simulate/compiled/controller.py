@@ -5,10 +5,9 @@ from typing import Any
 import numpy as np
 
 from turtlelog.simulate.compiled.commands import put
+from turtlelog.simulate.compiled.fields import NEVER_NS
 from turtlelog.simulate.compiled.functions import inline
 from turtlelog.simulate.compiled.samples import answer_pose
-
-_NEVER_NS = 2**63 - 1
 
 
 @inline
@@ -104,7 +103,7 @@ def _find_next_ns(state: Any, memory: Any) -> int:
 
 @inline
 def _is_due(settings: Any, state: Any, memory: Any) -> bool:
-    """Whether poses may be answered; of a timer that fired the newest is queued."""
+    """Whether poses may be answered; where a timer fired, the newest pose is queued."""
     if not settings.timer_ns:
         return True
     if not state.is_due or state.newest < 0:
@@ -117,7 +116,7 @@ def _is_due(settings: Any, state: Any, memory: Any) -> bool:
 
 @inline
 def _deliver(settings: Any, state: Any, memory: Any, now_ns: int) -> None:
-    """Take the poses that have come, and note whether the timer fires."""
+    """Queue the poses that have arrived by now; mark an answer as due where the timer fires."""
     while (
         state.arrivals_first < state.arrivals_end
         and memory.queued[state.arrivals_first].arrival_ns <= now_ns
@@ -130,7 +129,7 @@ def _deliver(settings: Any, state: Any, memory: Any, now_ns: int) -> None:
         state.newest = pose
         if state.waits_for:
             state.waits_for -= 1
-            state.fires_ns = _NEVER_NS if state.waits_for else now_ns
+            state.fires_ns = NEVER_NS if state.waits_for else now_ns
     if settings.timer_ns and state.fires_ns == now_ns:
         state.is_due = 1
         state.fires_ns += settings.timer_ns
