@@ -10,7 +10,7 @@ from turtlelog.simulate.compiled.memory import COMMANDS_DROPPED, COMMANDS_LOST
 
 @inline
 def count_lost(loss: Any, time_ns: int) -> None:
-    """Count one that is lost at a time."""
+    """Count a pose or command that is lost at a time [ns], in a stretch of such."""
     if loss.count == 0:
         loss.since_ns = time_ns
     loss.count += 1
@@ -18,7 +18,7 @@ def count_lost(loss: Any, time_ns: int) -> None:
 
 @inline
 def end_stretch(loss: Any) -> None:
-    """Note that something came through."""
+    """End a stretch of losses, as something came through; stretches of a tick become one event."""
     if loss.count == 0:
         return
     if loss.finished == 0:

@@ -30,7 +30,10 @@ def publish_pose(
 
 @inline
 def find_push(settings: Any, memory: Any, tick: int, time_ns: int) -> tuple[float, float]:
-    """Return what a disturbance adds in a step, of which a time tells whether it lies within."""
+    """Return what a disturbance adds to speed [m/s] and turn rate [rad/s] in the step to a tick.
+
+    Nothing where a time of the step [ns] is outside the interval of the disturbance.
+    """
     if not settings.push_from_ns <= time_ns < settings.push_to_ns:
         return 0.0, 0.0
     speed, turn_rate = settings.disturbance_speed_m_s, settings.disturbance_turn_rate_rad_s

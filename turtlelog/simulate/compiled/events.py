@@ -17,7 +17,7 @@ def _note(state: Any, memory: Any, tick: int, kind: int, first: float, second: f
 
 @inline
 def watch(settings: Any, state: Any, memory: Any, tick: int, before: int) -> None:
-    """Note what changed since the last tick, `before` which there were so many samples."""
+    """Note what changed since the last tick, when there were `before` samples."""
     for kind in range(len(memory.losses)):
         loss = memory.losses[kind]
         if state.stop_reason:

@@ -30,7 +30,7 @@ CHOICES: Final[Mapping[str, tuple[Any, ...]]] = MappingProxyType(
         "law.anti_windup": ("none", "clamping", "back-calculation"),
     }
 )
-"""Keys of which the kernel takes the number of the value."""
+"""Keys of words and truths, of which the loop takes the number of the value in this order."""
 
 WHOLE: Final = (
     "law.pause_ticks",
@@ -40,7 +40,7 @@ WHOLE: Final = (
     "loop.command_queue",
     "loop.transport_delay_ticks",
 )
-"""Whole numbers that the kernel takes as they are: `loop.pose_queue` as `loop_pose_queue`."""
+"""Whole numbers that the loop takes as they are: `loop.pose_queue` as `loop_pose_queue`."""
 
 REAL: Final = (
     "goal.x_m",
@@ -113,7 +113,7 @@ DERIVED: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "sensing_delay_ns": ("sensing.delay_s",),
     }
 )
-"""Whole numbers computed from scenario keys, in `fill_settings`."""
+"""Whole numbers that `_derive_whole` computes; with each the keys that no other field takes."""
 
 DERIVED_REAL: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -130,7 +130,7 @@ DERIVED_REAL: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "turn_push_scale": ("disturbance.noise_turn_rate",),
     }
 )
-"""Likewise, other numbers."""
+"""Other numbers, which `_derive_real` computes, likewise."""
 
 WITHOUT_EFFECT: Final = frozenset({"name", "path", "law.kind"})
 """Keys that change nothing of how these laws run."""

@@ -44,7 +44,7 @@ SPEED, TURN = 0, 1
 """Axes by number."""
 
 OF_TURTLE, OF_LAW = 0, 1
-"""Whose direction it is, by number."""
+"""Directions by number: the turtle's heading, and that along which the law measures its errors."""
 
 STATE: Final = np.dtype(
     [
@@ -71,7 +71,8 @@ STATE: Final = np.dtype(
         )
     ]
 )
-"""Where a simulation stands; of its run, how many rows there are."""
+"""Where a simulation stands: how many rows of each kind there are, the first and the end of each
+queue, and what plant, law and controller remember. `-1` stands for none."""
 
 LOSS: Final = np.dtype(
     [(name, np.int64) for name in ("since_ns", "count", "finished_since_ns", "finished")]
@@ -136,11 +137,27 @@ _PUSHES_PER_TICK: Final = 3
 """One from its begin, one where the disturbance begins and one where it ends."""
 
 EVENTS_PER_TICK: Final = 7
-"""One of each kind, and of dropped commands in both of its words."""
+"""At most: one of each kind, and two of dropped commands, which are told with or without a time."""
 
 
 class Memory(NamedTuple):
-    """The arrays of the loop. What a scenario does not use of them is never written."""
+    """The arrays of the loop. What a scenario does not use of them is never written.
+
+    Attributes:
+        ticks: Of `TICK`, one for each tick.
+        samples: Of `SAMPLE`.
+        queued: Of `QUEUED`, longer than any of the queues gets.
+        events: Tick, number of `EVENT_KINDS`, and two numbers of the kind, as `event_watch` words
+            them, shape (n, 4).
+        losses: Of `LOSS`, by the first of `EVENT_KINDS`, shape (3,).
+        axes: Of `AXIS`, speed and turn rate, shape (2,).
+        directions: Of `DIRECTION`: `OF_TURTLE` and `OF_LAW`, shape (2,).
+        pushes: Of `PUSH`, those of a step.
+        gauss: Nodes and weights of a quadrature from 0 to 1, shape (n, 2).
+        schedule: As `fill_schedule` returns it, then room.
+        pieces: As `fill_pieces` returns them, then room.
+        signal: As `fill_signal` returns it, then room.
+    """
 
     ticks: NDArray[Any]
     samples: NDArray[Any]

@@ -29,7 +29,8 @@ def step_turtle(settings: Any, state: Any, memory: Any, tick: int) -> None:
     if settings.is_pushed:
         push, turn_push = find_push(settings, memory, tick, tick * settings.period_ns)
         forward, turn_rate = forward + push, turn_rate + turn_push
-    left, period_s = 0.0, settings.period_s
+    period_s = settings.period_s
+    left = 0.0  # The lateral speed of every law; its products decide the sign of a 0.
     heading_rad = state.heading_rad + turn_rate * period_s
     heading_rad -= _TWO_PI * np.floor((heading_rad + _PI) / _TWO_PI)
     cosine, sine = find_direction(memory.directions[OF_TURTLE], heading_rad)
