@@ -17,10 +17,10 @@ from turtlelog.simulate import simulate_run
 from turtlelog.sweep import batch
 from turtlelog.sweep.batch import MeasuredRows, measure_rows
 from turtlelog.sweep.batch_rows import FREE_KEYS, prepare_rows
-from turtlelog.sweep.batch_table import LOOP_FIGURES, OF_LOOPS, OF_RUN, STATUSES
+from turtlelog.sweep.batch_table import COLUMN_OF, OF_RUN, STATUSES, LoopMetric
 from turtlelog.sweep.plan import build_row_scenario
 
-METRICS: Final = (*OF_LOOPS, *OF_RUN)
+METRICS: Final = tuple(COLUMN_OF)
 PAPER: Final = get_preset("paper")
 
 
@@ -257,7 +257,9 @@ def test_every_status_of_the_batch_is_met() -> None:
 def test_the_page_says_which_metrics_are_compiled() -> None:
     page = (Path(__file__).parents[2] / "docs" / "sweep.md").read_text("utf-8")
     told = page.partition("## How fast")[2].partition("##")[0]
-    assert [name for name in (*LOOP_FIGURES, *OF_RUN) if f"`{name}`" not in told] == []
+    assert [
+        name for name in (*(one.ending for one in LoopMetric), *OF_RUN) if f"`{name}`" not in told
+    ] == []
 
 
 def test_numbers_of_a_robot_vary_in_the_batch() -> None:

@@ -26,18 +26,17 @@ from turtlelog.simulate.many import ANY_FIRST_S, COST_S, FIRST_S, SAVED_S
 from turtlelog.sweep.batch_rows import PreparedRows, find_line, prepare_rows
 from turtlelog.sweep.batch_table import (
     ABSENT,
+    COLUMN_OF,
     COLUMNS,
-    END,
     NO_PHASE,
     OF_LOOPS,
-    OF_RUN,
     OK,
     POSITION_ERROR,
+    RUN_AT,
     STATUSES,
     TOO_LARGE,
     TOO_SHORT,
-    find_column,
-    is_covered,
+    RunColumn,
 )
 from turtlelog.sweep.plan import build_row_scenario
 
@@ -63,8 +62,6 @@ ANY_BATCH: Final = CompiledLoops(
 
 _STRETCH: Final = 32
 """Rows in one call: long enough to cost nothing, short enough that all cores end together."""
-
-_END_AT: Final = len(OF_LOOPS)
 
 _WHERE_NONE: Final = {"final.goal_heading_error": ABSENT, "run.largest_gap": TOO_SHORT}
 """What NaN of one says: no heading is wanted, or there is one sample."""
@@ -130,7 +127,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
         raise SweepError(f"rows: expected columns of one length, found {sorted(counts) or 'none'}")
     work = _Work(base, columns, metrics, plant, first)
     rest: Sequence[int] = range(work.count)
-    if all(map(is_covered, metrics)):
+    if COLUMN_OF.keys() >= {*metrics}:
         batch = find_batch(base, columns)
         kernel = batch.find()
         if kernel is None and work.count:
@@ -205,19 +202,19 @@ class _Work:
     def run_compiled(self, kernel: Any, rows: Sequence[int], threads: int) -> list[int]:
         """Simulate and measure what is compiled; return the rows that are not."""
         prepared = prepare_rows(self._base, self._columns, rows, self._plant)
-        figures = np.full((len(prepared.rows), COLUMNS), np.nan)
+        values = np.full((len(prepared.rows), COLUMNS), np.nan)
         status = np.full((len(prepared.rows), COLUMNS), OK, np.int8)
-        self._run_all(kernel, prepared, figures, status, threads)
+        self._run_all(kernel, prepared, values, status, threads)
         # The line from start to goal is known before, unless the robot is pushed as it waits.
-        moved = self._correct_lines(prepared, figures)
+        moved = self._correct_lines(prepared, values)
         if len(moved):
             again = prepared.take(moved)
-            part, part_status = figures[moved], status[moved]
+            part, part_status = values[moved], status[moved]
             self._run_all(kernel, again, part, part_status, threads)
-            figures[moved], status[moved] = part, part_status
+            values[moved], status[moved] = part, part_status
             prepared.states[moved] = again.states
         good = (prepared.states["has_failed"] == 0) & (prepared.states["samples"] > 0)
-        self._enter(prepared, figures, status, np.flatnonzero(good))
+        self._enter(prepared, values, status, np.flatnonzero(good))
         self._compiled += int(good.sum())
         return sorted([*prepared.others, *prepared.rows[~good].tolist()])
 
@@ -225,12 +222,12 @@ class _Work:
         self,
         kernel: Any,
         prepared: PreparedRows,
-        figures: NDArray[np.float64],
+        values: NDArray[np.float64],
         status: NDArray[np.int8],
         threads: int,
     ) -> None:
         prepared.begin()
-        asked = np.isin(np.arange(COLUMNS), [find_column(name) for name in self._metrics])
+        asked = np.isin(np.arange(COLUMNS), [COLUMN_OF[name] for name in self._metrics])
         order = np.argsort(prepared.seeds, kind="stable")
         cuts = np.flatnonzero(np.diff(prepared.seeds[order])) + 1
         stretches = [
@@ -241,12 +238,12 @@ class _Work:
 
         def run(stretch: NDArray[np.int64]) -> None:
             memory, scratch = self._find_memory(prepared, int(prepared.seeds[stretch[0]]))
-            part = figures[stretch], status[stretch], asked
+            part = values[stretch], status[stretch], asked
             states = prepared.states[stretch]
             settings, axes = prepared.settings[stretch], prepared.axes[stretch]
             lines = prepared.lines[stretch]
             kernel.run_rows((settings, states, lines), axes, memory, scratch, part)
-            figures[stretch], status[stretch] = part[:2]
+            values[stretch], status[stretch] = part[:2]
             prepared.states[stretch] = states
 
         if threads == 1 or len(stretches) == 1:
@@ -276,10 +273,10 @@ class _Work:
         return local.memory, local.scratch
 
     def _correct_lines(
-        self, prepared: PreparedRows, figures: NDArray[np.float64]
+        self, prepared: PreparedRows, values: NDArray[np.float64]
     ) -> NDArray[np.int64]:
         """Give rows the line from where they were first read; return those that had another."""
-        read = figures[:, _END_AT + END.index("first_x_m") :][:, :2]
+        read = values[:, [RUN_AT + RunColumn.FIRST_X_M, RUN_AT + RunColumn.FIRST_Y_M]]
         lines = prepared.lines
         other = (read[:, 0] != lines["x_m"]) | (read[:, 1] != lines["y_m"])
         other &= ~np.isnan(read[:, 0])
@@ -295,7 +292,7 @@ class _Work:
     def _enter(
         self,
         prepared: PreparedRows,
-        figures: NDArray[np.float64],
+        values: NDArray[np.float64],
         status: NDArray[np.int8],
         good: NDArray[np.int64],
     ) -> None:
@@ -304,29 +301,24 @@ class _Work:
         result.samples[rows] = prepared.states["samples"][good]
         for row, reason in zip(rows, prepared.states["stop_reason"][good], strict=True):
             result.stop_reasons[row] = STOP_REASONS[reason]
-        end = dict(zip(END, figures[good, _END_AT:].T, strict=True))
         for name in self._metrics:
-            if name in OF_LOOPS:
-                values, found = figures[good, OF_LOOPS[name]], status[good, OF_LOOPS[name]]
-            else:
-                values = _find_of_run(name, end, prepared, good)
-                found = np.where(np.isfinite(values), OK, TOO_LARGE).astype(np.int8)
+            column, found = values[good, COLUMN_OF[name]], status[good, COLUMN_OF[name]]
+            if name == POSITION_ERROR:
+                column = _find_position_error(values[good], prepared.settings[good])
+            if name not in OF_LOOPS:
+                found = np.where(np.isfinite(column), OK, TOO_LARGE).astype(np.int8)
                 if name in _WHERE_NONE:
-                    found[np.isnan(values)] = _WHERE_NONE[name]
+                    found[np.isnan(column)] = _WHERE_NONE[name]
             if name.startswith("reorient."):
                 found = np.where(prepared.settings["law_reorient"][good] == 1, found, NO_PHASE)
-            result.values[name][rows] = np.where(found == OK, values, np.nan)
+            result.values[name][rows] = np.where(found == OK, column, np.nan)
             result.statuses[name][rows] = found
 
 
-def _find_of_run(
-    name: str,
-    end: Mapping[str, NDArray[np.float64]],
-    prepared: PreparedRows,
-    good: NDArray[np.int64],
+def _find_position_error(
+    values: NDArray[np.float64], settings: NDArray[Any]
 ) -> NDArray[np.float64]:
-    if name != POSITION_ERROR:
-        return end[OF_RUN[name]]
-    settings = prepared.settings[good]
-    ahead_m, left_m = settings["goal_x_m"] - end["x_m"], settings["goal_y_m"] - end["y_m"]
+    """Return how far from the goal the last pose is [m]."""
+    ahead_m = settings["goal_x_m"] - values[:, RUN_AT + RunColumn.X_M]
+    left_m = settings["goal_y_m"] - values[:, RUN_AT + RunColumn.Y_M]
     return np.asarray(np.hypot(ahead_m, left_m))

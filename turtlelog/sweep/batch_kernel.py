@@ -14,7 +14,8 @@ import numpy as np
 from numba import njit, types
 
 from turtlelog.compiled_loops import sum_up_sources
-from turtlelog.measure import metric, step_response, swings
+from turtlelog.measure import metric, registry, step_response, swings
+from turtlelog.measure.registry import LOOP_METRICS
 from turtlelog.measure.table import loop_metrics
 from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
 from turtlelog.simulate.compiled import fields, functions, memory, signature
@@ -46,11 +47,18 @@ from turtlelog.sweep.batch_sums import (
     share_saturated,
 )
 from turtlelog.sweep.batch_swings import judge_swings
-from turtlelog.sweep.batch_table import DEGREES, LOOP_FIGURES, NO_PHASE, NO_STEP, OK, TOO_SHORT
+from turtlelog.sweep.batch_table import (
+    NO_PHASE,
+    NO_STEP,
+    OK,
+    RUN_AT,
+    TOO_SHORT,
+    LoopMetric,
+    RunColumn,
+)
 
-_STABLE, _SATURATED = LOOP_FIGURES.index("stable"), LOOP_FIGURES.index("saturated_share")
-_COUNT = len(LOOP_FIGURES)
-_IS_ANGLE = np.array([name in DEGREES for name in LOOP_FIGURES])
+_COUNT = len(LoopMetric)
+_IS_ANGLE = np.array([LOOP_METRICS[metric.ending].unit == "{value}" for metric in LoopMetric])
 _TO_DEGREES = 180.0 / math.pi
 _TURN_RAD = 2.0 * math.pi
 
@@ -89,9 +97,9 @@ class _Row(NamedTuple):
 
 
 class _Entry(NamedTuple):
-    """Where the figures of a loop, or of a row, are entered, and which are asked for."""
+    """The columns of a loop, or of a row: values, statuses, and which are asked for."""
 
-    figures: Any
+    values: Any
     status: Any
     asked: Any
 
@@ -161,20 +169,21 @@ def _measure_loop(row: Any, values: Any, pieces: Any, end_ns: int, phase: int, e
         reference += turns * 2.0 * math.pi
     step = _Step(values[stretch.first], reference, line.band)
     measure_response(values, stretch, step, pieces, entry)
-    if entry.asked[_STABLE]:
+    if entry.asked[LoopMetric.STABLE]:
         found, status = _find_stable(row, values, stretch, step, phase)
-        entry.figures[_STABLE], entry.status[_STABLE] = found, status
+        entry.values[LoopMetric.STABLE], entry.status[LoopMetric.STABLE] = found, status
     samples, axis = row.samples, 0 if phase == TRANSLATE else 1
     own = (
         find_sample(samples, row.state.samples, phase),
         find_sample(samples, row.state.samples, phase + 1),
     )
     share = share_saturated(samples, own, axis, row.axes[axis].limit)
-    entry.figures[_SATURATED], entry.status[_SATURATED] = share, OK
+    entry.values[LoopMetric.SATURATED_SHARE] = share
+    entry.status[LoopMetric.SATURATED_SHARE] = OK
     if phase != TRANSLATE:
         for place in range(_COUNT):
             if _IS_ANGLE[place]:
-                entry.figures[place] *= _TO_DEGREES
+                entry.values[place] *= _TO_DEGREES
 
 
 @measure
@@ -223,32 +232,34 @@ def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
         phase = ROTATE if number == 0 else TRANSLATE if number == 1 else REORIENT
         part = slice(number * _COUNT, number * _COUNT + _COUNT)
         values = scratch[1] if phase == TRANSLATE else scratch[0]
-        own = _Entry(entry.figures[part], entry.status[part], entry.asked[part])
+        own = _Entry(entry.values[part], entry.status[part], entry.asked[part])
         if own.asked.any():
             _measure_loop(row, values, pieces, end_ns, phase, own)
     turns_last = find_sample(samples, row.state.samples, REORIENT) < row.state.samples
     wanted_rad = line.goal_heading_rad if turns_last else line.bearing_rad
     pose, first = ticks[count - 1], ticks[samples[0].pose_sequence]
-    end, asked = entry.figures[3 * _COUNT :], entry.asked[3 * _COUNT :]
-    end[0] = (end_ns - samples[0].time_ns) / 1e9
-    end[1] = abs(wrap_angle(wanted_rad - scratch[0, count - 1])) * _TO_DEGREES
-    end[2], end[3] = pose.x_m, pose.y_m
-    end[4] = abs(wrap_angle(line.goal_heading_rad - pose.heading_rad)) * _TO_DEGREES
-    end[5], end[6] = first.x_m, first.y_m
+    end, asked = entry.values[RUN_AT:], entry.asked[RUN_AT:]
+    end[RunColumn.DURATION] = (end_ns - samples[0].time_ns) / 1e9
+    end[RunColumn.HEADING_ERROR] = abs(wrap_angle(wanted_rad - scratch[0, count - 1])) * _TO_DEGREES
+    end[RunColumn.X_M], end[RunColumn.Y_M] = pose.x_m, pose.y_m
+    error_rad = abs(wrap_angle(line.goal_heading_rad - pose.heading_rad))
+    end[RunColumn.GOAL_HEADING_ERROR] = error_rad * _TO_DEGREES
+    end[RunColumn.FIRST_X_M], end[RunColumn.FIRST_Y_M] = first.x_m, first.y_m
     x_m, y_m = pose.x_m - line.x_m, pose.y_m - line.y_m
-    end[7] = y_m * line.cos - x_m * line.sin
-    if asked[8]:
+    end[RunColumn.CROSS_TRACK] = y_m * line.cos - x_m * line.sin
+    if asked[RunColumn.CROSS_TRACK_MAX]:
         first_row = -(-samples[0].time_ns // row.settings.period_ns)
-        end[8] = find_cross_track(ticks, first_row, count, line)
-    if asked[9]:
-        end[9] = find_largest_gap(samples, row.state.samples)
-    if asked[10]:
-        end[10] = measure_way(ticks, count, pieces)
+        end[RunColumn.CROSS_TRACK_MAX] = find_cross_track(ticks, first_row, count, line)
+    if asked[RunColumn.LARGEST_GAP]:
+        end[RunColumn.LARGEST_GAP] = find_largest_gap(samples, row.state.samples)
+    if asked[RunColumn.PATH_LENGTH]:
+        end[RunColumn.PATH_LENGTH] = measure_way(ticks, count, pieces)
 
 
 SOURCES = (
     *(batch_rows, batch_step_response, batch_sums, batch_swings, batch_table),
-    *(fields, functions, loop_metrics, memory, metric, signature, step_response, swings),
+    *(fields, functions, loop_metrics, memory, metric, registry, signature),
+    *(step_response, swings),
 )
 """Whose code and constants stand in the machine code."""
 
@@ -274,11 +285,11 @@ def _build(stamp: int) -> Any:
 
         `simulate` is the compiled loop, a pointer here: with its code in this one, both would be
         compiled anew for each loop. `begun` are settings, states and lines of each row, `entries`
-        figures, statuses, and which of their columns are asked for: what takes a pass of its own
+        values, statuses, and which of their columns are asked for: what takes a pass of its own
         is not computed otherwise.
         """
         settings, states, lines = begun
-        figures, status, asked = entries
+        values, status, asked = entries
         for number in range(len(settings)):
             for axis in range(2):
                 memory.axes[axis] = axes[number, axis]
@@ -290,7 +301,7 @@ def _build(stamp: int) -> Any:
             if not state.has_failed and state.samples:
                 ticks, samples = memory.ticks, memory.samples
                 row = _Row(settings[number], state, ticks, samples, memory.axes, lines[number])
-                _measure_row(row, scratch, _Entry(figures[number], status[number], asked))
+                _measure_row(row, scratch, _Entry(values[number], status[number], asked))
         return stamp
 
     return run_rows

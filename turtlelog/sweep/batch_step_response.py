@@ -5,48 +5,54 @@ from typing import Any
 
 import numpy as np
 
+from turtlelog.measure.registry import LOOP_METRICS
 from turtlelog.measure.step_response import SHORTEST_HOLD_S, SWING
 from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
 from turtlelog.simulate.compiled.functions import measure
 from turtlelog.sweep.batch_sums import count_crossings, integrate_error, tell_time
-from turtlelog.sweep.batch_table import CUT, LOOP_FIGURES, NO_STEP, NOT_REACHED, OK, TOO_LARGE
+from turtlelog.sweep.batch_table import (
+    CUT,
+    NO_STEP,
+    NOT_REACHED,
+    OK,
+    TOO_LARGE,
+    LoopMetric,
+)
 
-_DURATION, _DELAY, _RISE, _PEAK, _PEAK_TIME, _OVERSHOOT, _UNDERSHOOT, _SETTLING = range(8)
-_CROSSINGS, _FINAL, _STEADY, _LARGEST, _, _IAE = range(8, 14)
-_COUNT = len(LOOP_FIGURES)
-_IS_TIME = np.array([place in {_DELAY, _RISE, _SETTLING} for place in range(_COUNT)])
-_NEEDS_STEP = np.array([0 < place < _CROSSINGS for place in range(_COUNT)])
+_NEEDS_WHOLE = np.array([LOOP_METRICS[metric.ending].needs_whole for metric in LoopMetric])
+_NEEDS_STEP = np.array(
+    [LoopMetric.DURATION < metric < LoopMetric.CROSSINGS for metric in LoopMetric]
+)
 
 
 @measure
 def measure_response(values: Any, stretch: Any, step: Any, pieces: Any, entry: Any) -> None:
-    """Enter the figures of a loop in the order of `LOOP_FIGURES`."""
-    found = entry.figures
+    """Enter the metrics of a loop that its curve tells, in the columns of `LoopMetric`."""
+    found = entry.values
     _enter_curve(values, stretch, step, found)
-    if entry.asked[_CROSSINGS]:
-        found[_CROSSINGS] = count_crossings(values, stretch, step.reference)
-    if entry.asked[_LARGEST]:
-        found[_LARGEST] = _find_largest(values, stretch, step.reference)
+    if entry.asked[LoopMetric.CROSSINGS]:
+        found[LoopMetric.CROSSINGS] = count_crossings(values, stretch, step.reference)
+    if entry.asked[LoopMetric.LARGEST_ERROR]:
+        found[LoopMetric.LARGEST_ERROR] = _find_largest(values, stretch, step.reference)
     begin_s = _find_level(values, stretch, step, 0.1)
-    found[_DELAY] = _find_level(values, stretch, step, 0.5)
-    found[_RISE] = _find_level(values, stretch, step, 0.9) - begin_s
-    found[_SETTLING] = _find_settling(values, stretch, step)
-    if entry.asked[_IAE]:
-        found[_IAE] = integrate_error(values, stretch, step.reference, pieces)
+    found[LoopMetric.DELAY_TIME] = _find_level(values, stretch, step, 0.5)
+    found[LoopMetric.RISE_TIME] = _find_level(values, stretch, step, 0.9) - begin_s
+    found[LoopMetric.SETTLING_TIME] = _find_settling(values, stretch, step)
+    if entry.asked[LoopMetric.IAE]:
+        found[LoopMetric.IAE] = integrate_error(values, stretch, step.reference, pieces)
     is_step = not abs(step.reference - step.initial) <= SMALLEST_STEP
     _enter_statuses(found, entry.status, stretch.is_cut, is_step)
 
 
 @measure
 def _enter_statuses(found: Any, status: Any, is_cut: bool, is_step: bool) -> None:  # noqa: FBT001
-    for place in range(_COUNT):
-        is_time = _IS_TIME[place]
+    for place in range(len(_NEEDS_STEP)):
         status[place] = OK
-        if is_cut and not is_time:
+        if is_cut and _NEEDS_WHOLE[place]:
             status[place] = CUT
         elif _NEEDS_STEP[place] and not is_step:
             status[place] = NO_STEP
-        elif is_time and math.isnan(found[place]):
+        elif not _NEEDS_WHOLE[place] and math.isnan(found[place]):
             status[place] = NOT_REACHED
         elif not math.isfinite(found[place]):
             status[place] = TOO_LARGE
@@ -65,13 +71,13 @@ def _enter_curve(values: Any, stretch: Any, step: Any, found: Any) -> None:
             bottom = row
     ahead, behind = (top, bottom) if reference >= initial else (bottom, top)
     error = reference - values[end]
-    found[_DURATION] = tell_time(stretch, end)
-    found[_PEAK] = values[ahead]
-    found[_PEAK_TIME] = tell_time(stretch, ahead)
-    found[_OVERSHOOT] = 100.0 * ((values[ahead] - reference) / height)
-    found[_UNDERSHOOT] = 100.0 * ((initial - values[behind]) / height)
-    found[_FINAL] = abs(error)
-    found[_STEADY] = error if reference >= initial else -error
+    found[LoopMetric.DURATION] = tell_time(stretch, end)
+    found[LoopMetric.PEAK] = values[ahead]
+    found[LoopMetric.PEAK_TIME] = tell_time(stretch, ahead)
+    found[LoopMetric.OVERSHOOT] = 100.0 * ((values[ahead] - reference) / height)
+    found[LoopMetric.UNDERSHOOT] = 100.0 * ((initial - values[behind]) / height)
+    found[LoopMetric.FINAL_ERROR] = abs(error)
+    found[LoopMetric.STEADY_STATE_ERROR] = error if reference >= initial else -error
 
 
 @measure

@@ -1,29 +1,59 @@
 """Which metrics the compiled batch computes, where it enters them, and its numbers of statuses."""
 
 from collections.abc import Mapping
+from enum import IntEnum
 from types import MappingProxyType
 from typing import Final
 
 from turtlelog.measure.metric import Status
 
 LOOPS: Final = ("rotate", "translate", "reorient")
-"""The loops of the sequential laws, in the order of their figures."""
+"""The loops of the sequential laws, in the order of their columns."""
 
-LOOP_FIGURES: Final = (
-    *("duration", "delay_time", "rise_time", "peak", "peak_time", "overshoot", "undershoot"),
-    *("settling_time", "crossings", "final_error", "steady_state_error", "largest_error"),
-    *("stable", "iae", "saturated_share"),
-)
-"""What it computes of each loop."""
 
-DEGREES: Final = frozenset({"peak", "final_error", "steady_state_error", "largest_error"})
-"""Those that are angles where the loop turns."""
+class LoopMetric(IntEnum):
+    """What the batch measures of each loop, by the place among the columns of the loop."""
 
-END: Final = (
-    *("duration", "heading_error", "x_m", "y_m", "goal_heading_error"),
-    *("first_x_m", "first_y_m", "cross_track", "cross_track_max", "largest_gap", "path_length"),
-)
-"""What it enters of a run after its loops; the places are those of the last and first pose read."""
+    DURATION = 0
+    DELAY_TIME = 1
+    RISE_TIME = 2
+    PEAK = 3
+    PEAK_TIME = 4
+    OVERSHOOT = 5
+    UNDERSHOOT = 6
+    SETTLING_TIME = 7
+    CROSSINGS = 8
+    FINAL_ERROR = 9
+    STEADY_STATE_ERROR = 10
+    LARGEST_ERROR = 11
+    STABLE = 12
+    IAE = 13
+    SATURATED_SHARE = 14
+
+    @property
+    def ending(self) -> str:
+        """How the ids of the metric end."""
+        return self.name.lower()
+
+
+class RunColumn(IntEnum):
+    """What the batch enters of a run, by the place among the columns behind those of its loops.
+
+    `X_M` and `Y_M` are the last pose, `FIRST_X_M` and `FIRST_Y_M` the first that was read.
+    """
+
+    DURATION = 0
+    HEADING_ERROR = 1
+    X_M = 2
+    Y_M = 3
+    GOAL_HEADING_ERROR = 4
+    FIRST_X_M = 5
+    FIRST_Y_M = 6
+    CROSS_TRACK = 7
+    CROSS_TRACK_MAX = 8
+    LARGEST_GAP = 9
+    PATH_LENGTH = 10
+
 
 STATUSES: Final = tuple(Status)
 """Statuses by number."""
@@ -40,40 +70,38 @@ CUT: Final = TOO_SHORT
 
 OF_LOOPS: Final[Mapping[str, int]] = MappingProxyType(
     {
-        f"{loop}.{figure}": row * len(LOOP_FIGURES) + place
-        for row, loop in enumerate(LOOPS)
-        for place, figure in enumerate(LOOP_FIGURES)
+        f"{loop}.{metric.ending}": number * len(LoopMetric) + metric
+        for number, loop in enumerate(LOOPS)
+        for metric in LoopMetric
     }
 )
 """Metrics of loops by id: in which column they stand."""
 
 POSITION_ERROR: Final = "final.position_error"
-"""Computed from the last place: `x_m` and `y_m`."""
+"""Computed from the last pose, `X_M` and `Y_M`."""
 
-OF_RUN: Final[Mapping[str, str]] = MappingProxyType(
+RUN_AT: Final = len(OF_LOOPS)
+"""The first column of a run."""
+
+OF_RUN: Final[Mapping[str, int]] = MappingProxyType(
     {
-        "run.duration": "duration",
-        "run.path_length": "path_length",
-        "run.cross_track_max": "cross_track_max",
-        "run.largest_gap": "largest_gap",
-        "final.heading_error": "heading_error",
-        "final.cross_track": "cross_track",
-        "final.goal_heading_error": "goal_heading_error",
-        POSITION_ERROR: "x_m",
+        name: RUN_AT + column
+        for name, column in {
+            "run.duration": RunColumn.DURATION,
+            "run.path_length": RunColumn.PATH_LENGTH,
+            "run.cross_track_max": RunColumn.CROSS_TRACK_MAX,
+            "run.largest_gap": RunColumn.LARGEST_GAP,
+            "final.heading_error": RunColumn.HEADING_ERROR,
+            "final.cross_track": RunColumn.CROSS_TRACK,
+            "final.goal_heading_error": RunColumn.GOAL_HEADING_ERROR,
+            POSITION_ERROR: RunColumn.X_M,
+        }.items()
     }
 )
-"""Metrics of the run and of its end by id: what of `END` they are."""
+"""Metrics of the run and of its end by id, likewise."""
 
-COLUMNS: Final = len(OF_LOOPS) + len(END)
+COLUMN_OF: Final[Mapping[str, int]] = MappingProxyType({**OF_LOOPS, **OF_RUN})
+"""Every metric that the batch computes."""
 
-
-def find_column(metric: str) -> int:
-    """Return the column of a metric that is covered."""
-    if metric in OF_LOOPS:
-        return OF_LOOPS[metric]
-    return len(OF_LOOPS) + END.index(OF_RUN[metric])
-
-
-def is_covered(metric: str) -> bool:
-    """Whether the batch computes a metric."""
-    return metric in OF_LOOPS or metric in OF_RUN
+COLUMNS: Final = len(OF_LOOPS) + len(RunColumn)
+"""How many columns a row has."""
