@@ -61,20 +61,21 @@ def decide_sequential(
         else:
             turn_rate = _reorient(settings, state, sample, axis, time_ns, heading_rad)
         phase = max(phase, ROTATE)
-    total = state.bearing_rad + state.heading_error_rad + error_x_m + error_y_m
-    if not math.isfinite(
-        total
-        + world_x
-        + world_y
-        + sample.integral_angular
-        + sample.derivative_angular
-        + (sample.integral_linear + sample.derivative_linear)
-    ):
-        state.has_failed = 1
     sample.phase = phase
     sample.bearing_rad, sample.heading_error_rad = state.bearing_rad, state.heading_error_rad
     sample.world_v_x_m_s, sample.world_v_y_m_s = world_x, world_y
+    if not _is_finite(sample):
+        state.has_failed = 1
     return blocks, speed, turn_rate
+
+
+@inline
+def _is_finite(sample: Any) -> bool:
+    """Whether all that the law has entered is."""
+    total = sample.bearing_rad + sample.heading_error_rad + sample.error_x_m + sample.error_y_m
+    total += sample.world_v_x_m_s + sample.world_v_y_m_s
+    total += sample.integral_angular + sample.derivative_angular
+    return math.isfinite(total + (sample.integral_linear + sample.derivative_linear))
 
 
 @call
