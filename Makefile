@@ -25,7 +25,8 @@ test-without-graphics: .venv/installed-dev
 # Once, at the same time: each worker of the tests would compile them for itself.
 LOOPS := $(wildcard turtlelog/simulate/compiled/*.py turtlelog/sweep/*batch*.py)
 .venv/compiled: .venv/installed-dev $(LOOPS)
-	$(BIN)/python -m tests.compile_loops paper & $(BIN)/python -m tests.compile_loops lagged; wait
+	$(BIN)/python -c "import turtlelog.sweep.sequential_batch" & \
+		$(BIN)/python -c "import turtlelog.simulate.compiled.any_loop"; wait
 	@touch $@
 
 check: .venv/installed-dev
