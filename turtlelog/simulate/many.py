@@ -23,20 +23,21 @@ SAVED_S: Final = 4e-6
 """What the compiled loop saves of a sample [s]."""
 
 FIRST_S: Final = 14.0
-"""What they take before the loop is in the cache [s]: numba compiles it for 13 s."""
+"""What the sequential laws around turtlesim take before their loop is in the cache [s]: numba
+compiles it for 13 s."""
 
 LOOP: Final = CompiledLoops(
     "turtlelog.simulate.compiled.sequential_loop", cost_s=COST_S, first_s=FIRST_S
 )
-"""Of the sequential laws around turtlesim."""
+"""The loop of the sequential laws around turtlesim."""
 
 ANY_FIRST_S: Final = 30.0
-"""What that of all others takes before it is in the cache [s]."""
+"""What numba's import and the loop of all others take before it is in the cache [s]."""
 
 ANY_LOOP: Final = CompiledLoops(
     "turtlelog.simulate.compiled.any_loop", cost_s=COST_S, first_s=ANY_FIRST_S
 )
-"""Of all others that are compiled."""
+"""The loop of all other laws and plants that are compiled."""
 
 _AHEAD: Final = 4
 """Runs for each thread that may wait to be taken: memory stays bounded, and no thread idles."""

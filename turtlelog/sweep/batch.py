@@ -8,7 +8,7 @@ import threading
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +64,7 @@ _STRETCH: Final = 32
 """Rows in one call: long enough to cost nothing, short enough that all cores end together."""
 
 _WHERE_NONE: Final = {"final.goal_heading_error": ABSENT, "run.largest_gap": TOO_SHORT}
-"""What NaN of one says: no heading is wanted, or there is one sample."""
+"""Status of a metric of the run that is NaN: no heading is wanted, or there is one sample."""
 
 
 def find_batch(base: Scenario, keys: Collection[str]) -> CompiledLoops:
@@ -142,6 +142,18 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     return work.finish()
 
 
+class _Cells(NamedTuple):
+    """What the compiled code enters of rows, in the columns of `batch_table`.
+
+    Attributes:
+        values: NaN where nothing was entered, shape (n, `COLUMNS`).
+        status: Numbers of `STATUSES`, shape (n, `COLUMNS`).
+    """
+
+    values: NDArray[np.float64]
+    status: NDArray[np.int8]
+
+
 class _Work:
     """Rows on their way through the batch."""
 
@@ -202,30 +214,23 @@ class _Work:
     def run_compiled(self, kernel: Any, rows: Sequence[int], threads: int) -> list[int]:
         """Simulate and measure what is compiled; return the rows that are not."""
         prepared = prepare_rows(self._base, self._columns, rows, self._plant)
-        values = np.full((len(prepared.rows), COLUMNS), np.nan)
-        status = np.full((len(prepared.rows), COLUMNS), OK, np.int8)
-        self._run_all(kernel, prepared, values, status, threads)
+        cells = self._run_all(kernel, prepared, threads)
         # The line from start to goal is known before, unless the robot is pushed as it waits.
-        moved = self._correct_lines(prepared, values)
+        moved = self._correct_lines(prepared, cells)
         if len(moved):
             again = prepared.take(moved)
-            part, part_status = values[moved], status[moved]
-            self._run_all(kernel, again, part, part_status, threads)
-            values[moved], status[moved] = part, part_status
+            part = self._run_all(kernel, again, threads)
+            cells.values[moved], cells.status[moved] = part
             prepared.states[moved] = again.states
         good = (prepared.states["has_failed"] == 0) & (prepared.states["samples"] > 0)
-        self._enter(prepared, values, status, np.flatnonzero(good))
+        self._enter(prepared, cells, np.flatnonzero(good))
         self._compiled += int(good.sum())
         return sorted([*prepared.others, *prepared.rows[~good].tolist()])
 
-    def _run_all(
-        self,
-        kernel: Any,
-        prepared: PreparedRows,
-        values: NDArray[np.float64],
-        status: NDArray[np.int8],
-        threads: int,
-    ) -> None:
+    def _run_all(self, kernel: Any, prepared: PreparedRows, threads: int) -> _Cells:
+        """Simulate and measure prepared rows from their starts; their states are how they end."""
+        shape = len(prepared.rows), COLUMNS
+        cells = _Cells(np.full(shape, np.nan), np.full(shape, OK, np.int8))
         prepared.begin()
         asked = np.isin(np.arange(COLUMNS), [COLUMN_OF[name] for name in self._metrics])
         order = np.argsort(prepared.seeds, kind="stable")
@@ -238,21 +243,22 @@ class _Work:
 
         def run(stretch: NDArray[np.int64]) -> None:
             memory, scratch = self._find_memory(prepared, int(prepared.seeds[stretch[0]]))
-            part = values[stretch], status[stretch], asked
+            part = cells.values[stretch], cells.status[stretch], asked
             states = prepared.states[stretch]
             settings, axes = prepared.settings[stretch], prepared.axes[stretch]
             lines = prepared.lines[stretch]
             kernel.run_rows((settings, states, lines), axes, memory, scratch, part)
-            values[stretch], status[stretch] = part[:2]
+            cells.values[stretch], cells.status[stretch] = part[:2]
             prepared.states[stretch] = states
 
         if threads == 1 or len(stretches) == 1:
             for stretch in stretches:
                 run(stretch)
-            return
+            return cells
         with ThreadPoolExecutor(threads, thread_name_prefix="batch") as pool:
             for _ in pool.map(run, stretches):
                 pass
+        return cells
 
     def _find_memory(self, prepared: PreparedRows, seed: int) -> tuple[Memory, NDArray[np.float64]]:
         """Return arrays of this thread, with the random numbers of a seed."""
@@ -272,11 +278,9 @@ class _Work:
             local.seed = seed
         return local.memory, local.scratch
 
-    def _correct_lines(
-        self, prepared: PreparedRows, values: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
+    def _correct_lines(self, prepared: PreparedRows, cells: _Cells) -> NDArray[np.int64]:
         """Give rows the line from where they were first read; return those that had another."""
-        read = values[:, [RUN_AT + RunColumn.FIRST_X_M, RUN_AT + RunColumn.FIRST_Y_M]]
+        read = cells.values[:, [RUN_AT + RunColumn.FIRST_X_M, RUN_AT + RunColumn.FIRST_Y_M]]
         lines = prepared.lines
         other = (read[:, 0] != lines["x_m"]) | (read[:, 1] != lines["y_m"])
         other &= ~np.isnan(read[:, 0])
@@ -289,22 +293,17 @@ class _Work:
                 lines[name][row] = value
         return moved
 
-    def _enter(
-        self,
-        prepared: PreparedRows,
-        values: NDArray[np.float64],
-        status: NDArray[np.int8],
-        good: NDArray[np.int64],
-    ) -> None:
+    def _enter(self, prepared: PreparedRows, cells: _Cells, good: NDArray[np.int64]) -> None:
         """Enter the metrics of rows that the compiled loop has done."""
         result, rows = self.result, prepared.rows[good]
         result.samples[rows] = prepared.states["samples"][good]
         for row, reason in zip(rows, prepared.states["stop_reason"][good], strict=True):
             result.stop_reasons[row] = STOP_REASONS[reason]
         for name in self._metrics:
-            column, found = values[good, COLUMN_OF[name]], status[good, COLUMN_OF[name]]
+            place = good, COLUMN_OF[name]
+            column, found = cells.values[place], cells.status[place]
             if name == POSITION_ERROR:
-                column = _find_position_error(values[good], prepared.settings[good])
+                column = _find_position_error(cells.values[good], prepared.settings[good])
             if name not in OF_LOOPS:
                 found = np.where(np.isfinite(column), OK, TOO_LARGE).astype(np.int8)
                 if name in _WHERE_NONE:

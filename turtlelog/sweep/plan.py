@@ -200,7 +200,7 @@ class PlannedCells(Sequence[Any]):
     """The values of a key in all rows, of which none is kept in memory."""
 
     def __init__(self, plan: SweepPlan, key: str) -> None:
-        """Take both."""
+        """Take the plan, and the key of the column."""
         self._plan, self._key = plan, key
 
     def __len__(self) -> int:

@@ -28,6 +28,7 @@ _CHUNK_S: Final = 0.5
 """Work in a chunk, as measured on the first row [s]: what an interruption costs at most."""
 
 _MOST_IN_CHUNK: Final = 1024
+"""Rows of other chunks, however quick: so many results are in the memory of a process at once."""
 
 _MOST_IN_BATCH: Final = 4096
 """Rows that compiled code takes at once: half a second of usual ones, and a few hundred calls."""

@@ -71,7 +71,7 @@ def decide_sequential(
 
 @inline
 def _is_finite(sample: Any) -> bool:
-    """Whether all that the law has entered is."""
+    """Whether all numbers that the law has entered are finite."""
     total = sample.bearing_rad + sample.heading_error_rad + sample.error_x_m + sample.error_y_m
     total += sample.world_v_x_m_s + sample.world_v_y_m_s
     total += sample.integral_angular + sample.derivative_angular
