@@ -13,6 +13,8 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
 
+# Workers fill the cores: threads for small matrices beside them only wait for each other.
+test test-without-graphics: export OPENBLAS_NUM_THREADS := 1
 test: .venv/compiled
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime"
 	$(BIN)/python -m pytest -n 2 -m realtime $$(grep -rl realtime tests --include='test_*.py')
