@@ -28,7 +28,7 @@ from turtlelog.simulate.compiled.fields import (
 )
 from turtlelog.simulate.compiled.law_fields import PLAIN_KEYS, SIGNAL_KEYS, TABLE_KEYS
 from turtlelog.simulate.compiled.runner import KernelRunner
-from turtlelog.simulate.many import ANY_LOOP, COST_S, LOOP, SAVED_S, find_loop
+from turtlelog.simulate.many import ANY_LOOP, COST_S, LOOP, find_loop, find_saving
 
 COMPILED_EFFECTS: Final = tuple(sorted(EFFECTS))
 PRESETS: Final = ("paper", "textbook")
@@ -516,7 +516,7 @@ def test_compiled_loop_is_loaded_where_it_saves_what_it_costs(
     monkeypatch.setattr(LOOP, "load", lambda: loads.append(None))
     monkeypatch.setitem(LOOP.__dict__, "cost_s", COST_S)
     scenario = get_preset("paper")
-    saved_s = len(simulate_run(scenario).samples) * SAVED_S
+    saved_s = len(simulate_run(scenario).samples) * find_saving(scenario)
     for runs, expected in ((int(COST_S / saved_s) - 1, 0), (int(COST_S / saved_s) + 1, 1)):
         monkeypatch.setattr(LOOP, "_saved_s", 0.0)
         next(simulate_many([scenario] * runs))

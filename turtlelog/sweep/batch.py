@@ -22,7 +22,7 @@ from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import simulate_run
 from turtlelog.simulate.compiled.fields import is_common
 from turtlelog.simulate.compiled.memory import STOP_REASONS, Memory, allocate, draw_streams
-from turtlelog.simulate.many import ANY_FIRST_S, COST_S, FIRST_S, SAVED_S
+from turtlelog.simulate.many import ANY_FIRST_S, COST_S, FIRST_S, find_saving
 from turtlelog.sweep.batch_rows import PreparedRows, find_line, prepare_rows
 from turtlelog.sweep.batch_table import (
     ABSENT,
@@ -134,7 +134,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
             work.measure_alone(0)
             rest = range(1, work.count)
             rows = max(work.count, ahead)
-            kernel = batch.expect(int(work.result.samples[0]) * rows, SAVED_S)
+            kernel = batch.expect(int(work.result.samples[0]) * rows, find_saving(base))
         if kernel is not None:
             rest = work.run_compiled(kernel, rest, count_cores() if threads is None else threads)
     for row in rest:

@@ -12,7 +12,6 @@ from turtlelog.log.error_boundary import name_file
 from turtlelog.processes import LONG_S, count_cores, map_in_processes
 from turtlelog.remote.urls import RemotePath, has_files, make_path
 from turtlelog.scenario import parse_scenario
-from turtlelog.simulate.many import SAVED_S
 from turtlelog.sweep.assemble import SweptRows, assemble_table, find_failure, list_valueless
 from turtlelog.sweep.batch import find_batch
 from turtlelog.sweep.kept_parts import KeptParts, has_results, name_partial, require_same
@@ -150,7 +149,7 @@ def _simulate(
         jobs = count_cores() if rest * row_s > LONG_S else 1
     count, threads = (jobs if isinstance(jobs, int) else 1), 1
     batch = find_batch(parse_scenario(sweep.base), sweep.plan.keys)
-    if is_batch(first) and batch.expect(found.samples * rest, SAVED_S) is not None:
+    if is_batch(first) and batch.expect(rest, row_s / count) is not None:
         size = _MOST_IN_BATCH
         if isinstance(jobs, int):
             # Threads share what is loaded, and processes would take longer to start.
