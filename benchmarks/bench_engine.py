@@ -168,7 +168,7 @@ def measure_reading(folder: Path, messages: int) -> Iterator[Row]:
         bound = Cost("unpack", said["unpack"])
         columns, run = said["read"]
         yield Row(job=f"read our {messages:,}, {way}", value=columns, bound=bound, aim=aim)
-        yield Row(job=f"our {messages:,} as a run, {way}", value=run, bound=bound, aim=aim)
+        yield Row(job=f"our {messages:,} as run, {way}", value=run, bound=bound, aim=aim)
 
 
 def measure_peers(folder: Path, path: Path, messages: int, part: int) -> Iterator[Row]:
