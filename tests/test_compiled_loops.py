@@ -90,11 +90,12 @@ def test_loops_are_found_where_numba_keeps_them(
 
 
 PARTS = """
-from turtlelog.compiled_loops import CompiledLoops
+from turtlelog.compiled_loops import COMPILING, CompiledLoops
 
 if __name__ == "__main__":
     loops = CompiledLoops("whole", cost_s=1.0, first_s=9.0, parts=("first_part", "second_part"))
     cost_s, whole = loops.cost_s, loops.load()
+    assert not COMPILING.is_set()
     hits = (sum(part.double.stats.cache_hits.values()) for part in (whole.first, whole.second))
     print(cost_s, *hits)
 """

@@ -9,7 +9,7 @@ from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from threading import Lock
+from threading import Event, Lock
 from types import ModuleType
 from typing import Any, Final
 
@@ -24,6 +24,10 @@ def sum_up_sources(*modules: ModuleType) -> int:
     for module in modules:
         total = zlib.crc32(Path(str(module.__file__)).read_bytes(), total)
     return total
+
+
+COMPILING: Final = Event()
+"""Set while loops compile, which takes seconds once: a bar that stands still may say why."""
 
 
 class CompiledLoops:
@@ -86,11 +90,15 @@ class CompiledLoops:
         try:
             if import_module("numba").config.DISABLE_JIT:
                 return None
-            _compile([part for part in self._parts if not _is_kept(part)])
+            if lacking := [part for part in self._parts if not _is_kept(part)]:
+                COMPILING.set()
+                _compile(lacking)
             return import_module(self._module)
         # A numba for another numpy raises ImportError, a cache that cannot be written RuntimeError.
         except (ImportError, RuntimeError, OSError):
             return None
+        finally:
+            COMPILING.clear()
 
 
 _IMPORT: Final = "import sys; sys.path[:] = sys.argv[2:]; __import__(sys.argv[1])"

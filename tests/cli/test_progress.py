@@ -13,6 +13,7 @@ import turtlelog as tl
 from tests.cli.conftest import Call
 from turtlelog.cli.options import iterate_runs
 from turtlelog.cli.progress import end_progress, show_progress
+from turtlelog.compiled_loops import COMPILING
 
 ROOT = Path(__file__).parents[2]
 on_terminals = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals there")
@@ -68,6 +69,20 @@ def test_a_bar_shows_up_after_a_second_and_is_gone_at_the_end(attach: Attach) ->
     assert "reading 3/4 files" in shown
     assert shown.endswith("\x1b[2K")  # the line is erased
     assert shown.rindex("\x1b[?25h") > shown.rindex("\x1b[?25l")  # the cursor is back
+
+
+@on_terminals
+def test_a_bar_says_that_loops_compile(attach: Attach, monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = attach()
+    monkeypatch.setattr("turtlelog.cli.progress._DELAY_S", 0.0)
+    with show_progress("simulated", 3, "rows", has_rate=True):
+        COMPILING.set()
+        time.sleep(0.3)
+        COMPILING.clear()
+        time.sleep(0.3)
+    first, _, last = terminal.read().rpartition("compiling once")
+    assert "simulated 0/3 rows, " in first
+    assert "simulated 0/3 rows" in last
 
 
 @on_terminals

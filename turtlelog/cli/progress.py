@@ -78,10 +78,16 @@ class Progress:
                     return
 
     def _describe(self) -> str:
-        if self._total is None:
-            return self._label
-        text = f"{self._label} {int(self.done)}/{self._total:g} {self._unit}"
-        return text if self._rate is None else text + self._rate.describe(self.done, self._total)
+        from turtlelog.compiled_loops import COMPILING
+
+        text = self._label
+        if self._total is not None:
+            text = f"{text} {int(self.done)}/{self._total:g} {self._unit}"
+        if COMPILING.is_set():
+            return f"{text}, compiling once"
+        if self._total is None or self._rate is None:
+            return text
+        return text + self._rate.describe(self.done, self._total)
 
 
 class Rate:
