@@ -4,12 +4,16 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 from turtlelog.errors import LogError, TurtlelogError, describe_error
 from turtlelog.remote.urls import RemotePath, make_path
 
 _DEFECTS = (AssertionError, AttributeError, ImportError, NameError)
+
+_POINTER: Final = b"version https://git-lfs.github.com/spec/v1\n"
+_POINTER_BYTES: Final = 1024
+"""A file as large as this is no pointer, as the specification of Git LFS says [bytes]."""
 
 
 class DamageError(LogError):
@@ -44,14 +48,24 @@ def open_file(path: str | Path) -> BinaryIO:
     """Open a file to read, but no pipe, which may block forever, and no device, which may not end.
 
     Raises:
-        LogError: Where it is one of these.
+        LogError: Where it is one of these, or what Git LFS leaves in the place of a file.
         OSError: Where it cannot be read.
     """
     path = make_path(path)
-    if isinstance(path, RemotePath):
-        return path.file.open()
-    mode = path.stat().st_mode
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        kind = "pipe" if stat.S_ISFIFO(mode) else "device"
+    found = path.stat()
+    if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):
+        kind = "pipe" if stat.S_ISFIFO(found.st_mode) else "device"
         raise LogError(f"expected a file, found a {kind}")
-    return path.open("rb")
+    stream = path.file.open() if isinstance(path, RemotePath) else path.open("rb")
+    if found.st_size < _POINTER_BYTES:
+        _refuse_pointer(stream)
+    return stream
+
+
+def _refuse_pointer(stream: BinaryIO) -> None:
+    """Refuse a pointer of Git LFS, and close it; of other files nothing has been read."""
+    start = stream.read(len(_POINTER))
+    if start == _POINTER:
+        stream.close()
+        raise LogError("this is a Git LFS pointer, not the file: git lfs pull")
+    stream.seek(0)

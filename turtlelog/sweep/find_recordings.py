@@ -162,15 +162,23 @@ def _is_one_recording(folder: Path) -> bool:
     place = folder / METADATA_FILE
     try:
         if place.is_file():
-            with open_file(place) as stream:
-                if _BAG_MARK in stream.read(_HEAD_BYTES):
-                    return True
-            # A description that is cut or empty, beside what it describes.
+            if _BAG_MARK in _read_start(place):
+                return True
+            # A description that is cut, empty or not fetched, beside what it describes.
             if any(path.name.lower().endswith(BAG_SUFFIXES) for path in folder.iterdir()):
                 return True
         return bool(list_table_files(folder))
     except OSError:
         return False
+
+
+def _read_start(path: Path) -> bytes:
+    """Return the first bytes of a file, none of a pointer of Git LFS."""
+    try:
+        with open_file(path) as stream:
+            return stream.read(_HEAD_BYTES)
+    except LogError:
+        return b""
 
 
 def _label(path: Path, root: Path | None) -> str:

@@ -1,0 +1,92 @@
+"""What Git LFS leaves where a file was not fetched is called that, whoever reads it."""
+
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import call as call  # noqa: PLC0414
+from tests.cli.conftest import Call
+from tests.log.ros2.bags import write_metadata
+from tests.remote.range_server import RangeServer
+from turtlelog.errors import LogError
+
+POINTER = (
+    b"version https://git-lfs.github.com/spec/v1\n"
+    b"oid sha256:4d7a214614ab2935c943f9e0ff69d22eadbb8f32b1258daaa5e2ca24d17e2393\nsize 12345\n"
+)
+TOLD = "this is a Git LFS pointer, not the file: git lfs pull"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("a.mcap", "a.db3", "a.mcap.zstd", "a.db3.zstd", "a.bag", "a.log"),
+        *("a.csv", "a.parquet", "a.json", "a.tum", "a.tsv", "a.txt"),
+    ],
+)
+def test_every_reader_names_a_pointer(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(POINTER)
+    for read in (tl.read_run, tl.log.read_file_info, tl.read_recording, tl.read_columns):
+        with pytest.raises(LogError) as error:
+            read(path)
+        assert str(error.value) == f"{path}: {TOLD}"
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3"])
+def test_the_pointer_in_a_folder_is_named(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(POINTER)
+    bag = write_metadata(tmp_path, [name])
+    for read in (tl.read_run, tl.log.read_file_info):
+        with pytest.raises(LogError, match=f"{name}: {TOLD}$"):
+            read(bag)
+
+
+def test_a_pointer_behind_a_url_is_named() -> None:
+    with RangeServer(files={"a.mcap": POINTER}) as server, pytest.raises(LogError) as error:
+        tl.read_run(server.url("a.mcap"))
+    assert str(error.value) == f"{server.url('a.mcap')}: {TOLD}"
+
+
+@pytest.mark.parametrize(("size", "is_pointer"), [(1023, True), (1024, False)])
+def test_what_is_larger_than_a_pointer_may_be_is_none(
+    size: int, tmp_path: Path, *, is_pointer: bool
+) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(POINTER.ljust(size, b" "))
+    with pytest.raises(LogError) as error:
+        tl.read_run(path)
+    assert (TOLD in str(error.value)) == is_pointer
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["info"], ["metrics"], ["explain"], ["identify"], ["replay"], ["view"], ["map"]),
+        *(["plot", "-o", "out.pdf"], ["report", "-o", "out.html"], ["convert", "-o", "out.csv"]),
+        *(["recover", "-o", "out.mcap"], ["compare", "--reference", "other.mcap"]),
+    ],
+    ids=" ".join,
+)
+def test_every_command_names_a_pointer(
+    words: list[str], call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = Path("a.parquet" if words == ["map"] else "a.mcap")
+    for name in (path, Path("other.mcap")):
+        name.write_bytes(POINTER)
+    answer = call(*words, path)
+    assert (answer.code, answer.out) == (2, "")
+    assert TOLD in answer.err
+
+
+def test_a_folder_of_recordings_names_its_pointers(call: Call, tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for name in ("metadata.yaml", "bag_0.db3"):
+        (bag / name).write_bytes(POINTER)
+    (tmp_path / "a.mcap").write_bytes(POINTER)
+    answer = call("metrics", "--recursive", tmp_path, "-o", tmp_path / "table.parquet")
+    assert answer.code == 2
+    assert answer.err.count(TOLD) == 2
