@@ -5,8 +5,10 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
-from tests.cli.conftest import call as call  # noqa: PLC0414
-from tests.cli.conftest import Call
+from tests.cli.conftest import (
+    Call,
+    call as call,
+)
 from tests.log.ros2.bags import write_metadata
 from tests.remote.range_server import RangeServer
 from turtlelog.errors import LogError

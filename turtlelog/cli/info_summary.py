@@ -143,9 +143,9 @@ def _is_poses(topic: "TopicInfo") -> bool:
 
 def _summarise_topics(info: "RecordingInfo", reason: str) -> str:
     """Return what the topics alone tell, and why the poses could not be read."""
-    poses = [topic for topic in info.topics if _is_poses(topic)]
-    if not poses:
-        return _summarise_others(info)
+    if not any(_is_poses(topic) and not topic.reason for topic in info.topics):
+        unread = tl.log.ros2.describe_unread_topics(info.topics)
+        return f"no poses that can be read: {unread}" if unread else _summarise_others(info)
     try:
         chosen = tl.log.ros2.choose_pose_topic(info.topics, None).topic
     except LogError as err:
@@ -172,7 +172,7 @@ def _summarise_others(info: "RecordingInfo") -> str:
 
 
 def _list_needs(info: "RecordingInfo") -> tuple[str, ...]:
-    if any(_is_poses(topic) for topic in info.topics):
+    if any(map(_is_poses, info.topics)) or tl.log.ros2.describe_unread_topics(info.topics):
         return ()
     return ("to be measured it needs nav_msgs/msg/Odometry, geometry_msgs/msg/PoseStamped or /tf",)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count
 from turtlelog.escapes import escape_controls
 from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
-from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.channels import Catalogue, describe_unread
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.opening import open_storage, strip_suffixes
 from turtlelog.log.engine.parsing import gather_heads
@@ -35,11 +35,23 @@ _LONE: Final = (Opcode.METADATA, Opcode.ATTACHMENT)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicInfo:
-    """One topic of a file: its name, the type of its messages, how many there are."""
+    """One topic of a file.
+
+    Attributes:
+        topic: Its name.
+        type: Of its messages, as its schema calls it.
+        count: Number of messages.
+        reason: Why they cannot become columns; empty where they can.
+    """
 
     topic: str
     type: str
     count: int
+    reason: str = ""
+
+    def describe_reason(self) -> str:
+        """Return the topic with its reason, as errors and notes name it."""
+        return describe_unread(self.topic, self.reason)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +155,7 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
             complete=survey.is_finished,
             duration_s=None if span_ns is None else (span_ns[1] - span_ns[0]) / 1e9,
             span_ns=span_ns,
-            topics=_list_topics(survey),
+            topics=_list_topics(survey, reasons),
             not_understood=tuple(f"{topic}: {reason}" for topic, reason in reasons.items()),
             notes=_describe_losses(survey),
         )
@@ -197,26 +209,26 @@ def _describe_losses(survey: Survey) -> dict[str, str]:
     return notes
 
 
-def _list_topics(survey: Survey) -> tuple[TopicInfo, ...]:
+def _list_topics(survey: Survey, reasons: Mapping[str, str]) -> tuple[TopicInfo, ...]:
     """Return the topics by name; channels of one topic and type are one."""
     schemas, counts = survey.catalogue.schemas, Counter[tuple[str, str]]()
     for number, channel in survey.catalogue.channels.items():
         schema = schemas.get(channel.schema_id)
         counts[channel.topic, schema.name if schema else ""] += survey.counts.get(number, 0)
     return tuple(
-        TopicInfo(topic=topic, type=kind, count=count)
+        TopicInfo(topic=topic, type=kind, count=count, reason=reasons.get(topic, ""))
         for (topic, kind), count in sorted(counts.items())
     )
 
 
 def merge_topics(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
     """Return topics of one name and type as one, in the order in which they first stand."""
-    counts = Counter[tuple[str, str]]()
+    merged: dict[tuple[str, str], TopicInfo] = {}
     for found in topics:
-        counts[found.topic, found.type] += found.count
-    return [
-        TopicInfo(topic=topic, type=kind, count=count) for (topic, kind), count in counts.items()
-    ]
+        first = merged.setdefault((found.topic, found.type), replace(found, count=0))
+        count, reason = first.count + found.count, first.reason or found.reason
+        merged[found.topic, found.type] = replace(first, count=count, reason=reason)
+    return [*merged.values()]
 
 
 def sort_topics(topics: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:

@@ -30,6 +30,11 @@ _SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 )
 """Encodings of schemas, by that of the messages that they define."""
 
+_ADVICE: Final = MappingProxyType({"ros1": "convert the .bag file with rosbags-convert"})
+"""What to do about messages in an encoding that is not read; of others `_USUAL_ADVICE`."""
+
+_USUAL_ADVICE: Final = "record the topic in one of these"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicPlan:
@@ -51,10 +56,19 @@ class TopicPlan:
     layout: Layout | None = None
     json: tuple[JsonField, ...] | None = None
 
+    def describe_reason(self) -> str:
+        """Return the topic with the reason why it cannot be understood, as errors name it."""
+        return describe_unread(self.topic, self.reason)
+
     @property
     def meaning(self) -> object:
         """What channels of one topic have in common."""
         return self.type, self.fields, self.json, self.reason
+
+
+def describe_unread(topic: str, reason: str) -> str:
+    """Return the one sentence about a topic whose messages cannot be understood."""
+    return f"topic {topic}: not understood: {reason}"
 
 
 class Catalogue:
@@ -191,7 +205,7 @@ class Catalogue:
         schema = self.schemas.get(number)
         found = {"type": "" if schema is None else schema.name}
         if encoding not in _SCHEMAS:
-            return {**found, "reason": f"messages in cdr or json expected, found {encoding!r}"}
+            return {**found, "reason": _describe_encoding(encoding)}
         if schema is None:
             return {**found, "reason": "a schema expected, found none"}
         if schema.encoding not in _SCHEMAS[encoding]:
@@ -214,6 +228,15 @@ class Catalogue:
             except (LogError, UnicodeDecodeError) as err:
                 self._types[schema.id] = str(err)
         return self._types[schema.id]
+
+
+def _describe_encoding(encoding: str) -> str:
+    """Return why messages in an encoding are not read, and what to do."""
+    read = " and ".join(_SCHEMAS)
+    if not encoding:
+        return f"its messages name no encoding, and turtlelog reads {read}; {_USUAL_ADVICE}"
+    advice = _ADVICE.get(encoding, _USUAL_ADVICE)
+    return f"its messages are in the encoding {encoding}, and turtlelog reads {read}; {advice}"
 
 
 def _parse(schema: Schema, allowance: Allowance) -> MessageType | tuple[JsonField, ...]:

@@ -12,6 +12,9 @@ from turtlelog.log.engine.message_types import TEXT, Field
 EVER: Final = 2**64
 """A log time after all others [ns]."""
 
+_MOST_REASONS: Final = 3
+"""Topics that an error names with their reasons."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
@@ -64,7 +67,7 @@ class Selection:
             return None
         plan = catalogue.find_plan(topic)
         if plan.reason and self.topics is not None and not self.is_lenient:
-            raise LogError(f"topic {topic}: not understood: {plan.reason}")
+            raise LogError(plan.describe_reason())
         if self.is_flat and (name := _find_list(plan.fields)) is not None:
             expected = "fields of numbers and texts"
             raise LogError(f"topic {topic}: expected {expected}, found the sequence {name}")
@@ -73,11 +76,19 @@ class Selection:
         return None if plan.reason else plan
 
     def require_topics(self, catalogue: Catalogue) -> None:
-        """Check that every topic asked for by name is there.
+        """Check that every topic asked for by name is there; where none is, that one can be read.
 
         Raises:
-            LogError: Where one is not.
+            LogError: Where one is not, or no topic of the file can be understood.
         """
+        plans = [catalogue.find_plan(topic) for topic in sorted(catalogue.topics)]
+        if (
+            self.topics is None
+            and not self.is_lenient
+            and plans
+            and all(plan.reason for plan in plans)
+        ):
+            raise LogError("; ".join(plan.describe_reason() for plan in plans[:_MOST_REASONS]))
         missing = (self.topics or frozenset()).difference(catalogue.topics)
         for topic in () if self.is_lenient else sorted(missing):
             raise LogError(f"topic {topic}: expected it in the file, found no such topic")

@@ -17,4 +17,5 @@ from .bag_topics import (
     COMMAND_TYPES as COMMAND_TYPES,
     POSE_TYPES as POSE_TYPES,
     choose_pose_topic as choose_pose_topic,
+    describe_unread_topics as describe_unread_topics,
 )

@@ -41,12 +41,15 @@ from turtlelog.log.ros2.bag_columns import (
 from turtlelog.log.ros2.bag_poses import Found, PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_references import Track, add_references
 from turtlelog.log.ros2.bag_samples import add_samples
-from turtlelog.log.ros2.bag_topics import Pick, choose_command_topic
+from turtlelog.log.ros2.bag_topics import Pick, choose_command_topic, describe_unread_topics
 from turtlelog.log.ros2.reported_rates import LATERAL, judge_rates
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
 """Note on messages that are there and are not read."""
+
+NOT_UNDERSTOOD: Final = "not_understood"
+"""Note on topics of poses, commands, goals or paths that cannot be read."""
 
 _NEVER_IN_BAGS: Final = (
     *("samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"),
@@ -86,7 +89,9 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         run = add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
             run = add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
+    unread = describe_unread_topics(distinct)
     notes = {**run.notes, **_note_rest(distinct, run), **_join_notes(bag.infos.values())}
+    notes |= {NOT_UNDERSTOOD: unread} if unread else {}
     return replace(run, notes={**notes, CHOSEN: describe_chosen(notes)})
 
 
@@ -110,6 +115,7 @@ def describe_chosen(notes: Mapping[str, str]) -> str:
     parts.append(f"commands from {command}" if command else "no commands")
     parts += [f"path {notes['path']}"] if "path" in notes else []
     parts += [f"goal {notes['goal']}"] if "goal" in notes else []
+    parts += [notes[NOT_UNDERSTOOD]] if NOT_UNDERSTOOD in notes else []
     line = ", ".join(parts[:2]) + "".join(f"; {part}" for part in parts[2:])
     for name, option in _OPTIONS.items():
         if name in notes:

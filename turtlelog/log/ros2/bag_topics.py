@@ -33,6 +33,9 @@ _POSES_IN_SHORT: Final = (
 )
 COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 
+_MOST_UNREAD: Final = 3
+"""Topics that a line names with the reason why they are not read."""
+
 _ROS_TYPE: Final = re.compile(r"\w+/(?:msg|srv|action)/\w+")
 
 _NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
@@ -73,7 +76,7 @@ _POSE_NAMES: Final = (
 
 
 class NoPosesError(LogError):
-    """No topic is of a type of poses."""
+    """No topic is of a type of poses, or none of these can be read."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,14 +102,15 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     Raises:
         LogError: Where there is none, or nothing tells which of several.
     """
-    present = [topic for topic in topics if topic.count]
+    held = [topic for topic in topics if topic.count]
     if asked is not None:
-        return Pick(topic=_find_asked(present, asked, POSE_TYPES, "pose_topic"))
+        return Pick(topic=_find_asked(held, asked, POSE_TYPES, "pose_topic"))
+    present = _drop_unread(held)
     typed = [topic for topic in present if topic.type in POSE_TYPES]
     usual = [topic for topic in typed if not _is_no_robot(topic.topic)]
     fitting = _drop_two_types(usual, present)
     if not fitting:
-        raise NoPosesError(f"expected poses ({_POSES_IN_SHORT}), found {_describe(present)}")
+        raise NoPosesError(_describe_no_poses(held, present))
     homes = {_take_home(topic.topic) for topic in present if topic.type in COMMAND_TYPES}
     best = _list_first(fitting, lambda topic: _rank_poses(topic, homes))
     if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
@@ -128,9 +132,10 @@ def choose_command_topic(
     Raises:
         LogError: Where nothing tells which of several.
     """
-    present = [topic for topic in topics if topic.count]
+    held = [topic for topic in topics if topic.count]
     if asked is not None:
-        return Pick(topic=_find_asked(present, asked, COMMAND_TYPES, "command_topic"))
+        return Pick(topic=_find_asked(held, asked, COMMAND_TYPES, "command_topic"))
+    present = _drop_unread(held)
     known = _drop_two_types([topic for topic in present if topic.type in COMMAND_TYPES], present)
     fitting = [
         topic
@@ -158,9 +163,10 @@ def choose_path_topics(
     Raises:
         LogError: Where the one that was asked for is not there, or of another type.
     """
-    present = [topic for topic in topics if topic.count]
+    held = [topic for topic in topics if topic.count]
     if asked is not None:
-        return [_find_asked(present, asked, (PATH,), "path_topic")]
+        return [_find_asked(held, asked, (PATH,), "path_topic")]
+    present = _drop_unread(held)
     counts = Counter(topic.topic for topic in present)
     fitting = [
         topic
@@ -175,7 +181,7 @@ def choose_path_topics(
 
 def choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Pick | None:
     """Return the topic of goals, the neighbour of the poses first; None where there is none."""
-    present = [topic for topic in topics if topic.count]
+    present = _drop_unread(topic for topic in topics if topic.count)
     fitting = [
         topic
         for topic in present
@@ -195,10 +201,51 @@ def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
         topic
         for topic in topics
         if topic.count
+        and not topic.reason
         and not _is_no_robot(topic.topic)
         and (not _ROS_TYPE.fullmatch(topic.type) or _POSE_LIKE.search(topic.type))
     ]
 
+
+def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
+    """Return which topics of poses, commands, goals or paths are not read, and why; may be empty.
+
+    Those of other types are no matter of a run.
+    """
+    unread = [topic for topic in topics if topic.count and topic.reason]
+    return _join_reasons([topic for topic in unread if _is_of_a_run(topic)])
+
+
+def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> str:
+    """Return why a bag has no poses: topics that may hold some and cannot be read come first."""
+    unread = [topic for topic in held if topic not in present]
+    if reasons := _join_reasons([topic for topic in unread if _is_of_a_run(topic)]):
+        return reasons
+    found = f"expected poses ({_POSES_IN_SHORT}), found {_describe(held)}"
+    return "; ".join(filter(None, [found, _join_reasons(unread)]))
+
+
+def _join_reasons(unread: Sequence[TopicInfo]) -> str:
+    parts = [topic.describe_reason() for topic in unread[:_MOST_UNREAD]]
+    more = len(unread) - len(parts)
+    return "; ".join([*parts, *([f"{more} more topics are not understood"] if more else [])])
+
+
+def _is_of_a_run(topic: TopicInfo) -> bool:
+    """Return whether the last word of a type, as other encodings write it, is one that is read."""
+    return re.split(r"[/.:]", topic.type)[-1] in _RUN_WORDS or bool(_POSE_LIKE.search(topic.type))
+
+
+def _drop_unread(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
+    """Return topics that can be read, and those of two types, which are refused as such."""
+    held = list(topics)
+    counts = Counter(topic.topic for topic in held)
+    return [topic for topic in held if not topic.reason or counts[topic.topic] > 1]
+
+
+_RUN_WORDS: Final = frozenset(
+    kind.rpartition("/")[2] for kind in (*POSE_TYPES, *COMMAND_TYPES, PATH)
+)
 
 _POSE_LIKE: Final = re.compile(r"(?i)(?:pose|odom|locali[sz]ation)[^/]*$")
 _NUMBER: Final = re.compile(r"\d+")
@@ -310,7 +357,8 @@ def _find_asked(
         names = _shorten(", ".join(topic.topic for topic in present) or "no messages")
         raise LogError(f"{name}: expected a topic with messages, found {asked} among {names}")
     is_free = name == "pose_topic" and not _ROS_TYPE.fullmatch(found.type)
-    if found.type not in types and not is_free:
+    # Why one cannot be understood is said where it is read, with the name of its file.
+    if found.type not in types and not is_free and not found.reason:
         raise LogError(f"{name} {asked}: expected {' or '.join(types)}, found {found.type}")
     return found
 
