@@ -105,3 +105,12 @@ def test_a_new_group_of_rows_begins_after_an_empty_line() -> None:
     assert tl.show.format_table(table).splitlines()[-4:] == ["x", "", "y", "z"]
     assert "    x \\\\\n    \\addlinespace\n    y \\\\\n" in tl.show.format_table(table, "tex")
     assert tl.show.format_table(table, "csv").splitlines() == ["a", "x", "y", "z"]
+
+
+def test_latex_counts_and_labels_a_numbered_table_itself() -> None:
+    table = tl.compare.tabulate_table1([tl.read_recording("recordings/paper/kp4.mcap")])
+    text = tl.show.format_table(table, "tex")
+    assert r"\caption{Errors 15 s after the first sample}" in text
+    assert text.count("Table 1") == 0
+    assert r"\label{tab:table1}" in text
+    assert tl.show.format_table(table).startswith("Table 1: errors 15 s after the first sample")

@@ -63,6 +63,7 @@ def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table
         columns=tuple(columns),
         rows=tuple(rows),
         notes=(_CLOCK_NOTE,) if beside_paper else (),
+        label="tab:table1",
     )
 
 

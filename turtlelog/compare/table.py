@@ -36,12 +36,13 @@ class Table:
     """A table with its notes.
 
     Attributes:
-        title: One line.
+        title: One line. LaTeX counts tables itself, and leaves a `Table 1: ` out.
         columns: At least one.
         rows: Each as long as `columns`; None: there is no such value.
         notes: Sentences to stand below.
         breaks: Rows with which a new group begins; a terminal leaves a line before them.
         marks: Which cells are the best and the worst of their column, by row and column.
+        label: Of LaTeX, to refer to it by; empty: none.
     """
 
     title: str
@@ -50,6 +51,7 @@ class Table:
     notes: tuple[str, ...] = ()
     breaks: tuple[int, ...] = ()
     marks: Mapping[tuple[int, int], Mark] = field(default_factory=lambda: MappingProxyType({}))
+    label: str = ""
 
     def __repr__(self) -> str:
         rows = describe_count(len(self.rows), "row")

@@ -100,13 +100,8 @@ def format_csv(table: Table) -> str:
     return text.getvalue()
 
 
-def format_latex(table: Table, *, label: str = "") -> str:
-    """Return a table as LaTeX for the booktabs package; a wide one spans both of two columns.
-
-    Args:
-        table: What to format.
-        label: Of LaTeX, to refer to it by; none where empty.
-    """
+def format_latex(table: Table) -> str:
+    """Return a table as LaTeX for the booktabs package; a wide one spans both of two columns."""
     alignment = "".join("r" if _is_numeric(table, i) else "l" for i in range(len(table.columns)))
     rows = _format_rows(table, "tex")
     size = r"\footnotesize" if _is_wide(table) else r"\small"
@@ -114,8 +109,8 @@ def format_latex(table: Table, *, label: str = "") -> str:
     lines = [
         rf"\begin{{table{star}}}",
         rf"  \centering{size}\setlength{{\tabcolsep}}{{4pt}}",
-        rf"  \caption{{{_escape_latex(table.title)}}}",
-        *([rf"  \label{{{label}}}"] if label else []),
+        rf"  \caption{{{_escape_latex(_drop_number(table.title))}}}",
+        *([rf"  \label{{{table.label}}}"] if table.label else []),
         rf"  \begin{{tabular}}{{{alignment}}}",
         r"    \toprule",
         *(_join_latex(head) for head in _list_heads(table)),
@@ -210,6 +205,15 @@ def _list_heads(table: Table) -> list[list[str]]:
     heads = [[*[""] * (height - len(title)), *title] for title in titles]
     units = [f"[{_escape_latex(column.unit)}]" if column.unit else "" for column in table.columns]
     return [*map(list, zip(*heads, strict=True)), *([units] if any(units) else [])]
+
+
+def _drop_number(title: str) -> str:
+    """Return a title without the number of its table, which LaTeX puts before the caption."""
+    found = _NUMBERED.match(title)
+    return title if found is None else title[found.end() :].capitalize()
+
+
+_NUMBERED: Final = re.compile(r"Table \d+: ")
 
 
 def _join_latex(cells: list[str]) -> str:

@@ -326,16 +326,14 @@ def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list
         metrics = tabulate_measured(name_runs(runs), essentials, declarations=declarations)
     else:
         metrics = tabulate_runs([summarise_run(run) for run in runs])
-    table1 = tabulate_table1(runs)
-    # LaTeX counts tables itself.
     tables = {
         "whole-runs": tabulate_whole_runs(runs),
-        "table1": replace(table1, title=table1.title.removeprefix("Table 1: ").capitalize()),
+        "table1": tabulate_table1(runs),
         "metrics": metrics,
     }
     if not has_table1(runs):
         del tables["table1"]
     return [
-        write(f"{name}.tex", format_latex(table, label=f"tab:{name}").encode())
+        write(f"{name}.tex", format_latex(replace(table, label=f"tab:{name}")).encode())
         for name, table in tables.items()
     ]
