@@ -1,4 +1,4 @@
-"""`metrics` and `check` on folders, with and without a table."""
+"""`metrics`, `check` and `compare` on folders, with and without a table."""
 
 import os
 import shutil
@@ -45,13 +45,41 @@ def test_a_folder_without_recursive_names_the_option(call: Call, folder: Path) -
     assert answer.err.count("\n") == 1
 
 
-@pytest.mark.parametrize("words", [("metrics",), ("check", "spec.toml")])
-@pytest.mark.parametrize("more", [(), ("-o", "t.parquet")])
-def test_an_empty_folder_is_one_line(
-    call: Call, folder: Path, words: tuple[str, ...], more: tuple[str, ...]
-) -> None:
+def test_compare_takes_the_recordings_below_a_folder(call: Call, folder: Path) -> None:
+    answer = call("compare", "runs", "--recursive", "--json", "--only", "run.duration")
+    assert answer.code == 2
+    assert [Path(one["file"]).name for one in answer.json["runs"]] == ["a.mcap", "b.mcap", "c.mcap"]
+    assert "cut.mcap: " in answer.err
+
+
+def test_a_reference_below_the_folder_is_not_compared_with_itself(call: Call, folder: Path) -> None:
+    (folder / "cut.mcap").unlink()
+    words = ("compare", "runs", "--recursive", "--reference", "runs/b.mcap", "--json")
+    runs = call(*words).json["runs"]
+    assert [Path(one["file"]).name for one in runs] == ["a.mcap", "c.mcap"]
+
+
+def test_compare_of_a_folder_without_recursive_names_the_option(call: Call, folder: Path) -> None:
+    answer = call("compare", "runs")
+    assert answer.code == 2
+    assert answer.err.endswith("--recursive takes every recording below a folder\n")
+    (folder / "deep" / "c.mcap").unlink()
+    answer = call("compare", "runs/deep", "runs/a.mcap")
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.endswith("files; --recursive takes what is below it\n")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["metrics", "none"], ["metrics", "none", "-o", "t.parquet"], ["compare", "none"]),
+        *(["check", "spec.toml", "none"], ["check", "spec.toml", "none", "-o", "t.parquet"]),
+    ],
+    ids=" ".join,
+)
+def test_an_empty_folder_is_one_line(call: Call, folder: Path, words: list[str]) -> None:
     Path("none").mkdir()
-    answer = call(*words, "none", "--recursive", *more)
+    answer = call(*words, "--recursive")
     assert (answer.code, answer.out) == (2, "")
     assert answer.err.startswith("turtlelog: error: none: expected recordings in the folder")
     assert answer.err.count("\n") == 1

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.check_answers import print_results
 from turtlelog.cli.check_files import ReportOptions, check_files, check_into_table, read_to_judge
-from turtlelog.cli.folders import find_files
+from turtlelog.cli.folders import find_files, list_files
 from turtlelog.cli.options import Output, Place, ReadingOptions, require_files
 from turtlelog.cli.output import (
     EXIT_FAILED,
@@ -97,12 +97,12 @@ def check(
     _require_targets(reports, first.output, words)
     spec = build_spec(expect) if expect else tl.load_spec(words[0], reference=reference)
     topics = topics or ReadingOptions()
-    if first.output is not None or reports.recursive:
+    if first.output is not None:
         found = find_files(files, first.output, is_recursive=reports.recursive)
         files = [Path(one.path) for one in found]
-    if first.output is not None:
         results = check_into_table(first.output, spec, found, reports, topics)
     else:
+        files = list_files(files, is_recursive=reports.recursive)
         results = check_files(spec, files, reports, topics)
     verdict = print_results(spec, results, files=len(files), kind=kind)
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE

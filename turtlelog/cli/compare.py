@@ -11,6 +11,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.compare_reference import compare_with_reference, describe_metric
 from turtlelog.cli.compare_robot import compare_with_robot, list_scenario_files
+from turtlelog.cli.folders import Recursive, describe_unread, list_files
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
     Files,
@@ -51,6 +52,7 @@ class ReferenceOptions:
         reference: The run that differences are taken from.
         align: What to bring together: first_sample (the usual), phase:NAME (the start of a phase),
             recorded (times as they are), sample (samples by their number).
+        recursive: Take every recording below the folders given, but for the reference.
         jobs: Processes to read and measure in; as many as cores where that is quicker. With
             --rrd or the scenario of a robot it is one.
     """
@@ -58,6 +60,7 @@ class ReferenceOptions:
     reference: Place | None = None
     tolerances: Annotated[Place | None, Parameter(show=False)] = None
     align: Annotated[str | None, Parameter(metavar="HOW")] = None
+    recursive: Recursive = False
     jobs: Jobs = None
 
 
@@ -122,6 +125,8 @@ def compare(
 
     Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort run.duration
 
+    Example: turtlelog compare runs --recursive
+
     Example: turtlelog compare --reference good.mcap new.mcap
 
     Example: turtlelog compare robot_bag robot.toml
@@ -134,6 +139,8 @@ def compare(
     kind = (formats or FormatOptions()).choose()
     pictures = pictures or DrawingOptions()
     rrd = pictures.rrd
+    is_recursive = against.recursive
+    files = list_files(files, is_recursive=is_recursive, without=against.reference)
     jobs = count_jobs(against.jobs, files)
     if list_scenario_files(files):
         _require_robot_sense(against, choice)
@@ -153,7 +160,7 @@ def compare(
     only = _choose_needed(choice, kind)
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
     for err in errors:
-        print_error(str(err))
+        print_error(describe_unread(err, is_recursive=is_recursive))
     # One run alone is beside no other.
     if not errors or len(summaries) > 1:
         _compare_across(summaries, choice, kind)
@@ -167,12 +174,20 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
             f" turtlelog check {against.tolerances} RUN --reference {against.reference or 'RUN'}"
         )
     if len(paths) < 2:
-        raise UsageError(f"FILE: expected at least two runs to compare, found {len(paths)}")
+        raise UsageError(_describe_too_few(paths, against))
     if against.reference is None and against.align is not None:
         raise UsageError("--align: expected --reference beside it, found none")
     for name in () if against.reference is None else ("only", "sort", "where"):
         if getattr(choice, name) is not None:
             raise UsageError(f"--{name}: expected no --reference beside it, found one")
+
+
+def _describe_too_few(paths: Sequence[Path], against: ReferenceOptions) -> str:
+    """Return what to add to a command that names fewer than two runs."""
+    hint = "add another file, or --reference FILE"
+    if not against.recursive and any(path.is_dir() for path in paths):
+        hint = "--recursive takes every recording below a folder"
+    return f"compare needs at least two runs, but {len(paths)} was given; {hint}"
 
 
 def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> None:

@@ -43,18 +43,25 @@ class FolderOptions(WorkOptions):
 
     def list_files(self, paths: Sequence[Path]) -> list[Path]:
         """Return the files that are given, or those below folders."""
-        if self.recursive:
-            return [Path(one.path) for one in self.find(paths)]
-        return self.name_files(paths)
+        return list_files(self.name_files(paths), is_recursive=self.recursive)
+
+
+def list_files(
+    paths: Sequence[Path], *, is_recursive: bool, without: Path | None = None
+) -> list[Path]:
+    """Return the files that are given, or those below folders but for one."""
+    if not is_recursive:
+        return [*paths]
+    return [Path(one.path) for one in find_files(paths, without, is_recursive=True)]
 
 
 def find_files(
-    paths: Sequence[Path], output: Path | None, *, is_recursive: bool
+    paths: Sequence[Path], without: Path | None, *, is_recursive: bool
 ) -> "list[FoundRecording]":
-    """Return what is given, or what is below it, without the table that is to be written."""
+    """Return what is given, or what is below it, without one file: a table that is written."""
     with show_progress("looking for recordings"):
-        without = [] if output is None else [output]
-        return tl.sweep.find_recordings(paths, is_recursive=is_recursive, without=without)
+        left_out = [] if without is None else [without]
+        return tl.sweep.find_recordings(paths, is_recursive=is_recursive, without=left_out)
 
 
 def tabulate(
