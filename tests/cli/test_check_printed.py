@@ -69,12 +69,39 @@ def test_value_limit_and_margin_share_a_line_at_80_columns(
     assert sum(line.startswith(("PASS", "FAIL")) for line in rows) == 13
 
 
+CSV_HEADS = [
+    *("verdict", "file", "check", "unit", "value", "limit", "margin", "violated [s]", "reason")
+]
+
+
+@pytest.mark.parametrize("formula", ["run.duration < 60", "always(abs(speed) <= 0.1)"])
+def test_check_csv_has_the_same_columns_whatever_was_found(
+    formula: str, call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "cut.mcap").write_bytes(kp4.read_bytes()[:300])
+    answer = call("check", kp4, tmp_path / "cut.mcap", "--expect", formula, "--csv")
+    head, *rows = csv.reader(io.StringIO(answer.out))
+    assert head == CSV_HEADS
+    assert {len(row) for row in rows} == {len(head)}
+
+
+def test_check_csv_gives_the_reason_of_each_result(
+    call: Call, spec: Path, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "cut.mcap").write_bytes(kp4.read_bytes()[:300])
+    answer = call("check", spec, kp4, kp10, tmp_path / "cut.mcap", "--csv")
+    reasons = [row["reason"] for row in csv.DictReader(io.StringIO(answer.out))]
+    assert reasons[:2] == ["", ""]
+    assert reasons[2].startswith("expected rotate.overshoot <= 0.5 (half a percent is seen)")
+    assert reasons[3] == "only when law.kp_linear < 5; here law.kp_linear = 10.0"
+    assert "byte 44" in reasons[4]
+
+
 def test_check_answers_in_csv_and_markdown(call: Call, spec: Path, kp4: Path, kp10: Path) -> None:
     answer = call("check", spec, kp4, kp10, "--csv")
     assert answer.code == 1
     head, *rows = csv.reader(io.StringIO(answer.out))
-    heads = ["verdict", "file", "check", "unit", "value", "limit", "margin", "violated [s]"]
-    assert head == heads
+    assert head == CSV_HEADS
     assert [row[:3] for row in rows] == [
         ["PASS", str(kp4), "overshoot"],
         ["PASS", str(kp4), "gains"],

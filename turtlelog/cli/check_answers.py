@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -71,7 +71,7 @@ def print_results(
     if kind == "json":
         print_json(describe_results(verdict, results))
     elif kind == "csv":
-        print_tables([_tabulate(results, "Checks", names_file=True)], kind)
+        print_tables([_tabulate_values(spec, results)], kind)
     elif kind == "txt":
         print_verdicts(format_results(results, files=files, spec=spec))
     else:
@@ -188,15 +188,16 @@ def _tabulate_files(results: "Sequence[CheckResult]") -> "list[Table]":
     return [_tabulate([one for one in results if one.file == file], file) for file in files]
 
 
+_HEADS: Final = ("verdict", "file", "check", "unit", "value", "limit", "margin")
+_VIOLATED: Final = "violated"
+"""The column [s] behind `_HEADS`; a table for a terminal has it where a check is violated."""
+
+
 def _tabulate(results: "Sequence[CheckResult]", title: str, *, names_file: bool = False) -> "Table":
-    titles = ["verdict", "file", "check", "unit", "value", "limit", "margin"]
-    columns = [tl.compare.Column(title="" if head == "verdict" else head) for head in titles]
+    columns = [tl.compare.Column(title="" if head == "verdict" else head) for head in _HEADS]
     if any(result.first_violation_s is not None for result in results):
-        columns.append(tl.compare.Column(title="violated", unit="s", digits=3))
-    rows = [
-        (result.verdict.value, result.file, result.check, *_show(result), result.first_violation_s)
-        for result in results
-    ]
+        columns.append(tl.compare.Column(title=_VIOLATED, unit="s", digits=3))
+    rows = [_list_cells(result) for result in results]
     if names_file:
         columns[0] = tl.compare.Column(title="verdict")
         return tl.compare.Table(
@@ -210,6 +211,27 @@ def _tabulate(results: "Sequence[CheckResult]", title: str, *, names_file: bool 
         columns=tuple(columns),
         rows=tuple((row[0], *row[2 : len(columns) + 1]) for row in rows),
     )
+
+
+def _tabulate_values(spec: "Spec", results: "Sequence[CheckResult]") -> "Table":
+    """Return the rows of a file of values: the same columns whatever was found."""
+    meant = _read_reasons(spec)
+    columns = [tl.compare.Column(title=head) for head in _HEADS]
+    columns += [
+        tl.compare.Column(title=_VIOLATED, unit="s"),
+        tl.compare.Column(title="reason"),
+    ]
+    return tl.compare.Table(
+        title="Checks",
+        columns=tuple(columns),
+        rows=tuple((*_list_cells(one), _explain(one, meant)) for one in results),
+    )
+
+
+def _list_cells(result: "CheckResult") -> "tuple[Cell, ...]":
+    """Return the cells below `_HEADS`, and when the check is first violated [s]."""
+    verdict = result.verdict.value
+    return verdict, result.file, result.check, *_show(result), result.first_violation_s
 
 
 def _tabulate_matrix(results: "Sequence[CheckResult]") -> "list[Table]":
@@ -241,17 +263,23 @@ def _show(result: "CheckResult") -> "tuple[str, float | None, float | None, floa
 def _list_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") -> Iterator[str]:
     meant = {} if spec is None else _read_reasons(spec)
     for result in results:
-        why = f" ({meant[result.check]})" if meant.get(result.check) else ""
-        if result.reason:
-            why = why if result.verdict == "FAIL" and result.is_decided else ""
-            yield f"{result.verdict} {result.file}: {result.check}: {result.reason}{why}"
-        elif result.verdict == "FAIL":
-            by = f"; decided by {result.decided_by}" if result.decided_by else ""
-            yield f"FAIL {result.file}: {result.check}: expected {result.expected}{why}{by}"
+        if reason := _explain(result, meant):
+            yield f"{result.verdict} {result.file}: {result.check}: {reason}"
     observed = 0 if spec is None else sum(check.is_observed for check in spec.checks)
     if spec is not None and observed:
         count = "1 bound was" if observed == 1 else f"{observed} bounds were"
         yield f"{count} read off a good run: look at observed = true in {spec.source}"
+
+
+def _explain(result: "CheckResult", meant: Mapping[str, str]) -> str:
+    """Return why a result is what it is, empty where it simply passes; `meant` is why of bounds."""
+    why = f" ({meant[result.check]})" if meant.get(result.check) else ""
+    if result.reason:
+        return result.reason + (why if result.verdict == "FAIL" and result.is_decided else "")
+    if result.verdict != "FAIL":
+        return ""
+    by = f"; decided by {result.decided_by}" if result.decided_by else ""
+    return f"expected {result.expected}{why}{by}"
 
 
 def _read_reasons(spec: "Spec") -> dict[str, str]:
