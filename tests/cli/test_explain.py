@@ -142,7 +142,7 @@ def test_explain_says_of_a_turtlesim_bag_what_its_plant_tells(call: Call) -> Non
     assert (motion["replay"]["within_rounding"], len(motion["replay"]["jumps"])) == (True, 1)
     text = call("explain", bag).out
     for sentence in (
-        "turtlesim_jazzy: turtlesim, 42.066 s of /turtle1/pose",
+        "turtlesim_jazzy: turtlesim, run.duration 42.066 s, of /turtle1/pose",
         "The plant reproduces every pose.",
         "Dead time of the 18 commands that a pose shows: 18 in the next tick.",
         "At 15.632 s: jump (spawn) to x = 5.544 m",
@@ -203,7 +203,10 @@ def test_poses_that_come_at_no_tick_are_not_turtlesims(call: Call, tmp_path: Pat
         replace(pose, time_ns=first_ns + 10 * (pose.time_ns - first_ns)) for pose in make_poses(5)
     ]
     text = call("explain", write_mcap(tmp_path / "a.mcap", late)).out
-    assert "a: a robot that publishes poses as turtlesim does, not turtlesim, 0.640 s" in text
+    assert (
+        "a: a robot that publishes poses as turtlesim does, not turtlesim, run.duration 0.640 s"
+        in text
+    )
     assert "was not driven" not in text
 
 

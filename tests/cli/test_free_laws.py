@@ -99,7 +99,7 @@ def test_changed_replay_shows_what_changed(call: Call) -> None:
 def test_figures_of_a_run_without_a_goal_have_no_column_of_dashes(call: Call) -> None:
     call("plot", STEP, "-o", "plot", "--format", "svg")
     table = Path("plot/whole-runs.tex").read_text(encoding="utf-8")
-    assert "To the end of each run: length" in table
+    assert "To the end of each run: duration" in table
     assert " - " not in table
 
 

@@ -26,7 +26,7 @@ def test_tables_have_the_columns_of_the_loops_that_the_runs_have() -> None:
     table = tl.tabulate_runs([tl.summarise_run(run) for run in (ONE, TWO)])
     assert read_titles(table) == ["run", "Kp turn", "Kp drive", *usual]
     assert [row[1:3] for row in table.rows] == [(4.0, 1.0), (4.0, 2.0)]
-    whole = ["run", "Kp", "4 tau", "ts b", "rms a", "heading", "position", "length"]
+    whole = ["run", "Kp", "4 tau", "ts b", "rms a", "heading", "position", "duration"]
     assert read_titles(tl.compare.tabulate_whole_runs([ONE, TWO])) == whole
 
 
@@ -180,7 +180,7 @@ def test_a_law_without_loops_has_no_columns_of_any() -> None:
         "final.heading_error",
     ]
     titles = read_titles(tl.compare.tabulate_whole_runs([run]))
-    assert titles == ["run", "heading", "position", "length"]
+    assert titles == ["run", "heading", "position", "duration"]
 
 
 def test_track_of_a_path_is_not_compared_with_that_of_another_or_of_a_line() -> None:

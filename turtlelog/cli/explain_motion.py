@@ -41,6 +41,7 @@ def describe_motion(run: "Run", found: "MotionFacts") -> dict[str, Any]:
     delays, replay = found.delays, found.replay
     return {
         "kind": found.kind,
+        "run_duration_s": run.duration_s,
         "poses": tell_rate(len(run.poses), found.poses),
         "commands": tell_rate(len(run.commands), found.commands),
         "largest_commands": [
@@ -114,9 +115,8 @@ def _tell_kind(run: "Run", found: "MotionFacts") -> str:
     kind = "turtlesim" if found.kind == "turtlesim" else "a robot, not turtlesim"
     if found.kind == "robot" and run.poses.speed_m_s is not None and not run.parameters:
         kind = "a robot that publishes poses as turtlesim does, not turtlesim"
-    first_ns = min([*run.poses.time_ns[:1], *run.commands.time_ns[:1]])
-    length = f"{(run.end_ns - first_ns) / 1e9:.3f} s"
-    return f"{name}: {kind}, {length}{f' of {where}' if where else ''}."
+    length = f"run.duration {run.duration_s:.3f} s"
+    return f"{name}: {kind}, {length}{f', of {where}' if where else ''}."
 
 
 def _tell_rate(run: "Run", noun: str, rows: int, periods: "Periods | None") -> str:

@@ -108,13 +108,14 @@ def _describe(path: Path, recording: "RecordingInfo", summary: Summary) -> dict[
         "complete": recording.complete,
         "stop_reason": recording.stop_reason,
         "duration_s": recording.duration_s,
+        "run_duration_s": None if summary.run is None else summary.run.duration_s,
         "scenario": recording.scenario,
         "parameters": dict(recording.parameters),
         "topics": [
             {"topic": topic.topic, "type": topic.type, "count": topic.count}
             for topic in recording.topics
         ],
-        "absent": list(recording.absent),
+        "absent": list(_list_absent(recording, summary)),
         "missing": list(summary.missing),
         "clock": summary.clock,
         "not_understood": list(recording.not_understood),
@@ -129,8 +130,8 @@ def _format(path: Path, recording: "RecordingInfo", summary: Summary) -> str:
         "format": f"version {recording.format_version}" if recording.format_version else "not ours",
         "complete": _describe_completeness(recording),
         "ended": (recording.stop_reason or "not recorded").replace("_", " "),
-        "duration": "-" if recording.duration_s is None else f"{recording.duration_s:.3f} s",
-        "absent": ", ".join(recording.absent) or "nothing",
+        **_describe_durations(recording, summary),
+        "absent": ", ".join(_list_absent(recording, summary)) or "nothing",
         **{name.replace("_", " "): text for name, text in summary.notes.items()},
         **recording.notes,
     }
@@ -179,7 +180,28 @@ def _describe_completeness(recording: "RecordingInfo") -> str:
         return "yes"
     if any(topic.count for topic in recording.topics):
         return "no: turtlelog recover FILE -o OUT makes it so"
-    return "no, and it holds no message that could be recovered"
+    return "no: copy the file again from its source"
+
+
+def _describe_durations(recording: "RecordingInfo", summary: Summary) -> dict[str, str]:
+    """Return how long a file lasts and, where its poses were read, how long its run does."""
+    if recording.duration_s is None:
+        return {"duration": "-"}
+    what = "message of any topic" if recording.topics else "row"
+    told = {"duration": f"{recording.duration_s:.3f} s, from the first to the last {what}"}
+    if summary.run is None:
+        return told
+    first = "sample" if summary.run.has_samples else "pose"
+    last = "row" if summary.run.has_samples else "pose or command"
+    length = f"{summary.run.duration_s:.3f} s, from the first {first} to the last {last}"
+    return told | {"run.duration": length}
+
+
+def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...]:
+    """Return what is absent: which topics are commands is known where the run was read."""
+    has_commands = summary.run is None or summary.run.has_commands
+    more = () if has_commands else ("commands",)
+    return tuple(dict.fromkeys([*more, *recording.absent]))
 
 
 def _tabulate(recording: "RecordingInfo") -> "Table":

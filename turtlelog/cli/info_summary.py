@@ -41,6 +41,9 @@ _TOLD: Final = (
 )
 """Notes of a run on the bag that it was read from."""
 
+_NOTHING_LEFT: Final = "truncated: no message can be recovered"
+"""What an incomplete file without messages is."""
+
 _LEFT_OUT: Final = ": left out: "
 
 _SHOWN_TOPICS: Final = 3
@@ -50,17 +53,34 @@ _TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ReadRun:
+    """What the run of a file tells that its topics do not.
+
+    Attributes:
+        duration_s: The metric `run.duration` [s].
+        has_commands: Whether it holds commands.
+        has_samples: Whether it holds samples of a controller.
+    """
+
+    duration_s: float
+    has_commands: bool
+    has_samples: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
     """What a file is.
 
     Attributes:
         text: One sentence without a full stop.
+        run: Of the run in the file; None where it was not read.
         missing: What it lacks, each with what that would unlock.
         clock: What times its poses, as in JSON; None where there is one clock, or nobody looked.
         notes: On its poses, by name.
     """
 
     text: str
+    run: ReadRun | None = None
     missing: tuple[str, ...] = ()
     clock: Mapping[str, Any] | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
@@ -77,10 +97,12 @@ def summarise(
         choice: What of it is looked at.
         is_asked: Read a large one, too.
     """
+    is_lost = not info.complete and not any(topic.count for topic in info.topics)
     if info.format_version is not None:
-        return Summary(text=_summarise_own(info))
+        return Summary(text=_summarise_own(info, _NOTHING_LEFT if is_lost else ""))
     if not info.complete:
-        return Summary(text=_summarise_topics(info, "it is not complete"))
+        text = _NOTHING_LEFT if is_lost else _summarise_topics(info, "it is not complete")
+        return Summary(text=text)
     if not is_asked and (large := _find_large(path, info)):
         note = f"not looked at, {large}: info --clock does"
         return Summary(text=_summarise_topics(info, ""), notes={"clock": note})
@@ -106,7 +128,9 @@ def count_read(path: Path, *, is_asked: bool) -> int:
     return size if is_asked or size <= LARGEST_BYTES else 0
 
 
-def _summarise_own(info: "RecordingInfo") -> str:
+def _summarise_own(info: "RecordingInfo", lost: str) -> str:
+    if lost:
+        return f"a recording of turtlelog's, {lost}"
     law, plant = info.parameters.get("law.kind"), info.parameters.get("plant.kind", "turtlesim")
     origin = "" if info.source == "simulation" else f", from {info.source}"
     counts = {
@@ -116,7 +140,8 @@ def _summarise_own(info: "RecordingInfo") -> str:
     rows = join_words([describe_count(count, noun) for noun, count in counts.items() if count])
     length = "" if info.duration_s is None else f" in {info.duration_s:.1f} s"
     parts = [f"{law} on {plant}" if law and info.scenario else str(law or ""), f"{rows}{length}"]
-    return f"a recording of turtlelog's{origin}: {', '.join(filter(None, parts)) or 'empty'}"
+    state = "" if info.complete else ", not complete"
+    return f"a recording of turtlelog's{state}{origin}: {', '.join(filter(None, parts)) or 'empty'}"
 
 
 def _find_large(path: Path, info: "RecordingInfo") -> str:
@@ -188,6 +213,11 @@ def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
     clock = run.clock
     return Summary(
         text=_describe_run(run),
+        run=ReadRun(
+            duration_s=run.duration_s,
+            has_commands=len(run.commands) > 0,
+            has_samples=len(run.samples) > 0,
+        ),
         missing=tuple(_list_missing(run, info)),
         clock=None
         if clock is None

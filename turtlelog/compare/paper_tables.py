@@ -87,7 +87,7 @@ def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
         if any(name.endswith(f".{metric}") for name in of_loops)
     ]
     return Table(
-        title=f"To the end of each run: {', '.join([*words, 'errors' if has_goal else 'length'])}",
+        title=f"To the end of each run: {', '.join([*words, 'errors' if has_goal else 'duration'])}",
         columns=(_RUN, *((_KP, _FOUR_TAU) if has_theory else ()), *shown.values()),
         rows=tuple(rows),
     )
@@ -103,7 +103,7 @@ _WHOLE_RUN: Final = MappingProxyType(
     {
         "final.heading_error": Column(title="heading", unit="deg", digits=4),
         "final.position_error": Column(title="position", unit="m", digits=6),
-        "run.duration": Column(title="length", unit="s", digits=2),
+        "run.duration": Column(title="duration", unit="s", digits=2),
     }
 )
 

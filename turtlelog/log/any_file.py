@@ -143,7 +143,7 @@ def read_file_info(
         name=run.name,
         complete=True,
         stop_reason=run.stop_reason,
-        duration_s=(run.end_ns - run.start_ns) / 1e9,
+        duration_s=(run.end_ns - run.begin_ns) / 1e9,
         parameters=run.parameters,
         topics=(),
         absent=run.absent,

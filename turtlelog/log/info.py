@@ -23,9 +23,9 @@ from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.walk import Loss, Section
 from turtlelog.log.error_boundary import DamageError, UnfinishedError
-from turtlelog.log.recording.head import HEAD, parse_head, parse_scenario_file
+from turtlelog.log.recording.head import HEAD, add_lost, parse_head, parse_scenario_file
 from turtlelog.log.recording.recovery_note import describe_damages, describe_recovery
-from turtlelog.log.recording.topics import CONTROL, EVENT, GOAL
+from turtlelog.log.recording.topics import COMMAND, CONTROL, EVENT, GOAL, POSE
 from turtlelog.remote.urls import make_path
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables
@@ -65,7 +65,9 @@ class RecordingInfo:
         name: As in `Run`; otherwise the file's name.
         complete: Whether the file was finished; of one that was not, what a walk finds is listed.
         stop_reason: As in `Run`.
-        duration_s: First to last message [s], None where there is no message.
+        duration_s: First to last message of any topic, of a table first to last row [s]; None where
+            there is no message. How long its run lasts is `Run.duration_s`, the metric
+            `run.duration`.
         span_ns: Least and greatest log time [ns], None where there is no message.
         scenario: The tables of the whole scenario, None where it is not known.
         parameters: What is known of the scenario, by dotted key.
@@ -172,6 +174,10 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
         found.name: found.data for found in survey.records if isinstance(found, Attachment)
     }
     tables, is_complete = parse_scenario_file(attachments)
+    is_whole = survey.is_finished and not describe_recovery(survey.records)
+    counts = {topic.topic: topic.count for topic in info.topics}
+    held = {name for name, topic in _PLACES.items() if counts.get(topic.name)}
+    held |= {"parameters"} if tables else set()
     return replace(
         info,
         format_version=head.format_version,
@@ -180,17 +186,23 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
         stop_reason=head.stop_reason,
         scenario=tables if is_complete else None,
         parameters=flatten_tables(tables),
-        absent=head.absent,
+        absent=head.absent if is_whole else add_lost(head, held),
         notes={**head.notes, **info.notes},
     )
+
+
+_PLACES: Final = {"poses": POSE, "commands": COMMAND, "samples": CONTROL, "goal_xy_m": GOAL}
+"""Topics of a recording of ours, by the names of `Run`."""
 
 
 def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
     """Return what somebody else's file does not hold, by the names of `Run`.
 
-    Its scenario and why it ended stand in turtlelog's own record alone.
+    Its scenario and why it ended stand in turtlelog's own record alone. Which of its topics are
+    poses and commands only reading tells; where no message can be understood, there are none.
     """
-    held = {found.topic for found in topics if found.count}
+    present = [found for found in topics if found.count]
+    held = {found.topic for found in present}
     places = {
         "samples": CONTROL,
         "goal_xy_m": GOAL,
@@ -199,7 +211,9 @@ def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
         "stop_reason": None,
         "events": EVENT,
     }
-    return tuple(name for name, topic in places.items() if topic is None or topic.name not in held)
+    absent = [name for name, topic in places.items() if topic is None or topic.name not in held]
+    is_readable = any(not found.reason for found in present)
+    return tuple(absent if is_readable else ["poses", "commands", *absent])
 
 
 def _describe_losses(survey: Survey) -> dict[str, str]:

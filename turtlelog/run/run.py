@@ -222,6 +222,12 @@ class Run:
         return int([*self.samples.time_ns[:1], self.poses.time_ns[0]][0])
 
     @property
+    def begin_ns(self) -> int:
+        """Time of the first row of any column [ns]."""
+        columns = (self.poses, self.samples, self.commands)
+        return int(min(column.time_ns[0] for column in columns if len(column)))
+
+    @property
     def end_ns(self) -> int:
         """Time of the last row of any column [ns]."""
         columns = (self.poses, self.samples, self.commands)
@@ -234,7 +240,7 @@ class Run:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first sample, or else pose, to the last row [s]."""
+        """The metric `run.duration`: from the first sample, or else pose, to the last row [s]."""
         return (self.end_ns - self.start_ns) / 1e9
 
     def slice(self, start_s: float | None = None, end_s: float | None = None) -> "Run":
@@ -303,7 +309,7 @@ class Run:
         rows = [
             ("source", self.source),
             ("goal", goal or "not recorded"),
-            ("duration", f"{self.duration_s:.4g} s"),
+            ("run.duration", f"{self.duration_s:.4g} s"),
             ("stop reason", self.stop_reason or "not recorded"),
             ("phases", spans or "none"),
             *((table, f"{len(getattr(self, table))} rows") for table in TABLES),

@@ -57,7 +57,7 @@ def write_mcap(path: Path, entries: dict[str, str], message: bytes | None = None
 
 
 ADVICE = "turtlelog recover FILE -o OUT rewrites what it still holds"
-NO_ADVICE = "it holds no message that could be recovered"
+NO_ADVICE = "no message can be recovered: copy the file again from its source"
 BUGS = ("TypeError", "AttributeError", "NameError", "AssertionError", "UnboundLocalError")
 
 

@@ -200,6 +200,23 @@ def parse_head(record: Mapping[str, str]) -> Head:
     )
 
 
+_COLUMNS: Final = ("poses", "commands", "samples", "goal_xy_m", "parameters")
+"""What every recording has unless its head names it as absent; of events nobody knows."""
+
+
+def add_lost(head: Head, held: Collection[str]) -> tuple[str, ...]:
+    """Return what is absent of a file that is not whole: what its head says, and what is lost.
+
+    Args:
+        head: Of the recording.
+        held: What the file still holds, by the names of `Run`.
+    """
+    has_goal = head.declaration is None or head.declaration.uses_goal
+    expected = (name for name in _COLUMNS if has_goal or name != "goal_xy_m")
+    lost = [name for name in expected if name not in held]
+    return tuple(dict.fromkeys([*lost, *head.absent]))
+
+
 def format_scenario_file(run: "Run") -> dict[str, bytes]:
     """Return the attached TOML text by its name; nothing where no parameter is known."""
     if not run.parameters and not run.scenario_is_complete:

@@ -36,7 +36,13 @@ from turtlelog.log.recording.contents import (
     reconcile_contents,
     salvage_contents,
 )
-from turtlelog.log.recording.head import MAY_BE_ABSENT, Head, declare_format1, parse_scenario_file
+from turtlelog.log.recording.head import (
+    MAY_BE_ABSENT,
+    Head,
+    add_lost,
+    declare_format1,
+    parse_scenario_file,
+)
 from turtlelog.log.recording.recovery_note import describe_damages
 from turtlelog.log.recording.topics import (
     COMMAND,
@@ -65,6 +71,8 @@ _FOUND_LATE: Final = frozenset(MAY_BE_ABSENT) - {"wanted_speed_m_s", "wanted_tur
 _EVERYTHING: Final = Selection()
 _ANY_SIZE: Final = 2**40  # bytes; nobody knows how large it becomes
 _ADVICE: Final = "turtlelog recover FILE -o OUT rewrites what it still holds"
+NOTHING_LEFT: Final = "no message can be recovered: copy the file again from its source"
+"""What is said of a damaged file that nothing recovers."""
 
 
 def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
@@ -103,7 +111,7 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
             raise LogError(f"{damage}: {_advise(stream)}")
         try:
             contents, dropped = reconcile_contents(salvage_contents(stream))
-            run, lost = build_run(contents), describe_damages(contents.damages) + dropped
+            run, lost = _build_part(contents), describe_damages(contents.damages) + dropped
         except LogError as err:
             raise LogError(f"{damage}; in what it still holds: {err}") from err
     warnings.warn(f"{path}: {lost}", PartialRecordingWarning, stacklevel=3)
@@ -116,7 +124,7 @@ def _advise(stream: BinaryIO) -> str:
         counts = survey_file(stream, allow_partial=True).counts
     except LogError:
         return _ADVICE
-    return _ADVICE if any(counts.values()) else "it holds no message that could be recovered"
+    return _ADVICE if any(counts.values()) else NOTHING_LEFT
 
 
 def _build_whole_run(contents: Contents) -> Run:
@@ -125,7 +133,21 @@ def _build_whole_run(contents: Contents) -> Run:
         return build_run(contents)
     reconciled, dropped = reconcile_contents(contents)
     notes = {name: text + dropped for name, text in contents.recovered.items()}
-    return build_run(replace(reconciled, recovered=notes))
+    return _build_part(replace(reconciled, recovered=notes))
+
+
+def _build_part(contents: Contents) -> Run:
+    """Return the run of a file that lacks rows: a column of which none is left is absent."""
+    head = contents.head
+    run = build_run(contents)
+    columns = {
+        "poses": len(run.poses) > 0,
+        "commands": len(run.commands) > 0,
+        "samples": len(run.samples) > 0,
+        "goal_xy_m": run.goal_xy_m is not None,
+        "parameters": bool(run.parameters),
+    }
+    return replace(run, absent=add_lost(head, {name for name in columns if columns[name]}))
 
 
 class RecordingTail:

@@ -27,9 +27,14 @@ Values = NDArray[np.float64]
 NO_LINE: Final = Missing(status=Status.ABSENT, reason="the line from start to goal is not known")
 
 
-@run_metric("run.duration", "s", "From the first sample to the end.", is_awaited=True)
+@run_metric(
+    "run.duration",
+    "s",
+    "From the first sample, or without samples the first pose, to the last row of the run.",
+    is_awaited=True,
+)
 def _compute_duration(context: RunContext) -> Result:
-    return Found((context.run.end_ns - context.run.start_ns) / 1e9)
+    return Found(context.run.duration_s)
 
 
 def _on_distance(
