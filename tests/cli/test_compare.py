@@ -14,7 +14,7 @@ def test_runs_stand_beside_each_other_with_the_best_marked(
 ) -> None:
     answer = call("compare", kp4, kp10, "--sort", "-run.duration")
     assert answer.code == 0
-    assert answer.out.startswith("2 runs\n")
+    assert answer.out.startswith("2 runs, Kp = 10, 4: no run is best at everything\n")
     assert answer.out.index("paper-kp10") < answer.out.index("paper-kp4")
     assert "11.184*" in answer.out
     assert "12.608!" in answer.out
@@ -41,6 +41,38 @@ def test_marks_stand_in_json(call: Call, kp4: Path, kp10: Path) -> None:
     answer = call("compare", kp4, kp10, "--json", "--only", "run.duration").json
     metrics = [run["metrics"] for run in answer["runs"]]
     assert [[metric["mark"] for metric in found] for found in metrics] == [["best"], ["worst"]]
+
+
+def test_runs_under_other_conditions_are_not_ranked(call: Call, kp4: Path, tmp_path: Path) -> None:
+    slow = tmp_path / "slow.mcap"
+    call("run", "paper-kp4", "--set", "limits.speed_m_s=0.5", "--set", "name=slow", "-o", slow)
+    answer = call("compare", kp4, slow)
+    assert answer.out.startswith("2 runs: limits differ, so nothing is called best\n")
+    assert "limits.speed_m_s: 1 of paper-kp4, 0.5 of slow." in answer.out
+    assert "* best" not in answer.out
+    ranking = call("compare", kp4, slow, "--json").json["ranking"]
+    assert (ranking["is_fair"], ranking["varied"], ranking["unknown"]) == (False, [], [])
+    assert ranking["reason"] == "limits differ, so nothing is called best"
+    (found,) = ranking["differences"]
+    assert found == {"condition": "limits", "key": "limits.speed_m_s", "values": [1.0, 0.5]}
+    runs = call("compare", kp4, slow, "--json").json["runs"]
+    assert {metric["mark"] for run in runs for metric in run["metrics"]} == {None}
+    assert [*runs[0]["parameters"]][0] == "limits.speed_m_s"
+
+
+def test_a_limit_that_was_varied_on_purpose_is_named_first(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    slow = tmp_path / "slow.mcap"
+    call("run", "paper-kp4", "--set", "limits.speed_m_s=0.5", "--set", "name=slow", "-o", slow)
+    words = ("compare", kp4, slow, "--varied", "limits.speed_m_s", "--only", "run.duration")
+    first = "2 runs, limits.speed_m_s = 1, 0.5: paper-kp4 is best at run.duration"
+    assert call(*words).out.splitlines()[0] == first
+    ranking = call(*words, "--json").json["ranking"]
+    assert (ranking["is_fair"], ranking["varied"]) == (True, ["limits.speed_m_s"])
+    refused = call("compare", kp4, slow, "--varied", "limits.sped")
+    assert refused.code == 2
+    assert "--varied: expected limits.speed_m_s" in refused.err
 
 
 def test_tables_come_as_markdown_csv_and_latex(call: Call, kp4: Path, kp10: Path) -> None:

@@ -38,9 +38,7 @@ from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Run
-    from turtlelog.compare import (
-        RunSummary,
-    )
+    from turtlelog.compare import Ranking, RunSummary
 
 
 @Parameter(name="*")
@@ -74,6 +72,9 @@ class ChoiceOptions:
         sort: What to sort by (rising gain): a metric or parameter, name, or Kp as the column is
             called; falling with a minus before it, as in -run.duration.
         where: Which runs, as in "law.kp_linear >= 2 and run.duration < 20".
+        varied: Keys that you varied on purpose, separated by commas, as in limits.speed_m_s, or
+            goal, path, start, plant or limits. Where another of these differs, no run is called
+            the best. Gains are always on purpose.
     """
 
     only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
@@ -82,6 +83,11 @@ class ChoiceOptions:
         Parameter(allow_leading_hyphen=True, metavar="NAME", completer=complete_metrics),
     ] = None
     where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
+    varied: Annotated[str | None, Parameter(metavar="KEYS")] = None
+
+    def list_varied(self) -> list[str]:
+        """Return the keys and conditions that were varied on purpose besides gains."""
+        return [] if self.varied is None else split_names(self.varied, "--varied")
 
     def list_columns(self) -> list[str]:
         """Return the names and patterns that are asked for, none for the usual columns."""
@@ -177,7 +183,7 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
         raise UsageError(_describe_too_few(paths, against))
     if against.reference is None and against.align is not None:
         raise UsageError("--align: expected --reference beside it, found none")
-    for name in () if against.reference is None else ("only", "sort", "where"):
+    for name in () if against.reference is None else ("only", "sort", "where", "varied"):
         if getattr(choice, name) is not None:
             raise UsageError(f"--{name}: expected no --reference beside it, found one")
 
@@ -193,7 +199,7 @@ def _describe_too_few(paths: Sequence[Path], against: ReferenceOptions) -> str:
 def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> None:
     given = {
         **{name: getattr(against, name) for name in ("reference", "align", "tolerances")},
-        **{name: getattr(choice, name) for name in ("only", "sort", "where")},
+        **{name: getattr(choice, name) for name in ("only", "sort", "where", "varied")},
     }
     for name, value in given.items():
         if value is not None:
@@ -266,35 +272,43 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
 
         summaries = sort_by_column(summaries, choice.sort, source="--sort")
     only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--only")
-    table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes)
+    ranking = tl.compare.judge_runs(summaries, varied=choice.list_varied(), source="--varied")
     if kind == "json":
-        print_json(_describe_across(summaries, only=only, notes=notes))
+        print_json(_describe_across(summaries, only=only, notes=notes, ranking=ranking))
         return
+    table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes, ranking=ranking)
     print_tables([table], kind)
-    for note in notes if kind == "csv" else ():
+    if kind == "csv":
         # A file of values has no room for notes.
-        print_note(note)
+        for note in (*notes, *ranking.list_notes(tl.compare.name_runs(summaries))):
+            print_note(note)
 
 
 def _describe_across(
-    summaries: "Sequence[RunSummary]", *, only: Sequence[str], notes: Sequence[str]
+    summaries: "Sequence[RunSummary]",
+    *,
+    only: Sequence[str],
+    notes: Sequence[str],
+    ranking: "Ranking",
 ) -> dict[str, Any]:
     """Return runs beside each other: no reference, no signals, marks on the metrics."""
     names = list(tl.measure.list_metrics(*(found.declaration for found in summaries)))
     if only:
         chosen = tl.compare.choose_columns(summaries, only)
         names = [name for name in chosen if any(found.find_metric(name) for found in summaries)]
-    marks = {name: tl.compare.mark_metric(summaries, name) for name in names}
+    marks = {name: tl.compare.mark_metric(summaries, name, ranking=ranking) for name in names}
+    parameters = tl.compare.order_parameters(summaries, ranking)
     return {
         "reference": None,
         "alignment": None,
         "notes": list(notes),
+        "ranking": _describe_ranking(ranking, tl.compare.name_runs(summaries)),
         "runs": [
             {
                 "file": summary.file,
                 "name": name,
                 "overlap_s": None,
-                "parameters": dict(summary.parameters),
+                "parameters": parameters[row],
                 "signals": [],
                 "metrics": [
                     {**describe_metric(metric), "mark": marks[metric.id].get(row)}
@@ -305,5 +319,22 @@ def _describe_across(
             for row, (name, summary) in enumerate(
                 zip(tl.compare.name_runs(summaries), summaries, strict=True)
             )
+        ],
+    }
+
+
+def _describe_ranking(ranking: "Ranking", names: Sequence[str]) -> dict[str, Any]:
+    """Return whether a run may be called the best, what was varied, what differs and is unknown."""
+    return {
+        "is_fair": ranking.is_fair,
+        "reason": ranking.describe() or None,
+        "varied": list(ranking.varied),
+        "differences": [
+            {"condition": found.condition, "key": found.key, "values": list(found.values)}
+            for found in ranking.differences
+        ],
+        "unknown": [
+            {"condition": condition, "runs": [names[row] for row in rows]}
+            for condition, rows in ranking.unknown.items()
         ],
     }

@@ -20,6 +20,14 @@ from .path_error import (
     PathError as PathError,
     measure_path_error as measure_path_error,
 )
+from .ranking import (
+    CONDITIONS as CONDITIONS,
+    ConditionDifference as ConditionDifference,
+    Conditions as Conditions,
+    Ranking as Ranking,
+    allow_position as allow_position,
+    judge_runs as judge_runs,
+)
 from .robot_comparison import (
     ErrorBand as ErrorBand,
     ErrorGrowth as ErrorGrowth,
@@ -51,6 +59,7 @@ from .run_table import (
     list_units as list_units,
     list_unlocks as list_unlocks,
     mark_metric as mark_metric,
+    order_parameters as order_parameters,
     tabulate_measured as tabulate_measured,
     tabulate_metrics as tabulate_metrics,
     tabulate_runs as tabulate_runs,

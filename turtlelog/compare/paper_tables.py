@@ -86,8 +86,9 @@ def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
         for metric, word in _ANSWERS.items()
         if any(name.endswith(f".{metric}") for name in of_loops)
     ]
+    words.append("errors" if has_goal else "duration")
     return Table(
-        title=f"To the end of each run: {', '.join([*words, 'errors' if has_goal else 'duration'])}",
+        title=f"To the end of each run: {', '.join(words)}",
         columns=(_RUN, *((_KP, _FOUR_TAU) if has_theory else ()), *shown.values()),
         rows=tuple(rows),
     )

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from turtlelog import expressions
 from turtlelog.compare.like_loops import order_ids
+from turtlelog.compare.ranking import Conditions, find_conditions
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
@@ -67,6 +68,7 @@ class RunSummary:
         notes: As in `Run`.
         declaration: As in `Run`.
         lacks: Which of `HOLDINGS` it does not hold.
+        conditions: What must be alike before runs are ranked; None: not known.
     """
 
     name: str
@@ -78,6 +80,7 @@ class RunSummary:
     notes: Mapping[str, str] = field(default_factory=dict)
     declaration: Declaration = field(default_factory=Declaration)
     lacks: tuple[str, ...] = ()
+    conditions: Conditions | None = None
 
     def __post_init__(self) -> None:
         for name in _MAPPINGS:
@@ -147,6 +150,7 @@ def _rebuild(values: dict[str, Any]) -> RunSummary:
         "parameters": {sys.intern(k): _share(one) for k, one in values["parameters"].items()},
         "metrics": dict(map(_unpack, values["metrics"])),
         "declaration": _share_declaration(values["declaration"]),
+        "conditions": _share_conditions(values["conditions"]),
     }
     return RunSummary(**values | named)
 
@@ -182,6 +186,11 @@ def _keep_text(text: str) -> str:
     return text
 
 
+@lru_cache(maxsize=1024)
+def _share_conditions(conditions: Conditions | None) -> Conditions | None:
+    return conditions
+
+
 @lru_cache(maxsize=64)
 def _share_declaration(declaration: Declaration) -> Declaration:
     return declaration
@@ -198,21 +207,22 @@ def summarise_measured(
     run: Run, file: str, metrics: Mapping[str, Metric], *, with_parameters: bool = True
 ) -> RunSummary:
     """Return a run in short, with all its parameters or with its gains alone."""
+    known = complete_parameters(run)
     return RunSummary(
         name=run.name,
         source=run.source,
         stop_reason=run.stop_reason,
-        parameters=complete_parameters(run) if with_parameters else _take_gains(run),
+        parameters=known if with_parameters else _take_gains(run, known),
         metrics=metrics,
         file=file,
         notes=run.notes,
         declaration=run.declaration,
         lacks=list_lacks(run),
+        conditions=find_conditions(run, known),
     )
 
 
-def _take_gains(run: Run) -> Mapping[str, Parameter]:
-    known = complete_parameters(run)
+def _take_gains(run: Run, known: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
     return {key: known[key] for key in run.declaration.list_gains() if key in known}
 
 

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Final
 
 from turtlelog.compare.like_loops import group_ids
+from turtlelog.compare.ranking import Ranking, judge_runs
 from turtlelog.compare.run_names import has_one_gain, name_runs
 from turtlelog.compare.run_summary import (
     USUAL_OF_MOTION,
@@ -17,7 +18,7 @@ from turtlelog.compare.run_summary import (
     sort_runs,
 )
 from turtlelog.compare.table import Cell, Column, Mark, Table
-from turtlelog.display import describe_count, format_number
+from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import CompareError
 from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure import (
@@ -28,7 +29,7 @@ from turtlelog.measure import (
     list_metrics,
     measure_run,
 )
-from turtlelog.run import Run
+from turtlelog.run import Parameter, Run
 
 
 def tabulate_runs(
@@ -37,32 +38,39 @@ def tabulate_runs(
     only: Sequence[str] = (),
     title: str = "",
     notes: Sequence[str] = (),
+    ranking: Ranking | None = None,
 ) -> Table:
     """Return a row for every run: its gains, and metrics with the best and the worst marked.
+
+    The title says which run is the best. Of runs under different conditions it says what differs,
+    and nothing is marked: `judge_runs` judges that.
 
     Args:
         summaries: In the order of the rows.
         only: Metrics, patterns of them (`translate.*`) and parameters; none: the usual ones.
         title: Instead of how many runs there are.
         notes: Sentences to stand below.
+        ranking: Whether a run may be called the best; None: as `judge_runs` judges it.
 
     Raises:
         CompareError: Where `only` names what there is not.
     """
+    ranking = judge_runs(summaries) if ranking is None else ranking
     gains = _list_gain_columns(summaries)
     chosen = choose_columns(summaries, only or _list_usual(summaries))
     if not only:
         summaries = [_leave_out_goal(summary) for summary in summaries]
-    differing = [] if only else _find_differing(summaries)
+    differing = [] if only else _find_differing(summaries, ranking)
     shown = [*differing[:_MOST_DIFFERING], *chosen]
     units = {name: _list_units(summaries, name) for name in shown}
+    names = name_runs(summaries)
     rows = tuple(
         (
             name,
             *(_get_gain(summary, column.title) for column in gains),
             *(_get_cell(summary, key, has_one_unit=len(units[key]) < 2) for key in shown),
         )
-        for name, summary in zip(name_runs(summaries), summaries, strict=True)
+        for name, summary in zip(names, summaries, strict=True)
     )
     columns = (
         Column(title="run"),
@@ -76,19 +84,82 @@ def tabulate_runs(
         for name in shown
         if len(units[name]) > 1
     ]
+    marks = {name: mark_metric(summaries, name, ranking=ranking) for name in shown}
+    head = title or describe_count(len(summaries), "run")
     return Table(
-        title=title or describe_count(len(summaries), "run"),
+        title=f"{head}{_conclude(summaries, names, gains, rows, ranking, marks)}",
         columns=columns,
         rows=rows,
-        notes=(*notes, *told, *([] if only else list_unlocks(summaries))),
+        notes=(
+            *notes,
+            *ranking.list_notes(names),
+            *told,
+            *([] if only else list_unlocks(summaries)),
+        ),
         marks=MappingProxyType(
             {
                 (row, index): mark
                 for index, name in enumerate(shown, start=1 + len(gains))
-                for row, mark in mark_metric(summaries, name).items()
+                for row, mark in marks[name].items()
             }
         ),
     )
+
+
+_MOST_GAINS: Final = 6
+"""Gains that the first line lists; of more it gives the least and the largest."""
+
+
+def _conclude(
+    summaries: Sequence[RunSummary],
+    names: Sequence[str],
+    gains: Sequence[Column],
+    rows: Sequence[Sequence[Cell]],
+    ranking: Ranking,
+    marks: Mapping[str, Mapping[int, Mark]],
+) -> str:
+    """Return the answer behind the number of runs: what was varied, and which run is the best."""
+    shown = {
+        column.title: [row[place] for row in rows] for place, column in enumerate(gains, start=1)
+    }
+    known = {key for one in summaries for key in one.declaration.list_gains()}
+    for key in ranking.varied:
+        if key not in known:
+            shown[key] = [_get_parameter(one, key) for one in summaries]
+    varied = [
+        f", {name} = {_list_values(values)}"
+        for name, cells in shown.items()
+        if len(values := list(dict.fromkeys(cells))) > 1
+    ]
+    answer = ranking.describe() or _name_best(names, marks)
+    return "".join([*varied, f": {answer}" if answer else ""])
+
+
+def _list_values(values: Sequence[Cell]) -> str:
+    known = [value for value in values if isinstance(value, int | float)]
+    if len(values) > _MOST_GAINS and len(known) == len(values):
+        return f"{format_number(min(known))} to {format_number(max(known))}"
+    return ", ".join(
+        format_number(value) if isinstance(value, float) else str(value or "none")
+        for value in values
+    )
+
+
+def _name_best(names: Sequence[str], marks: Mapping[str, Mapping[int, Mark]]) -> str:
+    """Return which run is the best in all metrics that are compared; empty where none is marked."""
+    best = {
+        name: {row for row, mark in found.items() if mark == "best"}
+        for name, found in marks.items()
+        if found
+    }
+    if not best:
+        return ""
+    common = set.intersection(*best.values())
+    if not common:
+        return "no run is best at everything"
+    what = next(iter(best)) if len(best) == 1 else "everything"
+    who = join_words([names[row] for row in sorted(common)])
+    return f"{who} {'is' if len(common) == 1 else 'are'} best at {what}"
 
 
 def sort_by_column(
@@ -112,11 +183,20 @@ def sort_by_column(
     return (*(found for _, found in valued), *rest)
 
 
-def mark_metric(summaries: Sequence[RunSummary], name: str) -> dict[int, Mark]:
+def mark_metric(
+    summaries: Sequence[RunSummary], name: str, *, ranking: Ranking | None = None
+) -> dict[int, Mark]:
     """Return which runs are the best and the worst in a metric; none where all are alike.
 
-    None either where loops of one name control signals of other units.
+    None either where loops of one name control signals of other units, or runs may not be ranked.
+
+    Args:
+        summaries: The runs.
+        name: The id of the metric.
+        ranking: Whether they may be ranked, where that has been judged already.
     """
+    if not (judge_runs(summaries) if ranking is None else ranking).is_fair:
+        return {}
     kind = find_metric_kind(name)
     better = kind.better if kind and len(_list_units(summaries, name)) < 2 else None
     found = [summary.find_metric(name) if better else None for summary in summaries]
@@ -240,14 +320,34 @@ def _get_gain(summary: RunSummary, title: str) -> Cell:
     return None if loop is None or loop.gain is None else _get_parameter(summary, loop.gain)
 
 
-def _find_differing(summaries: Sequence[RunSummary]) -> list[str]:
-    """Return the other parameters in which the runs differ; one that is not known does not."""
+def _find_differing(summaries: Sequence[RunSummary], ranking: Ranking) -> list[str]:
+    """Return the other parameters in which the runs differ; one that is not known does not.
+
+    Those that were varied on purpose come first, then those that forbid a ranking.
+    """
     shown = {"name", *(key for found in summaries for key in found.declaration.list_gains())}
     values: dict[str, set[str]] = {}
     for summary in summaries:
         for key, value in summary.parameters.items():
             values.setdefault(key, set()).add(repr(value))
-    return [key for key, found in values.items() if len(found) > 1 and key not in shown]
+    differing = [key for key, found in values.items() if len(found) > 1 and key not in shown]
+    first = [key for key in ranking.keys if key in differing]
+    return list(dict.fromkeys([*first, *differing]))
+
+
+def order_parameters(
+    summaries: Sequence[RunSummary], ranking: Ranking
+) -> list[dict[str, Parameter]]:
+    """Return the parameters of each run: those that were varied, others that differ, the rest."""
+    first = [*ranking.varied, *_find_differing(summaries, ranking)]
+    return [
+        {
+            key: found.parameters[key]
+            for key in dict.fromkeys([*first, *found.parameters])
+            if key in found.parameters
+        }
+        for found in summaries
+    ]
 
 
 def _list_units(summaries: Sequence[RunSummary], name: str) -> list[str]:

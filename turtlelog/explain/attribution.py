@@ -7,6 +7,7 @@ from html import escape
 from typing import Final
 
 from turtlelog.angles import wrap_angle
+from turtlelog.compare.ranking import allow_position
 from turtlelog.display import format_html
 from turtlelog.loops import Declaration
 from turtlelog.measure import list_metrics
@@ -71,7 +72,7 @@ def _find_tolerated(scenario: Scenario, declaration: Declaration, metric: str, u
     distance_m, turn_rad = _find_steps(scenario)
     if unit == "m":
         reach = "heading tolerance times distance plus position tolerance"
-        return Grain(size=heading_rad * distance_m + position_m, reason=reach)
+        return Grain(size=allow_position(heading_rad, position_m, distance_m), reason=reach)
     if unit == "deg":
         return Grain(size=math.degrees(heading_rad), reason="the heading tolerance")
     loop = declaration.find_loop(metric.rpartition(".")[0])

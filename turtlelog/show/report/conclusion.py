@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+from turtlelog.compare import judge_runs, summarise_run
 from turtlelog.display import describe_count, join_words
 from turtlelog.explain import Attribution, write_sentences
 from turtlelog.measure import Metric, is_lawless
@@ -17,7 +18,10 @@ _MOST_NAMED: Final = 4
 def conclude(
     runs: Sequence[Run], names: Sequence[str], metrics: Sequence[Mapping[str, Metric]]
 ) -> list[str]:
-    """Return which run ends nearest to its goal and which furthest, which are equal, or cut."""
+    """Return which run ends nearest to its goal and which furthest, which are equal, or cut.
+
+    Runs under different conditions are not ranked; then it returns what differs.
+    """
     found = list_misses(runs, metrics)
     sentences = []
     if len(runs) == 1 and found:
@@ -26,7 +30,11 @@ def conclude(
         ((number, miss_m),) = found.items()
         sentences.append(f"Only {names[number]} has a goal; it ends {format_length(miss_m)} off.")
     elif found:
-        sentences.append(_compare(found, names, of=len(runs)))
+        pairs = zip(runs, metrics, strict=True)
+        ranking = judge_runs([summarise_run(run, metrics=known) for run, known in pairs])
+        ranked = _compare(found, names, of=len(runs))
+        why = f"{describe_count(len(runs), 'run')}: {ranking.describe()}."
+        sentences.append(ranked if ranking.is_fair else why)
     for group in group_equal(runs):
         if len(group) > 1:
             same = [names[number] for number in group]

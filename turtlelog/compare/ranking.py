@@ -1,0 +1,400 @@
+"""Whether runs may be ranked: what must be alike before one of them is called the best."""
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from turtlelog.angles import wrap_angle
+from turtlelog.display import describe_count, format_number, join_words
+from turtlelog.errors import CompareError, suggest_names
+from turtlelog.measure import is_lawless
+from turtlelog.run import Run
+
+if TYPE_CHECKING:
+    from turtlelog.compare.run_summary import RunSummary
+
+CONDITIONS: Final = ("goal", "path", "start", "plant", "limits")
+"""What runs must have in common; runs under other conditions solved another task."""
+
+_BAND: Final = 0.02
+"""Resolution of a run whose tolerances are not known, as a share of the way to its goal [1]: the
+settling band, within which metrics take a robot for arrived."""
+
+_HEADING_RAD: Final = 0.02
+"""Likewise of a heading [rad]: the same band of one radian."""
+
+_TABLES: Final[Mapping[str, tuple[str, ...]]] = {
+    "path": ("path.",),
+    "plant": ("plant.", "disturbance."),
+    "limits": ("limits.",),
+}
+"""Keys of a scenario that are a condition: the plant is what is driven, and what pushes it."""
+
+_NO_GOAL_M: Final = 1.0
+"""The way of a run without a goal, for its resolution [m]."""
+
+_MOST_NAMED: Final = 4
+"""Runs that a sentence names; of more it says how many there are."""
+
+Keys = tuple[tuple[str, Any], ...]
+"""Keys of a scenario with their values; a list of values is its text."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conditions:
+    """Under which a run was driven. None: not known.
+
+    Attributes:
+        goal: x, y [m] and heading [rad], which is None where none is asked for; () where the law
+            uses no goal.
+        start: x, y [m] and heading [rad] of the first pose that was read.
+        plant: `turtlesim`, `lagged` or `robot`; None: not known.
+        tables: Keys of path, plant and limits, each None where it is not known.
+        reach_m: Resolution of positions: what the law's tolerances leave [m].
+        reach_rad: Likewise of headings [rad].
+    """
+
+    goal: tuple[float, float, float | None] | tuple[()] | None
+    start: tuple[float, float, float]
+    plant: str | None
+    tables: tuple[Keys | None, Keys | None, Keys | None]
+    reach_m: float
+    reach_rad: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConditionDifference:
+    """A condition that forbids to call a run the best.
+
+    Attributes:
+        condition: One of `CONDITIONS`.
+        key: Of the scenario (`limits.speed_m_s`), else the condition itself.
+        values: Of each run, in order; None where it is not known.
+        is_unknown: Whether it forbids because it is not known of a run.
+    """
+
+    condition: str
+    key: str
+    values: tuple[Any, ...]
+    is_unknown: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ranking:
+    """Whether runs may be ranked.
+
+    Attributes:
+        varied: Keys that were varied on purpose and differ: gains, and those that were named.
+        differences: What forbids to call a run the best, in order of `CONDITIONS`.
+        unknown: Conditions that are not known of some run and forbid nothing, with those runs.
+    """
+
+    varied: tuple[str, ...]
+    differences: tuple[ConditionDifference, ...]
+    unknown: Mapping[str, tuple[int, ...]]
+
+    @property
+    def is_fair(self) -> bool:
+        """Whether a run may be called the best."""
+        return not self.differences
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys that differ, those that were varied on purpose first."""
+        return (*self.varied, *(found.key for found in self.differences))
+
+    def describe(self) -> str:
+        """Return what forbids to call a run the best, as a clause; empty where nothing does."""
+        known = [one.condition for one in self.differences if not one.is_unknown]
+        unknown = [one.condition for one in self.differences if one.is_unknown]
+        clauses = [
+            f"{join_words([*dict.fromkeys(names)])} {_choose_verb(names, *verbs)}"
+            for names, verbs in ((known, _DIFFER), (unknown, _UNKNOWN))
+            if names
+        ]
+        return f"{' and '.join(clauses)}, so nothing is called best" if clauses else ""
+
+    def list_notes(self, names: Sequence[str]) -> list[str]:
+        """Return each difference with its values, and what is not known, as sentences.
+
+        Args:
+            names: Of the runs, in order.
+        """
+        notes = [_describe_values(found, names) for found in self.differences]
+        runs = {
+            condition: _name([names[row] for row in rows])
+            for condition, rows in self.unknown.items()
+        }
+        by_runs: dict[str, list[str]] = {}
+        for condition, who in runs.items():
+            by_runs.setdefault(who, []).append(condition)
+        notes += [
+            f"Not known of {who}: {join_words(found)}. The ranking takes {_choose_pronoun(found)}"
+            " for equal."
+            for who, found in by_runs.items()
+            if self.is_fair
+        ]
+        return notes
+
+
+_DIFFER: Final = ("differs", "differ")
+_UNKNOWN: Final = ("is not known of every run", "are not known of every run")
+
+
+def _choose_verb(names: Sequence[str], one: str, many: str) -> str:
+    return one if len({*names}) == 1 and names[0] != "limits" else many
+
+
+def _choose_pronoun(names: Sequence[str]) -> str:
+    return _choose_verb(names, "it", "them")
+
+
+def find_conditions(run: Run, parameters: Mapping[str, Any]) -> Conditions:
+    """Return the conditions of a run.
+
+    Args:
+        run: Whose goal, start and plant count, not those of the scenario.
+        parameters: Its scenario, with defaults, as far as it is known.
+    """
+    first = [*run.samples.pose_sequence[:1], 0][0]
+    x_m, y_m = map(float, run.poses.xy_m[first])
+    path, plant, limits = (_take_table(run, parameters, name) for name in _TABLES)
+    goal: tuple[float, float, float | None] | tuple[()] | None = None
+    if not run.declaration.uses_goal and not is_lawless(run):
+        goal = ()
+    elif run.goal_xy_m is not None:
+        goal = (*run.goal_xy_m, run.goal_heading_rad)
+    distance_m = math.hypot(goal[0] - x_m, goal[1] - y_m) if goal else _NO_GOAL_M
+    reach_m, reach_rad = _find_reach(parameters, distance_m)
+    return Conditions(
+        goal=goal,
+        start=(x_m, y_m, float(run.poses.heading_rad[first])),
+        plant=_find_plant(run, parameters, is_simulated=limits is not None),
+        tables=(path, plant, limits),
+        reach_m=reach_m,
+        reach_rad=reach_rad,
+    )
+
+
+def _take_table(run: Run, parameters: Mapping[str, Any], condition: str) -> Keys | None:
+    """Return the keys of a condition; None where nothing is known of it."""
+    found = tuple(
+        (key, value if isinstance(value, str | int | float) else str(value))
+        for key, value in sorted(parameters.items())
+        if key.startswith(_TABLES[condition])
+    )
+    return found if found or run.scenario_is_complete else None
+
+
+def allow_position(heading_rad: float, position_m: float, distance_m: float) -> float:
+    """Return what tolerances leave of a final position error [m].
+
+    Args:
+        heading_rad: Tolerance of the heading [rad].
+        position_m: Tolerance of the position [m].
+        distance_m: How far the goal is from the start [m].
+    """
+    return heading_rad * distance_m + position_m
+
+
+def _find_reach(parameters: Mapping[str, Any], distance_m: float) -> tuple[float, float]:
+    heading_rad = parameters.get("law.heading_tolerance_rad")
+    position_m = parameters.get("law.position_tolerance_m")
+    if heading_rad is None or position_m is None:
+        return _BAND * distance_m, _HEADING_RAD
+    return allow_position(heading_rad, position_m, distance_m), float(heading_rad)
+
+
+def _find_plant(run: Run, parameters: Mapping[str, Any], *, is_simulated: bool) -> str | None:
+    """Return the kind of a plant: a scenario without the key has turtlesim's."""
+    if is_simulated:
+        return str(parameters.get("plant.kind", "turtlesim"))
+    if not is_lawless(run):
+        return None
+    if run.poses.speed_m_s is not None:
+        return "turtlesim"
+    return "robot" if "pose_topic" in run.notes else None
+
+
+def judge_runs(
+    summaries: "Sequence[RunSummary]", *, varied: Collection[str] = (), source: str = "varied"
+) -> Ranking:
+    """Return whether one of some runs may be called the best: the one judgement on that.
+
+    Goals and starts may differ by the resolution: by what the laws' tolerances leave of a position
+    (heading tolerance times distance plus position tolerance) and of a heading. Of runs whose
+    tolerances are not known it is 2 % of the way to the goal and 0.02 rad. A goal that is not known
+    of a run forbids a ranking; a path, a plant or limits that are not known do not.
+
+    Args:
+        summaries: The runs.
+        varied: Conditions, and keys of scenarios, that were varied on purpose besides gains.
+        source: What error lines begin with.
+
+    Raises:
+        CompareError: Where one of `varied` is no condition and no key of these runs.
+    """
+    purpose = {*varied, *(key for one in summaries for key in one.declaration.list_gains())}
+    differing = _list_varied(summaries, purpose)
+    _require_known(summaries, varied, source)
+    known = [one.conditions for one in summaries if one.conditions is not None]
+    if len(known) < max(len(summaries), 2):
+        return Ranking(varied=differing, differences=(), unknown={})
+    found = [
+        difference
+        for condition in CONDITIONS
+        if condition not in purpose
+        for difference in _JUDGES[condition](condition, known)
+        if difference.key not in purpose
+    ]
+    unknown = {
+        condition: rows
+        for condition in CONDITIONS
+        if (rows := _list_unknown(condition, known)) and condition not in purpose
+        if all(one.condition != condition for one in found)
+    }
+    return Ranking(varied=differing, differences=tuple(found), unknown=unknown)
+
+
+def _list_varied(summaries: "Sequence[RunSummary]", purpose: Collection[str]) -> tuple[str, ...]:
+    """Return the keys that were varied on purpose and do differ, in the order of the scenario."""
+    values: dict[str, set[str]] = {}
+    for summary in summaries:
+        for key, value in summary.parameters.items():
+            if key in purpose or _find_condition(key) in purpose:
+                values.setdefault(key, set()).add(repr(value))
+    return tuple(key for key, found in values.items() if len(found) > 1)
+
+
+def _find_condition(key: str) -> str:
+    """Return the condition that a key of a scenario belongs to, else its table."""
+    for condition, prefixes in _TABLES.items():
+        if key.startswith(prefixes):
+            return condition
+    return key.partition(".")[0]
+
+
+def _require_known(summaries: "Sequence[RunSummary]", varied: Collection[str], source: str) -> None:
+    keys = dict.fromkeys([*CONDITIONS, *(key for one in summaries for key in one.parameters)])
+    for name in varied:
+        if name not in keys:
+            near = suggest_names(name, list(keys))
+            raise CompareError(f"{source}: expected {near}, found {name!r}")
+
+
+def _list_unknown(condition: str, known: Sequence[Conditions]) -> tuple[int, ...]:
+    def is_unknown(found: Conditions) -> bool:
+        if condition == "plant":
+            return found.plant in {None, "robot"}
+        return condition in _TABLES and _get_table(condition, found) is None
+
+    return tuple(row for row, found in enumerate(known) if is_unknown(found))
+
+
+def _get_table(condition: str, found: Conditions) -> Keys | None:
+    return found.tables[[*_TABLES].index(condition)]
+
+
+def _judge_goal(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
+    goals = [found.goal for found in known]
+    if None in goals:
+        return [
+            ConditionDifference(
+                condition=condition, key=condition, values=tuple(goals), is_unknown=True
+            )
+        ]
+    places = [goal for goal in goals if goal]
+    is_same = len(places) in {0, len(goals)} and _are_near(known, places)
+    return [] if is_same else [_differ(condition, goals)]
+
+
+def _judge_start(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
+    starts = [found.start for found in known]
+    return [] if _are_near(known, starts) else [_differ(condition, starts)]
+
+
+def _differ(condition: str, values: Sequence[Any]) -> ConditionDifference:
+    return ConditionDifference(condition=condition, key=condition, values=tuple(values))
+
+
+def _are_near(
+    known: Sequence[Conditions], places: Sequence[tuple[float, float, float | None]]
+) -> bool:
+    """Return whether places lie within the resolution of the finest of the runs."""
+    if not places:
+        return True
+    x_m, y_m, headings = zip(*places, strict=True)
+    apart_m = math.hypot(max(x_m) - min(x_m), max(y_m) - min(y_m))
+    turned = [heading for heading in headings if heading is not None]
+    if len(turned) not in {0, len(headings)}:
+        return False
+    off_rad = [float(wrap_angle(heading - turned[0])) for heading in turned]
+    apart_rad = max(off_rad, default=0.0) - min(off_rad, default=0.0)
+    return apart_m <= min(one.reach_m for one in known) and apart_rad <= min(
+        one.reach_rad for one in known
+    )
+
+
+def _judge_table(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
+    """Return the keys of a table that differ between the runs of which it is known."""
+    held = [_get_table(condition, found) for found in known]
+    tables = [None if table is None else dict(table) for table in held]
+    present = [table for table in tables if table is not None]
+    keys = dict.fromkeys(
+        key for table in present for key in table if key.startswith(_TABLES[condition])
+    )
+    return [
+        ConditionDifference(
+            condition=condition,
+            key=key,
+            values=tuple(None if table is None else table.get(key) for table in tables),
+        )
+        for key in keys
+        if len({repr(table.get(key)) for table in present}) > 1
+    ]
+
+
+def _judge_plant(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
+    kinds = [found.plant for found in known]
+    if len({*kinds} - {None}) > 1:
+        return [ConditionDifference(condition=condition, key="plant.kind", values=tuple(kinds))]
+    return _judge_table(condition, known)
+
+
+_JUDGES: Final[Mapping[str, Callable[[str, Sequence[Conditions]], list[ConditionDifference]]]] = {
+    "goal": _judge_goal,
+    "path": _judge_table,
+    "start": _judge_start,
+    "plant": _judge_plant,
+    "limits": _judge_table,
+}
+
+
+def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
+    """Return which runs have which value, those of one value together."""
+    groups: dict[str, list[str]] = {}
+    for name, value in zip(names, found.values, strict=True):
+        groups.setdefault(_show(found, value), []).append(name)
+    parts = [f"{value} of {_name(who)}" for value, who in groups.items()]
+    more = len(parts) - _MOST_NAMED
+    if more > 0:
+        parts = [*parts[:_MOST_NAMED], f"{describe_count(more, 'other value')}"]
+    hint = ". --goal X,Y gives it" if found.is_unknown else ""
+    return f"{found.key}: {', '.join(parts)}{hint}."
+
+
+def _name(runs: Sequence[str]) -> str:
+    return join_words(runs) if len(runs) <= _MOST_NAMED else describe_count(len(runs), "run")
+
+
+def _show(found: ConditionDifference, value: Any) -> str:
+    if value is None:
+        return "not known" if found.condition == "goal" else "none"
+    if value == ():
+        return "none"
+    if isinstance(value, tuple):
+        x_m, y_m, heading_rad = value
+        turned = "" if heading_rad is None else f" at {math.degrees(heading_rad):.4g} deg"
+        return f"({x_m:.5g}, {y_m:.5g}) m{turned}"
+    return format_number(value) if isinstance(value, float) else str(value)
