@@ -57,7 +57,7 @@ def test_runs_under_other_conditions_are_not_ranked(call: Call, kp4: Path, tmp_p
     assert found == {"condition": "limits", "key": "limits.speed_m_s", "values": [1.0, 0.5]}
     runs = call("compare", kp4, slow, "--json").json["runs"]
     assert {metric["mark"] for run in runs for metric in run["metrics"]} == {None}
-    assert [*runs[0]["parameters"]][0] == "limits.speed_m_s"
+    assert next(iter(runs[0]["parameters"])) == "limits.speed_m_s"
 
 
 def test_a_limit_that_was_varied_on_purpose_is_named_first(
