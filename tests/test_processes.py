@@ -139,3 +139,23 @@ def test_a_process_at_work_starts_no_others(monkeypatch: pytest.MonkeyPatch) -> 
     worker = SimpleNamespace(daemon=True)
     monkeypatch.setattr(multiprocessing, "current_process", lambda: worker)
     assert count_cores() == 1
+
+
+_FORKED = """
+import signal
+from turtlelog.processes import map_in_processes
+
+def stop(*_):
+    raise KeyboardInterrupt
+
+ends = [signal.SIGTERM, signal.SIGHUP, signal.SIGINT]
+for number in ends:
+    signal.signal(number, stop)
+print(*(handler.name for handler in map_in_processes(signal.getsignal, ends, 2, is_forked=True)))
+"""
+
+
+@pytest.mark.skipif(not processes.CAN_FORK, reason="processes are not forked here")
+def test_forked_processes_end_in_silence_and_leave_the_terminal_to_their_parent() -> None:
+    answer = subprocess.run([sys.executable, "-c", _FORKED], capture_output=True, check=False)
+    assert (answer.stdout, answer.stderr) == (b"SIG_DFL SIG_IGN SIG_IGN\n", b"")

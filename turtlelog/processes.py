@@ -152,12 +152,30 @@ def start_pool(jobs: int) -> "Executor":
     from concurrent.futures import ProcessPoolExecutor
 
     context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker)
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker)
+    with _block_signals(_OF_PARENT):
+        pool.submit(os.getpid)  # starts all of them
+    return pool
+
+
+def _list_signals(*names: str) -> tuple[signal.Signals, ...]:
+    return tuple(signal.Signals[name] for name in names if hasattr(signal, name))
+
+
+_OF_PARENT: Final = _list_signals("SIGINT", "SIGHUP")
+"""Ctrl-C and the end of a terminal reach all processes; the parent ends the others."""
 
 
 def _prepare_worker() -> None:
-    """Let Ctrl-C end the parent alone, and warnings be notes, not places in code."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Leave Ctrl-C to the parent, end in silence as it asks, let warnings be notes, not places.
+
+    A forked process has the handlers of its parent, which raise KeyboardInterrupt.
+    """
+    for number in _OF_PARENT:
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     warnings.formatwarning = lambda message, *_, **__: f"{message}\n"
 
 
@@ -213,7 +231,9 @@ class _Worker:
         self.held: deque[tuple[int, Any]] = deque()
         self._name = name
         self._process = context.Process(target=_serve, args=(theirs, work), daemon=True)
-        with _block_interrupts(), warnings.catch_warnings():
+        # A forked process has handlers of its parent until it is prepared.
+        until_prepared = (signal.SIGTERM,) if start == "fork" else ()
+        with _block_signals((*_OF_PARENT, *until_prepared)), warnings.catch_warnings():
             # Newer Pythons warn of a fork beside threads, such as those of a library that is idle.
             warnings.simplefilter("ignore", DeprecationWarning)
             self._process.start()
@@ -300,12 +320,12 @@ def _try(work: Callable[[Any], Any], item: Any) -> tuple[Any, bool]:
 
 
 @contextmanager
-def _block_interrupts() -> Iterator[None]:
-    """Let no Ctrl-C reach a process, not even before its first line: its parent ends it."""
+def _block_signals(numbers: Sequence[signal.Signals]) -> Iterator[None]:
+    """Let no signal of these reach a process that is started, not even before its first line."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    former = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
     try:
         yield
     finally:
