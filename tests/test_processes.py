@@ -4,9 +4,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import pytest
 
@@ -14,6 +14,7 @@ from turtlelog import processes
 from turtlelog.errors import ProcessError
 from turtlelog.processes import choose_jobs, count_cores, map_in_processes
 
+forked = pytest.mark.skipif(not processes.CAN_FORK, reason="processes are not forked here")
 needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="there are no such signals")
 
 
@@ -155,7 +156,50 @@ print(*(handler.name for handler in map_in_processes(signal.getsignal, ends, 2, 
 """
 
 
-@pytest.mark.skipif(not processes.CAN_FORK, reason="processes are not forked here")
+@forked
 def test_forked_processes_end_in_silence_and_leave_the_terminal_to_their_parent() -> None:
     answer = subprocess.run([sys.executable, "-c", _FORKED], capture_output=True, check=False)
     assert (answer.stdout, answer.stderr) == (b"SIG_DFL SIG_IGN SIG_IGN\n", b"")
+
+
+class LostArgumentError(Exception):
+    """Packed it keeps its text, which its constructor does not take."""
+
+    def __init__(self) -> None:
+        super().__init__("the disk is gone")
+
+
+def raise_strange_error(_: int) -> None:
+    raise LostArgumentError
+
+
+def return_it(item: object) -> object:
+    return item
+
+
+def return_generator(_: int) -> Iterator[int]:
+    return iter(number for number in [1])
+
+
+@forked
+@pytest.mark.parametrize(
+    ("work", "line"),
+    [
+        (raise_strange_error, "LostArgumentError: the disk is gone"),
+        (return_generator, "cannot pickle 'generator' object"),
+    ],
+)
+def test_an_error_that_does_not_fit_through_a_pipe_is_told_in_a_line(
+    work: Callable[[int], object], line: str
+) -> None:
+    with pytest.raises((RuntimeError, TypeError), match=line) as failed:
+        list(map_in_processes(work, [1, 2], 2, is_forked=True))
+    assert "test_processes.py" in failed.value.__notes__[0] or "pickle" in line
+
+
+@forked
+def test_read_only_mappings_cross_as_such() -> None:
+    numbers = [MappingProxyType({"a": 1}), MappingProxyType({"b": 2})]
+    found = [*map_in_processes(return_it, numbers, 2, is_forked=True)]
+    assert found == numbers
+    assert {type(one) for one in found} == {MappingProxyType}

@@ -7,7 +7,7 @@ from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from typing import Any, Final, TypeVar
 
-from turtlelog.errors import ProcessError, describe_error
+from turtlelog.errors import ProcessError, describe_error, make_portable
 from turtlelog.libraries import load_library
 from turtlelog.version import __version__
 
@@ -62,7 +62,11 @@ def _work_as(version: str, work: Callable[..., T], *args: Any, **kwargs: Any) ->
         raise ProcessError(
             f"expected turtlelog {version} on every worker, found {__version__} on one"
         )
-    return work(*args, **kwargs)
+    try:
+        return work(*args, **kwargs)
+    except Exception as err:
+        told = make_portable(err)
+        raise told from (None if told is err else err)
 
 
 def _connect(distributed: Any, address: str) -> Any:

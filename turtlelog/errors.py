@@ -29,6 +29,20 @@ def describe_error(err: BaseException) -> str:
     return f"{type(err).__name__}: {text}".removesuffix(": ")
 
 
+def make_portable(err: Exception) -> Exception:
+    """Return an error that another process can raise: itself, or its line where it does not fit.
+
+    An error whose constructor takes other arguments than it keeps can be packed, not unpacked.
+    """
+    import pickle
+
+    try:
+        pickle.loads(pickle.dumps(err))
+    except Exception:
+        return RuntimeError(describe_error(err))
+    return err
+
+
 def suggest_names(name: str, known: Iterable[str], *, most: int = 3) -> str:
     """Suggest known names for an unknown one: the nearest, else the first."""
     import difflib  # Only mistakes pay for it.

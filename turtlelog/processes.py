@@ -6,7 +6,6 @@ Where libraries take a second of each, they are forked instead, on Linux.
 """
 
 import os
-import pickle
 import signal
 import sys
 import traceback
@@ -16,9 +15,10 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
-from turtlelog.errors import ProcessError, RemoteError, describe_error
+from turtlelog.errors import ProcessError, RemoteError, describe_error, make_portable
 from turtlelog.remote.urls import RemotePath, make_path
 
 if TYPE_CHECKING:
@@ -151,6 +151,7 @@ def start_pool(jobs: int) -> "Executor":
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
 
+    _pickle_read_only_mappings()
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker)
     with _block_signals(_OF_PARENT):
@@ -171,6 +172,7 @@ def _prepare_worker() -> None:
 
     A forked process has the handlers of its parent, which raise KeyboardInterrupt.
     """
+    _pickle_read_only_mappings()
     for number in _OF_PARENT:
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -226,6 +228,7 @@ class _Worker:
     ) -> None:
         import multiprocessing
 
+        _pickle_read_only_mappings()
         context: Any = multiprocessing.get_context(start)
         self.pipe, theirs = context.Pipe()
         self.held: deque[tuple[int, Any]] = deque()
@@ -301,22 +304,34 @@ def _serve(pipe: "Connection", work: Callable[[Any], Any]) -> None:
     _prepare_worker()
     with suppress(EOFError, OSError):
         while True:
-            item = pipe.recv()
-            outcome = _try(work, item)
-            try:
-                pipe.send(outcome)
-            except (pickle.PicklingError, TypeError, AttributeError) as err:
-                pipe.send(
-                    (RuntimeError(f"{item}: expected what can be pickled, found: {err}"), True)
-                )
+            pipe.send_bytes(_answer(work, pipe.recv_bytes()))
 
 
-def _try(work: Callable[[Any], Any], item: Any) -> tuple[Any, bool]:
+def _answer(work: Callable[[Any], Any], packed: bytes) -> Any:
+    """Return the result of an item and False, or its error and True; both are packed."""
+    from multiprocessing.reduction import ForkingPickler
+
     try:
-        return work(item), False
+        return ForkingPickler.dumps((work(ForkingPickler.loads(packed)), False))
     except Exception as err:
-        err.add_note("".join(traceback.format_exception(err)))
-        return err, True
+        told = make_portable(err)
+        told.add_note("".join(traceback.format_exception(err)))
+        return ForkingPickler.dumps((told, True))
+
+
+def _pickle_read_only_mappings() -> None:
+    """Let read-only mappings, which many results hold, go from one process to another."""
+    from multiprocessing.reduction import ForkingPickler
+
+    ForkingPickler.register(MappingProxyType, _reduce_mapping)
+
+
+def _reduce_mapping(mapping: "MappingProxyType[Any, Any]") -> tuple[Any, ...]:
+    return _make_read_only, (dict(mapping),)
+
+
+def _make_read_only(mapping: dict[Any, Any]) -> "MappingProxyType[Any, Any]":
+    return MappingProxyType(mapping)
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from turtlelog.compare import (
     tabulate_table1,
     tabulate_whole_runs,
 )
-from turtlelog.errors import ShowError, suggest_names
+from turtlelog.errors import ShowError, make_portable, suggest_names
 from turtlelog.measure import measure_run
 from turtlelog.processes import CAN_FORK, count_cores, map_in_processes
 from turtlelog.remote.urls import make_path
@@ -202,7 +202,7 @@ def _draw_until_error(
     try:
         drawn.extend(map(draw, names))
     except Exception as err:
-        return drawn, err
+        return drawn, make_portable(err)
     return drawn, None
 
 

@@ -1,0 +1,123 @@
+"""What crosses from one process to another: of every command that shares work, and every error.
+
+Here nothing is started, which takes a second: work, items and answers are packed as for processes.
+"""
+
+import ast
+import importlib
+import inspect
+import pickle
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from multiprocessing.reduction import ForkingPickler
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.conftest import SPEC, Call, call as call
+from tests.cli.test_robot_metrics import write_robot
+from turtlelog import processes
+from turtlelog.errors import make_portable
+
+PACKAGE = Path(processes.__file__).parent
+ALL = ["kp4.mcap", "table.csv", "bag.mcap", "cut.mcap", "none.mcap"]
+"""A file of every kind, of which some cannot be read."""
+BRIEF = ["--only", "final.*"]
+GRID = ["--grid", "law.kp_linear=-1,4", "--grid", "max_duration_s=2,3"]
+TUNE = ["--vary", "law.k=1:4", "--minimise", "run.path_length", "--evaluations", "8"]
+SHARERS = {
+    "turtlelog.cli.info": [["info", *ALL]],
+    "turtlelog.compare.measured_files": [["metrics", *ALL, *BRIEF], ["compare", *ALL, *BRIEF]],
+    "turtlelog.cli.compare_reference": [["compare", *ALL[:3], "--reference", "kp10.mcap"]],
+    "turtlelog.cli.check_files": [["check", "spec.toml", *ALL, "--junit", "junit.xml"]],
+    "turtlelog.sweep.recordings": [
+        ["metrics", *ALL, *BRIEF, "-o", "metrics.parquet"],
+        ["check", "spec.toml", *ALL, "-o", "verdicts.parquet"],
+    ],
+    "turtlelog.sweep.sweep_rows": [
+        ["sweep", "paper", *GRID, "--record", "runs", "-o", "s.parquet"]
+    ],
+    "turtlelog.tune.candidates": [["tune", "posture", *TUNE, "--set", "max_duration_s=2"]],
+    "turtlelog.explain.game": [["explain", "kp10.mcap", "--jobs", "2"]],
+    "turtlelog.show.figures.writing": [["plot", "kp10.mcap", "-o", "figs", "--only", "heading"]],
+}
+"""Commands for each module that hands out work."""
+
+
+def find_modules(is_meant: Callable[[ast.AST], bool]) -> set[str]:
+    """Return the modules with such a place in their code."""
+    return {
+        ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+        for path in PACKAGE.rglob("*.py")
+        if any(map(is_meant, ast.walk(ast.parse(path.read_text("utf-8")))))
+    }
+
+
+def hands_out(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and ast.unparse(node.func) == "map_in_processes"
+
+
+def defines_error(node: ast.AST) -> bool:
+    bases = node.bases if isinstance(node, ast.ClassDef) else []
+    return any(ast.unparse(base).endswith(("Error", "Exception")) for base in bases)
+
+
+def cross(
+    used: list[str], module: str, work: Any, items: Sequence[Any], *_: Any, **options: Any
+) -> Iterator[Any]:
+    """Stand for `map_in_processes` in a module."""
+    used.append(module)
+    if not options.get("is_forked"):
+        work = ForkingPickler.loads(ForkingPickler.dumps(work))
+    for item in items:
+        answer = ForkingPickler.loads(processes._answer(work, bytes(ForkingPickler.dumps(item))))
+        if answer[1]:
+            raise answer[0]
+        yield answer[0]
+
+
+@pytest.fixture
+def files(kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(kp4, "kp4.mcap")
+    shutil.copy(kp10, "kp10.mcap")
+    Path("spec.toml").write_text(SPEC, "utf-8")
+    Path("table.csv").write_text("time_s,x_m,y_m,heading_rad\n0,1,1,0\n0.1,1.1,1,0\n", "utf-8")
+    Path("cut.mcap").write_bytes(kp4.read_bytes()[:20_000])
+    write_robot(Path("bag.mcap"))
+
+
+@pytest.mark.usefixtures("files")
+def test_what_every_command_shares_and_gathers_crosses_as_it_is(
+    call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert set(SHARERS) == find_modules(hands_out)
+    processes._pickle_read_only_mappings()
+    used: list[str] = []
+    for name in SHARERS:
+        module = importlib.import_module(name)
+        monkeypatch.setattr(module, "map_in_processes", partial(cross, used, name))
+    commands = [words for found in SHARERS.values() for words in found]
+    failed = {" ".join(words): found.err for words in commands if (found := call(*words)).code > 2}
+    assert failed == {}
+    assert set(used) == set(SHARERS)
+
+
+def list_errors() -> list[type[Exception]]:
+    modules = map(importlib.import_module, sorted(find_modules(defines_error)))
+    return [
+        kind
+        for module in modules
+        for _, kind in inspect.getmembers(module, inspect.isclass)
+        if issubclass(kind, Exception) and kind.__module__ == module.__name__
+    ]
+
+
+@pytest.mark.parametrize("kind", list_errors(), ids=lambda kind: kind.__name__)
+def test_every_error_is_the_same_in_another_process(kind: type[Exception]) -> None:
+    err = kind("kp4.mcap: expected a recording")
+    assert make_portable(err) is err
+    found = pickle.loads(pickle.dumps(err))
+    assert (type(found), str(found), vars(found)) == (kind, str(err), vars(err))
