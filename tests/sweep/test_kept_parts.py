@@ -265,6 +265,17 @@ def test_folder_of_recordings_must_be_new_but_where_a_sweep_goes_on(tmp_path: Pa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs", "t.parquet"]
 
 
+def test_what_a_killed_sweep_left_half_written_is_gone_when_it_goes_on(tmp_path: Path) -> None:
+    folder = tmp_path / "runs"
+    sweep = prepare("law.kp_linear=1:4", records=RowRecords(folder=str(folder)))
+    interrupt(sweep, tmp_path / "t.parquet", after=1)
+    (folder / ".turtlelog-0123456789ab.part").write_bytes(b"half")
+    (folder / ".notes.part").write_bytes(b"of the user")
+    run_sweep(sweep, tmp_path / "t.parquet")
+    hidden = [path.name for path in folder.iterdir() if path.name.startswith(".")]
+    assert hidden == [".notes.part"]
+
+
 def test_parts_are_whole_wherever_the_file_was_cut(tmp_path: Path) -> None:
     output, facts, parts = tmp_path / "t.parquet", {"plan": "x"}, ["a", "bb" * 40, "c"]
     kept = KeptParts(output, facts, str)

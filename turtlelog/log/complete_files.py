@@ -42,7 +42,7 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     if target.is_symlink():
         raise LogError(f"{path}: expected the name of a file to write, found a link to itself")
-    temporary = target.with_name(f".turtlelog-{os.urandom(6).hex()}.part")
+    temporary = _name_beside(target)
     try:
         # Made at once, so that a place that cannot be written fails before any work is done.
         temporary.touch(exist_ok=False)
@@ -58,6 +58,20 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
         ) from err
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _name_beside(target: Path) -> Path:
+    return target.with_name(f".turtlelog-{os.urandom(6).hex()}.part")
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files that processes left in a folder when they were killed.
+
+    Only for a folder in which nothing else writes: those of other processes are removed, too.
+    """
+    for leftover in folder.glob(".turtlelog-" + "[0-9a-f]" * 12 + ".part"):
+        with suppress(OSError):  # a folder, or it is renamed at this moment
+            leftover.unlink()
 
 
 @contextmanager
@@ -117,7 +131,7 @@ def create_folder(path: str | Path) -> Iterator[Path]:
         raise LogError(f"{path}: expected the name of a new folder, found {kind}")
     # An absolute path has a name also where it was given as "." or "run/..".
     target = path.resolve()
-    temporary = target.with_name(f".turtlelog-{os.urandom(6).hex()}.part")
+    temporary = _name_beside(target)
     try:
         temporary.mkdir()
         yield temporary

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, overload
 
 from turtlelog.errors import LogError, SweepError
+from turtlelog.log.complete_files import remove_leftovers
 from turtlelog.log.error_boundary import name_file
 from turtlelog.processes import LONG_S, count_cores, map_in_processes
 from turtlelog.remote.urls import RemotePath, has_files, make_path
@@ -101,8 +102,16 @@ def _ignore(_: int) -> None:
 
 
 def _begin_records(sweep: Sweep, kept: KeptParts[RowResults]) -> None:
-    """Make the folder of recordings; one with files is refused but where the sweep goes on."""
-    if sweep.records is None or kept.was_begun:
+    """Make the folder of recordings; one with files is refused but where the sweep goes on.
+
+    In that case files that a killed sweep left half written are removed.
+    """
+    if sweep.records is None:
+        return
+    if kept.was_begun:
+        folder = make_path(sweep.records.folder)
+        if not isinstance(folder, RemotePath):
+            remove_leftovers(folder)
         return
     try:
         _require_empty(make_path(sweep.records.folder))
