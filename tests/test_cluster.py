@@ -1,7 +1,9 @@
 """A Dask scheduler and workers in processes of their own, on 127.0.0.1."""
 
+import gc
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -53,16 +55,22 @@ def _start_worker(address: str) -> "ExitStack[bool | None]":
     return started
 
 
-@pytest.fixture(scope="module")
-def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+@contextmanager
+def _start_scheduler(folder: Path) -> "Iterator[tuple[str, subprocess.Popen[bytes]]]":
     import json
 
-    file = tmp_path_factory.mktemp("cluster") / "scheduler.json"
-    with _start("scheduler", "--port", "0", "--scheduler-file", str(file)):
+    file = folder / "scheduler.json"
+    with _start("scheduler", "--port", "0", "--scheduler-file", str(file)) as process:
         deadline_s = time.monotonic() + 60
         while not file.exists() and time.monotonic() < deadline_s:
             time.sleep(0.05)
-        yield json.loads(file.read_text())["address"]
+        yield json.loads(file.read_text())["address"], process
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with _start_scheduler(tmp_path_factory.mktemp("cluster")) as (address, _):
+        yield address
 
 
 @pytest.fixture(scope="module")
@@ -104,26 +112,81 @@ def test_a_scheduler_without_workers_is_one_line(
 ) -> None:
     monkeypatch.setattr(turtlelog.cluster, "_CONNECT_S", 1.0)
     with (
-        pytest.raises(ProcessError, match=r"^tcp://\S+ expected a worker, found none in 1 s$"),
+        pytest.raises(ProcessError, match=r"tcp://\S+: the scheduler has no worker after 1 s"),
         connect_cluster(scheduler),
     ):
         pass
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "tcp://127.0.0.1", "host:x", "nowhere"])
 def test_a_scheduler_that_is_not_there_is_one_line(
-    address: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert turtlelog.cluster._CONNECT_S < 10
     monkeypatch.setattr(turtlelog.cluster, "_CONNECT_S", 0.5)
     began_s = time.monotonic()
-    code, out, err = _run(capsys, "metrics", FILES[0], "--scheduler", address)
+    code, out, err = _run(capsys, "metrics", FILES[0], "--scheduler", "tcp://127.0.0.1:1")
     assert time.monotonic() - began_s < 10
     assert (code, out) == (2, "")
     assert err == (
-        f"turtlelog: error: {address}: expected a Dask scheduler, as in tcp://host:8786, found none"
-        " that answers within 0.5 s\n"
+        "turtlelog: error: --scheduler tcp://127.0.0.1:1: no Dask scheduler answers within 0.5 s;"
+        " start one (dask scheduler), or type its address, such as tcp://host:8786\n"
     )
+
+
+NO_ADDRESS = "this is not the address of a Dask scheduler; type one such as tcp://host:8786"
+NO_USE = "Dask cannot use this address ("
+NO_SECRETS = "the address of a Dask scheduler has no user, password or query; type it without them"
+ADDRESSES = {
+    "": f"'': {NO_ADDRESS}",
+    "nowhere": f"nowhere: {NO_ADDRESS}",
+    "tcp://127.0.0.1": f"tcp://127.0.0.1: {NO_ADDRESS}",
+    "host:x": f"host:x: {NO_ADDRESS}",
+    "127.0.0.1:0": f"127.0.0.1:0: {NO_ADDRESS}",
+    "tcp://127.0.0.1:65536": f"tcp://127.0.0.1:65536: {NO_ADDRESS}",
+    "tcp://127.0.0.1:1?key=PW": f"tcp://127.0.0.1:1: {NO_SECRETS}",
+    "tls://127.0.0.1:1": f"tls://127.0.0.1:1: {NO_USE}",
+    "ucx://127.0.0.1:1": f"ucx://127.0.0.1:1: {NO_USE}",
+    "http://127.0.0.1:1": f"http://127.0.0.1:1: {NO_USE}",
+    "tcp://U:PW@127.0.0.1:1": f"tcp://127.0.0.1:1: {NO_SECRETS}",
+    "U:P/W://PW@127.0.0.1:1": f"127.0.0.1:1: {NO_SECRETS}",
+    "tcp://U:PW@nowhere": f"tcp://nowhere: {NO_ADDRESS}",
+}
+
+
+@pytest.mark.parametrize("address", ADDRESSES)
+def test_an_address_that_is_none_is_one_line_without_its_password(
+    address: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = _run(capsys, "metrics", FILES[0], "--scheduler", address)
+    gc.collect()  # nothing of a client that never connected is left to fail later
+    assert (code, out, err.count("\n"), capsys.readouterr().err) == (2, "", 1, "")
+    assert err.startswith(f"turtlelog: error: --scheduler {ADDRESSES[address]}")
+    assert "PW" not in err
+
+
+@pytest.mark.parametrize("end", ["SIGTERM", "SIGKILL"])
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows ends processes in other ways")
+def test_a_scheduler_that_ends_is_one_line_and_the_sweep_goes_on(end: str, tmp_path: Path) -> None:
+    rows = tl.sweep.build_plan(["law.kp_linear=1:9:0.02"])
+    base = tl.override_scenario(tl.load_scenario("paper-kp4"), {"max_duration_s": 4.0})
+    sweep = tl.sweep.prepare_sweep(base, rows, metrics=["rotate.dead_time"])
+    output, done = tmp_path / "t.parquet", [0]
+
+    def end_scheduler(count: int) -> None:
+        done.append(count)
+        if count > 40:
+            process.send_signal(getattr(signal, end))
+
+    with _start_scheduler(tmp_path) as (address, process), _start_worker(address):
+        with connect_patiently(address, workers=1):
+            pass
+        line = rf"^--scheduler {address}: the Dask scheduler ended before the work was done; start"
+        with pytest.raises(ProcessError, match=line), connect_cluster(address) as cluster:
+            tl.sweep.run_sweep(sweep, output, jobs=cluster, watch=end_scheduler)
+    assert 40 < done[-1] < 401
+    again: list[int] = []
+    tl.sweep.run_sweep(sweep, output, jobs=1, watch=again.append)
+    assert (again[0], again[-1]) == (done[-1], 401)
 
 
 @pytest.mark.parametrize(
@@ -156,12 +219,15 @@ def test_a_cluster_tunes_as_this_computer_does(
     assert _run(capsys, *words, "--scheduler", cluster) == here
 
 
-def test_who_says_nothing_is_no_scheduler(capsys: pytest.CaptureFixture[str]) -> None:
+def test_who_says_nothing_is_no_scheduler(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(turtlelog.cluster, "_CONNECT_S", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         code, _, err = _run(capsys, "metrics", FILES[0], "--scheduler", address)
     assert code == 2
-    assert f"{address}: expected a Dask scheduler" in err
+    assert f"--scheduler {address}: no Dask scheduler answers" in err
     assert err.count("\n") == 1
 
 
@@ -252,7 +318,7 @@ def test_a_cluster_that_gives_up_is_one_line_with_the_item() -> None:
             return future
 
     for found in (KilledWorker("task", "worker", 3), CancelledError()):
-        with pytest.raises(ProcessError, match=r"^a\.mcap: expected a result.*found") as caught:
+        with pytest.raises(ProcessError, match=r"^a\.mcap: no result") as caught:
             list(map_in_processes(str, [found], GivesUp(), name=lambda _: "a.mcap"))
         assert "\n" not in str(caught.value)
 
@@ -260,7 +326,7 @@ def test_a_cluster_that_gives_up_is_one_line_with_the_item() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["metrics", FILES[0], "--jobs", "2"], "--jobs: expected no --scheduler beside it"),
+        (["metrics", FILES[0], "--jobs", "2"], "--jobs: the cluster of --scheduler has its own"),
         (
             ["check", FILES[0], "--expect", "rotate.overshoot < 5", "--report", "r.html"],
             "--report: expected no --scheduler beside it",
@@ -270,6 +336,7 @@ def test_a_cluster_that_gives_up_is_one_line_with_the_item() -> None:
 def test_what_has_no_place_beside_a_cluster_is_refused(
     words: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, _, err = _run(capsys, *words, "--scheduler", "tcp://127.0.0.1:1")
+    code, _, err = _run(capsys, *words, "--scheduler", "tcp://U:PW@127.0.0.1:1")
     assert code == 2
     assert said in err
+    assert "PW" not in err

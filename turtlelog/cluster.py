@@ -1,21 +1,30 @@
 """Work on a Dask cluster that is there already, handed out as `concurrent.futures` does."""
 
 import logging
-import socket
+import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Final, TypeVar
 
 from turtlelog.errors import ProcessError, describe_error, make_portable
 from turtlelog.libraries import load_library
+from turtlelog.processes import Watched
 from turtlelog.version import __version__
 
 T = TypeVar("T")
 
 _CONNECT_S: Final = 3.0
-"""To hear of a scheduler, to connect to it, and for a worker [s]: who mistyped an address is told
+"""For a scheduler to answer, and for a worker to be there [s]: a mistyped address is an error
 within 10 s."""
+
+_SILENT_S: Final = 30.0
+"""Without an answer until a scheduler counts as gone [s]: one with much to do answers in 1 s."""
+
+_EXAMPLE: Final = "tcp://host:8786"
+
+_ADDRESS: Final = re.compile(r"(?:[a-z]+://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s/:@\[\]]+):([0-9]{1,5})")
+"""Scheme, which may be missing, host or IPv6 address, port."""
 
 
 @contextmanager
@@ -27,33 +36,121 @@ def connect_cluster(address: str) -> Iterator[Executor]:
 
     Raises:
         LibraryError: Where dask.distributed is not installed.
-        ProcessError: Where no scheduler or no worker answers, or one has another turtlelog.
+        ProcessError: Where the address is none, no scheduler or no worker answers, a worker has
+            another turtlelog, or the scheduler ends before the work does.
     """
+    _require_address(address)
     distributed = load_library("distributed")
     # What matters is raised, and said in one line; a client goes on logging after its end.
     for handler in logging.getLogger("distributed").handlers:
         handler.setLevel(logging.CRITICAL + 1)
     client = _connect(distributed, address)
+    cluster = _Cluster(client, address)
     try:
-        _require_same_version(client, address)
+        cluster.require_workers()
         try:
-            yield _SameVersion(client.get_executor(pure=False))
-        except Exception:
-            _require_same_version(client, address)  # of a worker that came later, by its name
+            yield cluster
+        except ProcessError:
+            if not cluster.is_gone:
+                cluster.require_workers()  # of a worker that came later, by its name
             raise
     finally:
-        client.close(timeout=2)
+        with suppress(OSError):  # nothing answers any more
+            client.close(timeout=2)
 
 
-class _SameVersion(Executor):
-    """Hands work to workers, which refuse it where they have another turtlelog."""
+def _require_address(address: str) -> None:
+    """Refuse what is no address before anything is loaded; no password is repeated.
 
-    def __init__(self, executor: Any) -> None:
-        self._executor = executor
+    Raises:
+        ProcessError: In one line.
+    """
+    secrets, _, place = address.rpartition("@")
+    scheme, mark, _ = secrets.partition("://")
+    shown = re.split(r"[?#]", f"{scheme}{mark}{place}" if mark and scheme.isalpha() else place)[0]
+    found = _ADDRESS.fullmatch(shown)
+    if found is None or not 0 < int(found[1]) < 2**16:
+        raise ProcessError(
+            f"--scheduler {shown or repr(shown)}: this is not the address of a Dask scheduler;"
+            f" type one such as {_EXAMPLE}"
+        )
+    if shown != address:
+        raise ProcessError(
+            f"--scheduler {shown}: the address of a Dask scheduler has no user, password or"
+            " query; type it without them"
+        )
+
+
+class _Cluster(Executor, Watched):
+    """Hands work to workers, which refuse it where they have another turtlelog.
+
+    Attributes:
+        is_gone: Whether the scheduler has ended, or another one has its address.
+    """
+
+    def __init__(self, client: Any, address: str) -> None:
+        self.is_gone = False
+        self._client, self._address = client, address
+        self._executor = client.get_executor(pure=False)
+        self._identity = self._ask_identity()
 
     def submit(self, work: Callable[..., T], /, *args: Any, **kwargs: Any) -> "Future[T]":
-        found: Future[T] = self._executor.submit(_work_as, __version__, work, *args, **kwargs)
+        try:
+            found: Future[T] = self._executor.submit(_work_as, __version__, work, *args, **kwargs)
+        except Exception:
+            self.require_alive()
+            raise
         return found
+
+    def require_alive(self) -> None:
+        """Refuse to wait for a scheduler that has ended.
+
+        Raises:
+            ProcessError: In one line.
+        """
+        if self._client.status != "running" or self._ask_identity() != self._identity:
+            raise self._describe_end()
+
+    def require_workers(self) -> None:
+        """Refuse a cluster without workers, or with one whose answers may be others.
+
+        Raises:
+            ProcessError: In one line.
+        """
+        try:
+            self._client.wait_for_workers(1, timeout=_CONNECT_S)
+            # By name, because a worker without turtlelog could not unpickle a function of its.
+            ask = "__import__('turtlelog.version').version.__version__"
+            versions = self._client.run(eval, ask, on_error="return")
+        except TimeoutError as err:
+            raise ProcessError(
+                f"--scheduler {self._address}: the scheduler has no worker after {_CONNECT_S:g} s;"
+                f" start one: dask worker {self._address}"
+            ) from err
+        except OSError as err:
+            raise self._describe_end() from err
+        for worker, found in versions.items():
+            if found != __version__:
+                told = found if isinstance(found, str) else describe_error(found)
+                raise ProcessError(
+                    f"{self._address}: expected turtlelog {__version__} on every worker,"
+                    f" found {told} on {worker}"
+                )
+
+    def _ask_identity(self) -> str | None:
+        """Return the name that a scheduler gave itself when it started; None: it is silent."""
+        ask = self._client.scheduler.identity
+        try:
+            return str(self._client.sync(ask, callback_timeout=_SILENT_S)["id"])
+        except (OSError, RuntimeError):
+            return None
+
+    def _describe_end(self) -> ProcessError:
+        self.is_gone = True
+        return ProcessError(
+            f"--scheduler {self._address}: the Dask scheduler ended before the work was done; start"
+            " it and repeat the command, which continues a table that was begun"
+        )
 
 
 def _work_as(version: str, work: Callable[..., T], *args: Any, **kwargs: Any) -> T:
@@ -70,43 +167,26 @@ def _work_as(version: str, work: Callable[..., T], *args: Any, **kwargs: Any) ->
 
 
 def _connect(distributed: Any, address: str) -> Any:
+    class Client(distributed.Client):  # type: ignore[misc]
+        def start(self, **options: Any) -> None:
+            """Connect within some time, or leave nothing behind that waits at the end."""
+            try:
+                # Without this limit it waits without end for a server that is no scheduler.
+                super().start(callback_timeout=2 * _CONNECT_S, **options)
+            except BaseException:
+                with suppress(Exception):
+                    self.close(timeout=1)
+                raise
+
     try:
-        _hear(address)
-        return distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as err:
+        return Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except OSError as err:
         raise ProcessError(
-            f"{address}: expected a Dask scheduler, as in tcp://host:8786, found none that answers"
-            f" within {_CONNECT_S:g} s"
+            f"--scheduler {address}: no Dask scheduler answers within {_CONNECT_S:g} s; start one"
+            f" (dask scheduler), or type its address, such as {_EXAMPLE}"
         ) from err
-
-
-def _hear(address: str) -> None:
-    """Wait until a scheduler speaks, as it does first; a client waits without end for who does not.
-
-    Raises:
-        OSError: Where nobody is there, or is silent, as the port of a web page is.
-    """
-    scheme, mark, place = address.rpartition("://")
-    host, colon, port = place.rpartition(":")
-    if not colon or (mark and scheme != "tcp"):
-        return
-    with socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S) as line:
-        if not line.recv(1):
-            raise ConnectionError("nobody speaks")
-
-
-def _require_same_version(client: Any, address: str) -> None:
-    """Refuse a cluster without workers, or with one whose answers may be others."""
-    try:
-        client.wait_for_workers(1, timeout=_CONNECT_S)
-    except TimeoutError as err:
-        raise ProcessError(f"{address}: expected a worker, found none in {_CONNECT_S:g} s") from err
-    # By name, because a worker without turtlelog could not unpickle a function of its.
-    ask = "__import__('turtlelog.version').version.__version__"
-    for worker, found in client.run(eval, ask, on_error="return").items():
-        if found != __version__:
-            told = found if isinstance(found, str) else describe_error(found)
-            raise ProcessError(
-                f"{address}: expected turtlelog {__version__} on every worker,"
-                f" found {told} on {worker}"
-            )
+    except Exception as err:
+        raise ProcessError(
+            f"--scheduler {address}: Dask cannot use this address ({describe_error(err)});"
+            f" type one such as {_EXAMPLE}"
+        ) from err

@@ -36,6 +36,9 @@ _AHEAD: Final = 64
 """Results for each process that may wait for an earlier one: one slow file does not stop the other
 processes, and of ten thousand results no more are in memory."""
 
+_WATCH_S: Final = 2.0
+"""Between two questions whether a service is there, while a result is awaited [s]."""
+
 _SUBMITTED: Final = 1024
 """Items that a cluster holds at a time: some for each of a few hundred cores."""
 
@@ -54,6 +57,24 @@ _REMOTE_S: Final = 0.2
 
 CAN_FORK: Final = sys.platform == "linux"
 """Whether a process can be forked safely: elsewhere libraries of the system forbid it."""
+
+
+class Watched:
+    """An executor whose work may end without a word, so that its futures wait for ever.
+
+    Attributes:
+        is_gone: Whether it has ended.
+    """
+
+    is_gone: bool = False
+
+    def require_alive(self) -> None:
+        """Refuse to wait any longer.
+
+        Raises:
+            ProcessError: Where the service has ended.
+        """
+        raise NotImplementedError
 
 
 def count_cores() -> int:
@@ -195,25 +216,33 @@ def _map_on(
             if not waiting:
                 return
             item, future = waiting.popleft()
-            yield _await_result(future, name(item))
+            yield _await_result(executor, future, name(item))
     finally:
-        for _, future in waiting:
+        # Nothing cancels the work of a service that has ended.
+        is_gone = isinstance(executor, Watched) and executor.is_gone
+        for _, future in () if is_gone else waiting:
             future.cancel()
 
 
-def _await_result(future: "Future[R]", name: str) -> R:
-    from concurrent.futures import BrokenExecutor, CancelledError
+def _await_result(executor: "Executor", future: "Future[R]", name: str) -> R:
+    from concurrent.futures import BrokenExecutor, CancelledError, wait
 
+    watched = executor if isinstance(executor, Watched) else None
+    while watched is not None and wait([future], _WATCH_S).not_done:
+        watched.require_alive()
     try:
         return future.result()
     except BrokenExecutor as err:
-        raise ProcessError(f"{name}: expected a result, found that a process ended") from err
+        raise ProcessError(f"{name}: no result, because a process ended") from err
     except CancelledError as err:
-        raise ProcessError(f"{name}: expected a result, found that the cluster is gone") from err
+        if watched is not None:
+            watched.require_alive()
+        raise ProcessError(f"{name}: no result, because the work was cancelled") from err
     except Exception as err:
         if type(err).__module__.startswith("distributed."):
-            found = describe_error(err)
-            raise ProcessError(f"{name}: expected a result of the cluster, found {found}") from err
+            if watched is not None:
+                watched.require_alive()
+            raise ProcessError(f"{name}: no result of the cluster: {describe_error(err)}") from err
         raise
 
 

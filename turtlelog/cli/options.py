@@ -209,7 +209,7 @@ class WorkOptions:
             yield count_jobs(self.jobs, files, file_s=file_s)
             return
         if self.jobs is not None:
-            raise UsageError(f"--jobs: expected no --scheduler beside it, found {self.scheduler}")
+            raise UsageError("--jobs: the cluster of --scheduler has its own; leave --jobs out")
         from turtlelog.cluster import connect_cluster
 
         with connect_cluster(self.scheduler) as executor:
