@@ -107,6 +107,14 @@ def run_here(
             del sys.modules[name]
 
 
+def matches_shown(shown: str, printed: str) -> bool:
+    """Return whether a page shows what is printed, of which `...` leaves something out."""
+    pattern = "".join(
+        r"(?:.*\n)*?" if line == "..." else re.escape(line) + "\n" for line in shown.splitlines()
+    ).replace(re.escape("..."), ".*")
+    return re.fullmatch(pattern, printed) is not None
+
+
 @pytest.mark.parametrize(("block", "files", "page"), find_consoles())
 def test_console_blocks_print_what_they_show(
     block: str, files: dict[str, str], page: Path, tmp_path: Path, run_here: Command
@@ -121,11 +129,7 @@ def test_console_blocks_print_what_they_show(
     for command, shown in re.findall(r"^\$ turtlelog (.*)\n((?:(?!\$ ).*\n)*)", block, re.M):
         assert shown.strip() != "...", f"{command}: expected some of its output, found none"
         printed = run(*shlex.split(command))
-        pattern = "".join(
-            r"(?:.*\n)*?" if line == "..." else re.escape(line) + "\n"
-            for line in shown.splitlines()
-        ).replace(re.escape("..."), ".*")
-        assert re.fullmatch(pattern, printed), printed
+        assert matches_shown(shown, printed), printed
         assert ("turtlelog: error: " in shown) == ("turtlelog: error: " in printed)
 
 
