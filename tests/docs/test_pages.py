@@ -11,15 +11,13 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
-from tests.fresh_process import run_code, run_command
+from tests.fresh_process import run_code
 from turtlelog.cli.app import main
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+README = ROOT / "README.md"
+PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
 ALL_PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
-COMMANDS = ROOT / "docs" / "commands.md"
-"""Has an example of every command; there each runs in a process of its own."""
-
 Command = Callable[..., str]
 
 
@@ -45,18 +43,16 @@ def write_files(files: dict[str, str], folder: Path) -> None:
         (folder / name).write_text(f"# {name}\n{text}", encoding="utf-8")
 
 
+def list_console(page: Path) -> list[tuple[str, str]]:
+    """Return the commands of a page, and what it shows of what each prints."""
+    blocks = re.findall(r"^```console\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
+    return re.findall(r"^\$ turtlelog (.*)\n((?:(?!\$ ).*\n)*)", "".join(blocks), re.M)
+
+
 def find_consoles() -> list[object]:
-    """Return the commands of each page, and its files."""
-    texts = {page: page.read_text("utf-8") for page in PAGES}
-    blocks = {
-        page: re.findall(r"^```console\n(.*?)^```$", text, re.M | re.S)
-        for page, text in texts.items()
-    }
-    return [
-        pytest.param("".join(found), find_files(page), page, id=page.stem)
-        for page, found in blocks.items()
-        if found
-    ]
+    """Return the commands of each page, and its files; those of README run in test_everyday.py."""
+    pages = [page for page in PAGES if page != README and list_console(page)]
+    return [pytest.param(list_console(page), find_files(page), id=page.stem) for page in pages]
 
 
 def run_python(*words: str, folder: Path) -> str:
@@ -115,20 +111,14 @@ def matches_shown(shown: str, printed: str) -> bool:
     return re.fullmatch(pattern, printed) is not None
 
 
-@pytest.mark.parametrize(("block", "files", "page"), find_consoles())
+@pytest.mark.parametrize(("commands", "files"), find_consoles())
 def test_console_blocks_print_what_they_show(
-    block: str, files: dict[str, str], page: Path, tmp_path: Path, run_here: Command
+    commands: list[tuple[str, str]], files: dict[str, str], tmp_path: Path, run_here: Command
 ) -> None:
-    def run_apart(*words: str) -> str:
-        answer = run_command(*words, folder=tmp_path)
-        assert "Traceback" not in answer.stderr
-        return answer.stdout if answer.returncode == 0 else answer.stdout + answer.stderr
-
-    run = run_apart if page == COMMANDS else run_here
     write_files(files, tmp_path)
-    for command, shown in re.findall(r"^\$ turtlelog (.*)\n((?:(?!\$ ).*\n)*)", block, re.M):
+    for command, shown in commands:
         assert shown.strip() != "...", f"{command}: expected some of its output, found none"
-        printed = run(*shlex.split(command))
+        printed = run_here(*shlex.split(command))
         assert matches_shown(shown, printed), printed
         assert ("turtlelog: error: " in shown) == ("turtlelog: error: " in printed)
 
