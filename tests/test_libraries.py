@@ -126,3 +126,68 @@ def test_library_error_is_one_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(LibraryError, match=r"^pandas: needed for data frames, and not installed"):
         load_library("pandas")
+
+
+ABSENT = ["open_viewer", "write_comparison_rrd", "write_figures", "write_run_rrd"]
+
+
+def run_slim(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    hidden = dict.fromkeys([*LIBRARIES, "bokeh", "PIL"])
+    return run_main(f"import sys; sys.modules |= {hidden}\n{code}", folder=folder)
+
+
+def test_names_without_their_library_leave_the_package(tmp_path: Path) -> None:
+    done = run_slim(
+        f"import inspect, turtlelog as tl\nfor name in {ABSENT}:\n"
+        "    assert name not in dir(tl), name\n    assert name not in tl.__all__, name\n"
+        "    assert getattr(tl, name, None) is None, name\n"
+        "assert callable(tl.read_run) and 'TABLE_FORMATS' in tl.show.__all__\n"
+        "help(tl); print(len(inspect.getmembers(tl)) > 100)\nfrom turtlelog import *",
+        tmp_path,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.endswith("True\n")
+
+
+def test_every_public_name_of_a_slim_installation_is_there_or_says_what_to_install(
+    tmp_path: Path,
+) -> None:
+    done = run_slim(
+        "import ast, importlib, pathlib, turtlelog\n"
+        "from turtlelog.errors import LibraryError\n"
+        "root = pathlib.Path(turtlelog.__file__).parent\n"
+        "for stub in root.rglob('__init__.pyi'):\n"
+        "    place = stub.parent.relative_to(root.parent)\n"
+        "    package = importlib.import_module('.'.join(place.parts))\n"
+        "    for node in ast.parse(stub.read_text()).body:\n"
+        "        for name in (each.asname for each in getattr(node, 'names', ())):\n"
+        "            if name == '__version__': continue\n"
+        "            assert hasattr(package, name) == (name in package.__all__), (stub, name)\n",
+        tmp_path,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("package", ["turtlelog", "turtlelog.show", "turtlelog.show.figures"])
+def test_import_of_a_name_without_its_library_says_what_to_install(
+    package: str, tmp_path: Path
+) -> None:
+    done = run_slim(f"from {package} import write_figures", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == (
+        "turtlelog.errors.LibraryImportError: matplotlib: needed for figures, and not installed;"
+        " `pip install matplotlib`"
+    )
+
+
+def test_use_of_a_name_without_its_library_is_one_of_our_errors(tmp_path: Path) -> None:
+    done = run_slim(
+        "import turtlelog as tl\n"
+        "try:\n    tl.write_figures\nexcept tl.LibraryError as err:\n    print(err)\n"
+        "try:\n    from turtlelog import open_viewer\nexcept ImportError as err:\n    print(err)\n"
+        "print(hasattr(tl, 'no_such_name'))\nfrom turtlelog import no_such_name",
+        tmp_path,
+    )
+    said = done.stdout.splitlines()
+    assert [line.partition(":")[0] for line in said] == ["matplotlib", "rerun-sdk", "False"]
+    assert "ImportError: cannot import name 'no_such_name' from 'turtlelog'" in done.stderr

@@ -4,8 +4,7 @@ Simulate the ROS 2 turtlesim robot under feedback, record, replay, measure and c
 stand in `__init__.pyi` and load on first use: importing the package costs neither numpy nor rerun.
 """
 
-import lazy_loader
-
+from turtlelog.libraries import attach_names
 from turtlelog.version import __version__ as __version__
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_names(__name__, __file__)

@@ -74,6 +74,14 @@ class LibraryError(TurtlelogError):
     """Something needs a library that is not installed, as a slim installation lacks some."""
 
 
+class LibraryImportError(LibraryError, ImportError):
+    """A library, or what needs it, that was to be imported."""
+
+
+class LibraryAttributeError(LibraryError, AttributeError):
+    """A public name that needs such a library."""
+
+
 class ProcessError(TurtlelogError):
     """A process that ends before its work does."""
 

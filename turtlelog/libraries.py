@@ -1,10 +1,19 @@
-"""Libraries that not every installation has, loaded where they are needed."""
+"""Libraries that not every installation has, and the names of packages that need them.
 
+A library is loaded where it is needed. A public name loads on first use; where its library is not
+installed, the name is not there, and who imports it is told what to install.
+"""
+
+import sys
+from collections.abc import Callable, Iterator
 from importlib import import_module
+from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Any, Final
 
-from turtlelog.errors import LibraryError
+import lazy_loader  # type: ignore[import-untyped]
+
+from turtlelog.errors import LibraryAttributeError, LibraryError, LibraryImportError
 
 _PURPOSES: Final = MappingProxyType(
     {
@@ -27,7 +36,7 @@ def load_library(module: str) -> Any:
     """Return a module of a library that a slim installation lacks.
 
     Raises:
-        LibraryError: Where it, or another of these that it needs, is not installed; what that is
+        LibraryImportError: It, or another of these that it needs, is not installed; what that is
             needed for, and how to get it.
     """
     try:
@@ -37,6 +46,86 @@ def load_library(module: str) -> Any:
         if missing not in _PURPOSES:
             raise
         package, purpose = _PURPOSES[missing]
-        raise LibraryError(
+        raise LibraryImportError(
             f"{package}: needed for {purpose}, and not installed; `pip install {package}`"
         ) from err
+
+
+_NEEDED: Final = MappingProxyType(
+    {
+        "turtlelog.show.figures": ("matplotlib",),
+        "turtlelog.show.movie": ("matplotlib",),
+        "turtlelog.show.report": ("matplotlib", "bokeh"),
+        "turtlelog.show.rerun": ("rerun", "pyarrow"),
+    }
+)
+"""Packages without which libraries none of their names can be used."""
+
+
+def attach_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], Any], Any]:
+    """Return `__getattr__`, `__dir__` and `__all__` of a package whose names load on first use.
+
+    The names are those of the `.pyi` file beside `file`. A name whose library is not installed is
+    in neither `__all__` nor `dir()`. Its `__getattr__` raises LibraryAttributeError, which is an
+    AttributeError: `hasattr` is False, and `getattr(package, name, None)` is None. Python turns
+    that into "cannot import name" for `from package import name`, but first it asks the finders of
+    modules. One of ours then raises LibraryImportError, an ImportError. Both say what to install.
+    No class can be both, because Python stores the two kinds differently. Both are a LibraryError.
+    """
+    load, _, listed = lazy_loader.attach_stub(package, file)
+    lacking = set(_list_lacking(package, file))
+    names = [name for name in listed if name not in lacking]
+
+    def load_name(name: str) -> Any:
+        try:
+            return load(name)
+        except LibraryError as err:
+            _Absent.tell(f"{package}.{name}", str(err))
+            raise LibraryAttributeError(str(err)) from err
+
+    return load_name, names.copy, names
+
+
+def _list_lacking(package: str, file: str) -> Iterator[str]:
+    """Yield the names of a package, from its stub, whose library is not installed."""
+    rooms = (room for room in _NEEDED if room.startswith(f"{package}."))
+    lacking = [room for room in rooms if not all(map(_is_installed, _NEEDED[room]))]
+    if not lacking:
+        return
+    import ast  # A full installation never needs these.
+    from pathlib import Path
+
+    for node in ast.parse(Path(file).with_suffix(".pyi").read_text("utf-8")).body:
+        if not isinstance(node, ast.ImportFrom) or node.module is None:
+            continue
+        home, names = f"{package}.{node.module}", {alias.name for alias in node.names}
+        if any(f"{home}.".startswith(f"{room}.") for room in lacking):
+            yield from names
+        elif any(room.startswith(f"{home}.") for room in lacking):
+            init = Path(file).parent.joinpath(*node.module.split("."), "__init__.py")
+            yield from names.intersection(_list_lacking(home, str(init)))
+
+
+def _is_installed(library: str) -> bool:
+    if library in sys.modules:
+        return sys.modules[library] is not None
+    return find_spec(library) is not None
+
+
+class _Absent:
+    """Finds no module: what is asked for after a name was absent gets the reason for that."""
+
+    reasons: Final[dict[str, str]] = {}
+
+    @classmethod
+    def tell(cls, name: str, reason: str) -> None:
+        """Raise the reason when the name is imported from now on."""
+        cls.reasons[name] = reason
+        if cls not in sys.meta_path:
+            sys.meta_path.append(cls)
+
+    @classmethod
+    def find_spec(cls, name: str, *_: object) -> None:
+        """Raise LibraryImportError for such a name; there is no module for any other."""
+        if name in cls.reasons:
+            raise LibraryImportError(cls.reasons[name])

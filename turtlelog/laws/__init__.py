@@ -3,6 +3,6 @@
 The names stand in `__init__.pyi` and load on first use.
 """
 
-import lazy_loader
+from turtlelog.libraries import attach_names
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_names(__name__, __file__)
