@@ -30,6 +30,9 @@ _ANSWER_S: Final = 5.0
 _SCHEMES: Final = frozenset({"rerun", "rerun+http", "rerun+https"})
 _RETRY_S: Final = 0.1
 
+_NO_TELEMETRY: Final = {"CI": "1"}
+"""Rerun sends no telemetry where this is set; it has no option for a single viewer."""
+
 _PROOF_PIXELS: Final = 16
 """Longest side of the picture that shows that a viewer draws: the smallest costs the least."""
 
@@ -114,7 +117,7 @@ def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
     with TemporaryFile() as messages, TemporaryDirectory(prefix="turtlelog-") as folder:
         process = subprocess.Popen(
             [*_find_guard(), find_viewer(), "--bind", LOCAL, *options],
-            env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
+            env={**os.environ, **_NO_TELEMETRY, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=messages,

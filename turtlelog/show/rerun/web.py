@@ -1,5 +1,6 @@
 """Recordings served to a browser on this machine: Rerun's web viewer, and the files beside it."""
 
+import re
 import shutil
 import threading
 import time
@@ -15,6 +16,7 @@ from urllib.parse import quote, urlencode, urlsplit
 from urllib.request import ProxyHandler, build_opener
 
 from turtlelog.errors import ShowError
+from turtlelog.show.page_policy import write_policy
 from turtlelog.show.rerun.viewer import (
     LOCAL,
     ViewerProcess,
@@ -43,6 +45,8 @@ def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
     The viewer's own web server keeps a core busy even where nobody looks. So the page is taken from
     it once, kept in memory, and served from a thread of this process: nothing outlives it, and it
     needs no display. Only the page and the files named are served, and only to pages of its own.
+    A Content-Security-Policy allows the page to ask this server alone. Rerun's viewer would ask its
+    telemetry, a page of releases and a server of fonts, and has no option against the first two.
 
     Raises:
         ShowError: Where a file is missing, or the page cannot be had.
@@ -71,7 +75,26 @@ def _fetch_page() -> dict[str, bytes]:
     options = [word for name, port in ports.items() for word in (name, str(port))]
     with start_viewer(["--serve-web", *options]) as viewer:
         root = f"http://{LOCAL}:{ports['--web-viewer-port']}/"
-        return {name: _fetch(viewer, root + name) for name in _KINDS}
+        page = {name: _fetch(viewer, root + name) for name in _KINDS}
+    return page | {"": _REMOTE_LINK.sub(b"", page[""])}
+
+
+_REMOTE_LINK: Final = re.compile(rb"<link[^>]*https?://[^>]*>")
+"""Fonts, and connections ahead of time, which no policy covers."""
+
+
+def _write_head_fields(page: Mapping[str, bytes]) -> dict[str, str]:
+    """Return the policy of the page and its viewer, which is WebAssembly."""
+    scripts = re.findall(r"<script>(.*?)</script>", page[""].decode(), re.DOTALL)
+    policy = write_policy(
+        scripts,
+        script_src="'self' 'wasm-unsafe-eval'",
+        connect_src="'self'",
+        img_src="'self'",
+        worker_src="'self' blob:",
+        frame_ancestors="'none'",
+    )
+    return {"Content-Security-Policy": policy, "Referrer-Policy": "no-referrer"}
 
 
 def _fetch(viewer: ViewerProcess, address: str) -> bytes:
@@ -96,6 +119,7 @@ class _Handler(BaseHTTPRequestHandler):
         self, page: Mapping[str, bytes], files: Mapping[str, Path], *words: object
     ) -> None:
         self._page, self._files = page, {quote(name): path for name, path in files.items()}
+        self._fields = _write_head_fields(page)
         super().__init__(*words)  # type: ignore[arg-type]
 
     def do_GET(self) -> None:
@@ -137,4 +161,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(size))
         self.send_header("Cache-Control", "no-store")
+        for name, value in self._fields.items():
+            self.send_header(name, value)
         self.end_headers()
