@@ -175,3 +175,26 @@ def test_the_mouse_reads_all_runs_at_a_time_that_every_plot_shows(
     assert len(values) == 2
     assert set(values) == {"1.0000"}  # both drive at their limit there
     assert read_pixels(page, "#plot-turn_rate") != before
+
+
+def test_what_comes_into_a_report_from_outside_does_nothing(
+    two_runs: Path, browser: Any, tmp_path: Path
+) -> None:
+    """As if a name were written without being escaped."""
+    strange = (
+        f"{SCRIPT}<img src='https://elsewhere.example/x.png' onerror='alert(2)'>"
+        "<script src='https://elsewhere.example/x.js'></script>"
+        "<style>body{background:url(https://elsewhere.example/y.png)}</style>"
+        "<link rel=stylesheet href='https://elsewhere.example/x.css'>"
+    )
+    page, told, asked = browser.new_page(), [], []
+    page.on("dialog", lambda dialog: told.append(dialog.dismiss() or dialog.message))
+    page.on("requestfinished", lambda request: asked.append(request.url))
+    page.on("requestfailed", lambda request: asked.append(f"{request.url} {request.failure}"))
+    path = tmp_path / "strange.html"
+    path.write_text(two_runs.read_text("utf-8").replace("<main>", f"<main>{strange}"), "utf-8")
+    page.goto(path.as_uri())
+    page.wait_for_selector("html[data-whole]", timeout=20_000)
+    left = [url for url in asked if "elsewhere" in url and not url.endswith(" csp")]
+    assert (told, left) == ([], [])
+    page.close()

@@ -12,6 +12,7 @@ from turtlelog.compare import Column, Table
 from turtlelog.display import describe_count, show_angle
 from turtlelog.show.figures.sweep_figures import MapKind, draw_sweep
 from turtlelog.show.output_files import replace_file
+from turtlelog.show.page_policy import write_policy_tag
 from turtlelog.show.report.report_file import hash_file
 from turtlelog.show.report.sections import show, write_table
 from turtlelog.sweep.gain_borders import LoopLimits, find_borders, tell_borders
@@ -46,7 +47,7 @@ def write_map_report(
     name = show(Path(results.path).name)
     style = files("turtlelog.show.report").joinpath("page.css").read_text("utf-8")
     text = f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8">
+<html lang="en"><head><meta charset="utf-8">{write_policy_tag()}
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark"><link rel="icon" href="data:,">
 <title>{name}: turtlelog map</title><style>{style}

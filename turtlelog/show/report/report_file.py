@@ -25,6 +25,7 @@ from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 from turtlelog.show.documents import choose_essentials
 from turtlelog.show.output_files import replace_file
+from turtlelog.show.page_policy import write_policy_tag
 from turtlelog.show.palette import GHOST, choose_mechanism_colors, choose_run_colors
 from turtlelog.show.report.conclusion import conclude, conclude_cause, conclude_checks
 from turtlelog.show.report.drawn import Drawn, Plots
@@ -251,7 +252,7 @@ def _assemble(title: str, body: str, plots: Plots) -> str:
     style, code = (room.joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
     library = _end_no_script("\n".join(resources.js_raw))
     return f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8">
+<html lang="en"><head><meta charset="utf-8">{write_policy_tag(library, code)}
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark"><link rel="icon" href="data:,">
 <title>{show(title)}: turtlelog report</title><style>{style}</style></head>
