@@ -6,7 +6,7 @@ A message is one line: the place, what was expected, what was found.
 from collections.abc import Iterable
 from typing import Any, Final
 
-from turtlelog.escapes import escape_controls
+from turtlelog.escapes import escape_controls, hide_secrets
 
 _LISTED: Final = 14
 """Names in one message; of more, `...` stands for the rest."""
@@ -16,8 +16,8 @@ class TurtlelogError(Exception):
     """Root of every error that turtlelog raises on purpose."""
 
     def __str__(self) -> str:
-        """Return the message; names of files and topics in it cannot break or steer a line."""
-        return escape_controls(super().__str__())
+        """Return the message; names in it cannot break or steer a line, and URLs keep secrets."""
+        return escape_controls(hide_secrets(super().__str__()))
 
 
 def describe_error(err: BaseException) -> str:

@@ -1,4 +1,7 @@
-"""Names of others, written so that they stay text: in a terminal, in Markdown, in a spreadsheet."""
+"""Text of others that stays text, in a terminal, in Markdown, in a spreadsheet, and keeps secrets.
+
+Names cannot steer what shows them. A URL is shown without its password and its signature.
+"""
 
 import re
 import unicodedata
@@ -19,6 +22,23 @@ _INLINE: Final = re.compile(
 _BLOCK: Final = re.compile(r"^(\d{1,9}(?=[.)](?:\s|$))|(?=[-+=>#]))")
 _FORMULA: Final = re.compile(r"\s*'*\s*[=+\-@\uff0b\uff0d\uff1d\uff20]")
 _HARMLESS: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-")
+
+_SCHEME: Final = r"[A-Za-z][A-Za-z0-9+._-]+"
+"""At least two letters: `C:` is a drive. fsspec has schemes with `_`, as `async_wrapper`."""
+
+URL: Final = re.compile(rf"(?:{_SCHEME}::)*{_SCHEME}://")
+"""`simplecache::https://` is one within the other."""
+
+_LINK: Final = re.compile(rf"::(?={_SCHEME}(?:::|://))")
+"""Between two of such a chain; `::` may also be in a password or an address."""
+
+_PORT: Final = re.compile(r"(?:[^:]*|\[[^]]*\])(?::\d*)?|arn:.*")
+"""A host, with a port or without: what has another colon is a name and a password. S3 has names of
+buckets with colons, which begin with `arn:`."""
+
+_SHORT: Final = 4
+"""Characters of a password or a value of a query at least, to be looked for within a message: what
+is shorter is part of many words."""
 
 
 def escape_controls(text: str, *, keep: str = "") -> str:
@@ -65,3 +85,60 @@ def guard_cell(cell: object) -> object:
     if not isinstance(cell, str) or not _FORMULA.match(cell) or _HARMLESS.fullmatch(cell):
         return cell
     return f"'{cell}"
+
+
+def show_url(url: str) -> str:
+    """Return a URL without what may be secret: user, password, query and fragment."""
+    return "::".join(map(_show_one, _LINK.split(url)))
+
+
+def _show_one(url: str) -> str:
+    scheme, mark, rest = url.partition("://")
+    login = _find_login(rest) if mark else ""
+    place = re.split(r"[?#]", rest[len(login) :], maxsplit=1)[0]
+    return scheme + mark + ("" if login.endswith("@") or not login else "...") + place
+
+
+def _find_login(rest: str) -> str:
+    """Return user and password before the host, with their `@`; the whole where there is no host.
+
+    A password may hold what belongs behind a host, as `/` in the secret keys of S3 and `?`.
+    """
+    host = re.split(r"[/?#]", rest, maxsplit=1)[0]
+    if "@" in host:
+        return host[: host.rindex("@") + 1]
+    if _PORT.fullmatch(host):
+        return ""
+    first = rest.find("@")
+    if first < 0:
+        return host
+    behind = re.search(r"[?#]|$", rest[first:])
+    return rest[: rest.rindex("@", 0, first + behind.start()) + 1]  # type: ignore[union-attr]
+
+
+def hide_secrets(text: str, url: str = "") -> str:
+    """Return a message with its URLs as `show_url` returns them.
+
+    Args:
+        text: What a library or the user wrote.
+        url: What it is about: its user, password and query are hidden also where they stand alone.
+    """
+    text = re.sub(URL.pattern + r"[^\s'\"<>]*", lambda found: show_url(found[0]), text)
+    for secret in sorted(_list_secrets(url), key=len, reverse=True):
+        text = text.replace(secret, "...")
+    return text
+
+
+def _list_secrets(url: str) -> set[str]:
+    from urllib.parse import unquote  # Only for a message about a URL.
+
+    found: set[str] = set()
+    for one in _LINK.split(url):
+        rest = one.partition("://")[2]
+        login = _find_login(rest)
+        password = login.removesuffix("@").partition(":")[2]
+        query = re.split(r"[?#]", rest[len(login) :], maxsplit=1)[1:]
+        values = [part.partition("=")[2] or part for text in query for part in text.split("&")]
+        # A library takes what stands before the first `/` for the host.
+        found |= {login, *login.split("/"), password, *password.split("/"), *query, *values}
+    return {one for text in found for one in (text, unquote(text)) if len(one) >= _SHORT}

@@ -106,3 +106,42 @@ def test_a_table_of_what_lies_behind_urls_is_refused_in_one_line(
     told = capsys.readouterr()
     assert (ended.value.code, told.out, told.err.count("\n")) == (2, "", 1)
     assert said in told.err
+
+
+SECRET_URLS = [
+    "https://me:SECRET@127.0.0.1:1/x.mcap",
+    "https://me:SE/SECRET@127.0.0.1:1/x.mcap",
+    "http://127.0.0.1:1/x.mcap:/odom?sig=SECRET",
+    "s3://key:SECRET@bucket",
+    "s3://key:SECRET/SECRET@bucket/x.mcap",
+    "async_wrapper::http://me:SECRET@127.0.0.1:1/x.mcap",
+    "nosuch://me:SECRET@host/x.mcap",
+]
+KP4 = "recordings/paper/kp4.mcap"
+
+
+@pytest.mark.parametrize("url", SECRET_URLS)
+def test_no_line_of_a_command_shows_a_password_or_a_signature(
+    url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words in (["info", url], ["metrics", "--json", url], ["run", url], ["list", url], [url]):
+        assert _run(words) == 2
+    assert _run(["info", KP4, f"--time={url}"]) == 2
+    assert _run(["run", "paper", "--set", f"law.kind={url}"]) == 2
+    told = capsys.readouterr()
+    assert "SECRET" not in told.out + told.err
+    assert told.err.count("\n") == 7
+
+
+def test_the_address_of_a_scheduler_is_shown_without_its_password(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    address = "tcp://me:SECRET@127.0.0.1:1"
+    assert _run(["metrics", KP4, KP4, "--scheduler", address]) == 2
+    assert "SECRET" not in capsys.readouterr().err
+
+
+def test_an_error_in_python_shows_no_password() -> None:
+    with pytest.raises(tl.TurtlelogError, match="127") as caught:
+        tl.read_run(SECRET_URLS[1])
+    assert "SECRET" not in str(caught.value)

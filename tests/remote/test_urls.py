@@ -6,12 +6,19 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
-from turtlelog.remote import RemotePath, is_url, make_path, show_url
+from turtlelog.remote import RemotePath, hide_secrets, is_url, make_path, show_url
 
 
 @pytest.mark.parametrize(
     "text",
-    ["s3://b/x.mcap", "https://host/x.mcap", "memory://x", "simplecache::s3://b/x", "gs://b/x"],
+    [
+        "s3://b/x.mcap",
+        "https://host/x.mcap",
+        "memory://x",
+        "simplecache::s3://b/x",
+        "gs://b/x",
+        "async_wrapper::http://h/x",
+    ],
 )
 def test_urls_are_urls(text: str) -> None:
     assert is_url(text)
@@ -44,10 +51,50 @@ def test_a_file_with_a_colon_in_its_name_is_read(
         ("simplecache::https://me:pw@host/x?sig=1", "simplecache::https://host/x"),
         ("s3://", "s3://"),
         ("http://[broken/x", "http://[broken/x"),
+        ("https://me:p/w@host/a.mcap", "https://host/a.mcap"),
+        ("s3://key:se/cr/et@bucket/a.mcap?sig=a@b", "s3://bucket/a.mcap"),
+        ("https://me:p?w#x@host:80/a", "https://host:80/a"),
+        ("https://me:p::w@host/a", "https://host/a"),
+        ("s3://key:secret/a.mcap", "s3://.../a.mcap"),
+        ("https://[::1]:80/a@b", "https://[::1]:80/a@b"),
+        ("https://host:80/a@b", "https://host:80/a@b"),
+        ("s3://arn:aws:s3:eu:1:accesspoint/x/a@b", "s3://arn:aws:s3:eu:1:accesspoint/x/a@b"),
+        ("async_wrapper::http://me:pw@host/x?y", "async_wrapper::http://host/x"),
+        ("tcp://me:pw@host:8786", "tcp://host:8786"),
     ],
 )
 def test_a_url_is_shown_without_what_is_secret(url: str, shown: str) -> None:
     assert show_url(url) == str(RemotePath(url)) == shown
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ('Invalid bucket name "key:SE/CRET@bucket": no', 'Invalid bucket name "...bucket": no'),
+        ("no host in https://key:SE/CRET@bucket/x?a=1, twice", "no host in https://bucket/x twice"),
+        ("SignatureDoesNotMatch: you sent a%3DSIG", "SignatureDoesNotMatch: you sent ..."),
+        ("you sent a=SIG", "you sent ..."),
+        ("at s3://b/x: expected", "at s3://b/x: expected"),
+        ("connect tcp://U:PW@host:1: refused", "connect tcp://host:1: refused"),
+    ],
+)
+def test_a_message_is_shown_without_what_is_secret_in_its_url(text: str, shown: str) -> None:
+    assert hide_secrets(text, "s3://key:SE/CRET@bucket/x?sig=a%3DSIG&b=1") == shown
+
+
+@pytest.mark.parametrize(
+    ("text", "url", "topic"),
+    [
+        ("https://h/b.mcap:/odom?sig=1:/2", "https://h/b.mcap?sig=1:/2", "/odom"),
+        ("https://h/b.mcap?sig=1:/odom", "https://h/b.mcap?sig=1", "/odom"),
+        ("https://h/b.mcap?sig=1:/2/3=", "https://h/b.mcap?sig=1:/2/3=", None),
+        ("https://h/b.mcap?from=http://x", "https://h/b.mcap?from=http://x", None),
+        ("https://u:/p@h/b.mcap", "https://u:/p@h/b.mcap", None),
+    ],
+)
+def test_a_topic_and_a_signature_are_told_apart(text: str, url: str, topic: str | None) -> None:
+    path, found = RemotePath(text).split_topic()
+    assert (path.url, found) == (url, topic)
 
 
 def test_a_path_of_a_url_keeps_it_whole() -> None:

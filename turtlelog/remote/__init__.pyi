@@ -5,6 +5,7 @@ from .ranges import (
 from .urls import (
     RemoteNote as RemoteNote,
     RemotePath as RemotePath,
+    hide_secrets as hide_secrets,
     is_url as is_url,
     make_path as make_path,
     show_url as show_url,

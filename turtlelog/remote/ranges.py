@@ -48,7 +48,7 @@ class RemoteFile:
         self._failure: RemoteError | None = None
         self._options = SameFile().choose_options(url)
         self._file: Any = try_thrice(
-            lambda: self._system.open(self._path, "rb", cache_type="none", **self._options)
+            lambda: self._system.open(self._path, "rb", cache_type="none", **self._options), url
         )
         if self._file.seekable() and not type(self._file).__name__.endswith("StreamFile"):
             self.size = int(self._file.seek(0, os.SEEK_END))
@@ -76,7 +76,7 @@ class RemoteFile:
     def _fetch(self, start: int, end: int) -> bytes:
         if self._copy is None:
             with suppress(NoRangesError):
-                return try_thrice(lambda: self._fetch_once(start, end))
+                return try_thrice(lambda: self._fetch_once(start, end), self._url)
             self._copy_whole()
         copy = cast("IO[bytes]", self._copy)
         copy.seek(start)
@@ -118,7 +118,7 @@ class RemoteFile:
             RemoteNote,
             stacklevel=2,
         )
-        self._copy = try_thrice(self._copy_once)
+        self._copy = try_thrice(self._copy_once, self._url)
         weakref.finalize(self, self._copy.close)
         return self._copy.seek(0, os.SEEK_END)
 

@@ -79,7 +79,7 @@ def open_system(url: str) -> tuple[Any, str]:
         system, path = fsspec.core.url_to_fs(url, **_choose_options(url))
     except ImportError as err:
         package = _BACKENDS.get(scheme)
-        advice = f"`pip install {package}`" if package else hide_secrets(str(err))
+        advice = f"`pip install {package}`" if package else hide_secrets(str(err), url)
         raise LibraryError(
             f"{package or scheme}: needed for {scheme}:// URLs, and not installed; {advice}"
         ) from err
@@ -89,7 +89,7 @@ def open_system(url: str) -> tuple[Any, str]:
             raise RemoteError(
                 f"expected a URL that fsspec reads ({known}), found {scheme}://"
             ) from err
-        raise RemoteError(_describe(err)) from err
+        raise RemoteError(_describe(err, url)) from err
     if hasattr(system, "retries"):
         system.retries = 1  # of s3fs, which would wait five times for a server that hangs
     return system, path
@@ -124,7 +124,7 @@ def find_objects(url: str) -> bool:
         except FileNotFoundError:
             return False
 
-    return try_thrice(look)
+    return try_thrice(look, url)
 
 
 def find_object(url: str) -> bool:
@@ -146,7 +146,7 @@ def find_object(url: str) -> bool:
             return False
         return True
 
-    return try_thrice(look)
+    return try_thrice(look, url)
 
 
 _WITH_BUCKETS: Final = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss"})
@@ -159,7 +159,7 @@ def put_file(source: Path, url: str) -> None:
         RemoteError: Where that is not allowed, or fails.
     """
     system, path = require_writable(url)
-    try_thrice(lambda: system.put_file(str(source), path))
+    try_thrice(lambda: system.put_file(str(source), path), url)
 
 
 def _choose_options(url: str) -> dict[str, Any]:
@@ -189,7 +189,7 @@ def _choose_options(url: str) -> dict[str, Any]:
     return {}
 
 
-def try_thrice(ask: Callable[[], T]) -> T:
+def try_thrice(ask: Callable[[], T], url: str) -> T:
     """Return what a server answers; a request that fails on the way is repeated.
 
     Raises:
@@ -202,7 +202,7 @@ def try_thrice(ask: Callable[[], T]) -> T:
             raise
         except Exception as err:
             if wait_s is None or not _may_pass(err):
-                raise RemoteError(_describe(err)) from err
+                raise RemoteError(_describe(err, url)) from err
         time.sleep(wait_s)
     raise AssertionError
 
@@ -234,7 +234,7 @@ _SLOW: Final = ("TimeoutError", "ReadTimeoutError", "ConnectTimeoutError", "FSTi
     "SocketTimeoutError", "ConnectionTimeoutError", "ServerTimeoutError")  # fmt: skip
 
 
-def _describe(err: BaseException) -> str:
+def _describe(err: BaseException, url: str) -> str:
     """Return in one line what went wrong, without what is secret."""
     names = {kind.__name__ for cause in _list_causes(err) for kind in type(cause).__mro__}
     status = _find_status(err)
@@ -251,7 +251,7 @@ def _describe(err: BaseException) -> str:
             return said
     if status == 404 or (isinstance(err, FileNotFoundError) and status is None):
         return "expected an object or file, found none of this name"
-    found = hide_secrets(describe_error(err))
+    found = hide_secrets(describe_error(err), url)
     if status is not None and status >= 400:
         found = f"the server's error {status}"
     return f"expected all of the bytes asked for, found {found[:300]}"

@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, BinaryIO, Final
 
 from turtlelog.errors import RemoteError
+from turtlelog.escapes import URL, hide_secrets as hide_secrets, show_url as show_url
 
 if TYPE_CHECKING:
     from turtlelog.remote.ranges import RemoteFile
 
-_URL: Final = re.compile(r"(?:[A-Za-z][A-Za-z0-9+.-]+::)*[A-Za-z][A-Za-z0-9+.-]+://")
-"""At least two letters: `C:` is a drive. `simplecache::https://` is one within the other."""
+_TOPIC: Final = re.compile(r"(.*?):(/[A-Za-z_~{][\w/~{}]*)([?#].*)?", re.DOTALL)
+"""The URL of a file, a topic of ROS, and what stands behind both."""
 
 if TYPE_CHECKING:
     _LocalPath = Path
@@ -32,23 +33,7 @@ class RemoteNote(UserWarning):
 
 def is_url(text: str) -> bool:
     """Return whether a text is a URL; `C:/x.mcap` and a file called `a:b.mcap` are none."""
-    return _URL.match(text) is not None
-
-
-def show_url(url: str) -> str:
-    """Return a URL without what may be secret: user, password, query and fragment."""
-    return "::".join(map(_show_one, url.split("::")))
-
-
-def _show_one(url: str) -> str:
-    scheme, mark, rest = re.split(r"[?#]", url, maxsplit=1)[0].partition("://")
-    host, slash, path = rest.partition("/")
-    return scheme + mark + host.rpartition("@")[2] + slash + path
-
-
-def hide_secrets(text: str) -> str:
-    """Return a message of a library with its URLs as `show_url` returns them."""
-    return re.sub(_URL.pattern + r"[^\s'\"<>]*", lambda found: show_url(found[0]), text)
+    return URL.match(text) is not None
 
 
 class _ShownUrl(str):
@@ -106,10 +91,15 @@ class RemotePath(_LocalPath):
         return RemotePath, (self.url,)
 
     def split_topic(self) -> tuple["RemotePath", str | None]:
-        """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`."""
+        """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`.
+
+        A query may stand before or behind the topic; it belongs to the URL.
+        """
         scheme, mark, rest = self.url.partition("://")
-        place, colon, topic = rest.rpartition(":/")
-        return (RemotePath(scheme + mark + place), f"/{topic}") if colon else (self, None)
+        found = _TOPIC.fullmatch(rest)
+        if found is None:
+            return self, None
+        return RemotePath(scheme + mark + found[1] + (found[3] or "")), found[2]
 
     @property
     def file(self) -> "RemoteFile":
