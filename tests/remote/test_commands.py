@@ -124,7 +124,7 @@ KP4 = "recordings/paper/kp4.mcap"
 def test_no_line_of_a_command_shows_a_password_or_a_signature(
     url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for words in (["info", url], ["metrics", "--json", url], ["run", url], ["list", url], [url]):
+    for words in (["info", url], ["metrics", "--json", url], ["run", url], ["theory", url], [url]):
         assert _run(words) == 2
     assert _run(["info", KP4, f"--time={url}"]) == 2
     assert _run(["run", "paper", "--set", f"law.kind={url}"]) == 2

@@ -10,6 +10,7 @@ import turtlelog as tl
 from turtlelog.cli.output import print_note
 from turtlelog.cli.scenario_options import ScenarioOptions, change_scenario, name_by_changes
 from turtlelog.errors import UsageError
+from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
@@ -49,7 +50,7 @@ def settle_file(file: Path | None, options: ReplayOptions) -> tuple[Path, str | 
     """
     words = list(options.law or ())
     if file is None and words:
-        file = Path(words.pop())
+        file = make_path(words.pop())
     if file is None:
         raise UsageError("FILE: expected a recording, found none")
     if len(words) > 1:

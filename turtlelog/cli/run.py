@@ -33,6 +33,7 @@ from turtlelog.cli.scenario_options import (
 from turtlelog.cli.targets import require_new_target
 from turtlelog.cli.watch import describe_change, list_watched, watch_runs
 from turtlelog.errors import SimulationError, UsageError
+from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
@@ -174,7 +175,7 @@ def _require_sound(
     scenario: str | None, record: RecordOptions, live: LiveOptions, *, json: bool
 ) -> None:
     """Refuse options that do not go together, and outputs that could not be written."""
-    inputs = [] if scenario is None else [Path(scenario)]
+    inputs = [] if scenario is None else [make_path(scenario)]
     require_new_target(record.output, inputs, suffix=".mcap")
     require_new_target(record.rrd, inputs, suffix=".rrd")
     if record.strip_scenario and live.realtime:

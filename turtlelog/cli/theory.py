@@ -2,7 +2,6 @@
 
 import textwrap
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from cyclopts import Parameter
@@ -28,6 +27,7 @@ from turtlelog.cli.theory_loops import (
 )
 from turtlelog.cli.theory_tables import describe_theory, tabulate_theory
 from turtlelog.errors import UsageError
+from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -242,7 +242,7 @@ def _read_models(
     word: str, changes: _Changes, topics: ReadingOptions | None
 ) -> "tuple[str, str, Sequence[LoopModel]]":
     """Return the name of a scenario or a recording, which of them it is, and its loops."""
-    path = Path(word)
+    path = make_path(word)
     if is_recording(path):
         if changes.kp is not None or changes.assignments:
             option = "--set" if changes.kp is None else "--kp"

@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.errors import ScenarioError
+from turtlelog.remote.urls import make_path
 from turtlelog.scenario.convert import build_scenario, nest_scenario
 from turtlelog.scenario.model import Scenario
 from turtlelog.scenario.table_files import embed_files
@@ -95,7 +96,8 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     name = str(name_or_path)
     if name in PRESETS:
         return get_preset(name)
-    if not name.endswith(".toml") and not Path(name).is_file():
+    path = make_path(name)
+    if path.suffix != ".toml" and not path.is_file():
         presets = ", ".join(PRESETS)
         raise ScenarioError(f"{name}: expected a scenario file (.toml) or one of {presets}")
     return read_scenario(name_or_path)
@@ -114,7 +116,8 @@ def read_scenario(path: str | Path) -> Scenario:
     except (OSError, ValueError) as err:
         found = getattr(err, "strerror", None) or err
         raise ScenarioError(f"{path}: expected a scenario file, found: {found}") from err
-    return _build(text, str(path), Path(path))
+    path = make_path(path)
+    return _build(text, str(path), path)
 
 
 def parse_scenario(text: str, *, source: str = "scenario") -> Scenario:
