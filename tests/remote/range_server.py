@@ -79,6 +79,7 @@ class RangeServer:
             request.end_headers()
             return
         start, end = (int(asked[1]), int(asked[2]) + 1) if asked else (0, len(data))
+        end = min(end, len(data))
         is_range = asked is not None and self.has_ranges
         body = data[start:end] if is_range else data
         request.send_response(206 if is_range else 200)

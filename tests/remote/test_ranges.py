@@ -58,7 +58,7 @@ def test_a_run_is_that_of_the_local_file(server: RangeServer) -> None:
     local, remote = tl.read_run("recordings/paper/kp4.mcap"), tl.read_run(server.url("kp4.mcap"))
     np.testing.assert_array_equal(remote.poses.xy_m, local.poses.xy_m)
     assert remote.name == local.name
-    assert len(server.ranges) == 1  # smaller than one tail, and opened thrice
+    assert len(server.ranges) == 2  # its head and all of it, though it is opened thrice
 
 
 def test_a_stream_reads_as_a_file_does(server: RangeServer, large_mcap: bytes) -> None:

@@ -2,19 +2,19 @@
 
 import io
 import os
+import re
 import tempfile
 import warnings
 import weakref
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, suppress
 from typing import IO, Any, BinaryIO, Final, cast
+from urllib.parse import urlsplit
 
 from turtlelog.errors import RemoteError
-from turtlelog.remote.requests import NoRangesError, SameFile, open_system, try_thrice
+from turtlelog.remote.http_file import HEAD, HttpFile, describe_too_long
+from turtlelog.remote.requests import AnswerError, NoRangesError, open_system, try_thrice
 from turtlelog.remote.urls import RemoteNote, show_url
-
-_HEAD: Final = 2**14
-"""Bytes that are fetched where a single record is read: magic, header, what lies between chunks."""
 
 _TAIL: Final = 2**18
 """Bytes of the end that are fetched first: the summary of some thousand chunks, 20 ms on a line of
@@ -34,26 +34,57 @@ class RemoteFile:
         size: Its bytes.
     """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, most: int) -> None:
         """Ask for it.
+
+        Args:
+            url: Where it is.
+            most: Bytes that are fetched into a temporary file at most.
 
         Raises:
             RemoteError: Where it is not there or cannot be reached.
             LibraryError: Where what reads such URLs is not installed.
         """
         self._system, self._path = open_system(url)
-        self._url = url
+        self._url, self._most = url, most
         self._ends: dict[int, bytes] = {}
         self._copy: IO[bytes] | None = None
         self._failure: RemoteError | None = None
-        self._options = SameFile().choose_options(url)
+        self._http: HttpFile | None = None
+        if "::" not in url and urlsplit(url).scheme.lower() in {"http", "https"}:
+            self._http = try_thrice(lambda: HttpFile(self._system, url), url)
+            self.size = self._take_head(self._http)
+            return
         self._file: Any = try_thrice(
-            lambda: self._system.open(self._path, "rb", cache_type="none", **self._options), url
+            lambda: self._system.open(self._path, "rb", cache_type="none"), url
         )
         if self._file.seekable() and not type(self._file).__name__.endswith("StreamFile"):
             self.size = int(self._file.seek(0, os.SEEK_END))
         else:
             self.size = self._copy_whole()
+
+    def require_copy(self) -> None:
+        """Refuse to fetch all of it into a temporary file where that would be too much.
+
+        Raises:
+            RemoteError: It is longer than is allowed.
+        """
+        if self.size > self._most:
+            raise RemoteError(describe_too_long(self._most))
+
+    def _take_head(self, http: HttpFile) -> int:
+        """Keep the first bytes, which tell what a file is before more is fetched; return the size.
+
+        Raises:
+            RemoteError: Its length is not known and it begins as a web page, or is too long.
+        """
+        if http.head:
+            self._ends[0] = http.head
+        if http.size is not None:
+            return http.size
+        if re.match(rb"\s*<(!doctype|html|\?xml)", http.head, re.IGNORECASE):
+            raise RemoteError("expected a file, found a web page; nothing more of it was fetched")
+        return self._copy_whole()
 
     def open(self) -> BinaryIO:
         """Return a stream of its bytes, to be closed by itself."""
@@ -74,9 +105,10 @@ class RemoteFile:
             raise
 
     def _fetch(self, start: int, end: int) -> bytes:
-        if self._copy is None:
+        if self._copy is None and (self._http is None or self._http.has_ranges):
             with suppress(NoRangesError):
                 return try_thrice(lambda: self._fetch_once(start, end), self._url)
+        if self._copy is None:
             self._copy_whole()
         copy = cast("IO[bytes]", self._copy)
         copy.seek(start)
@@ -100,19 +132,18 @@ class RemoteFile:
         return start, data
 
     def _fetch_once(self, start: int, end: int) -> bytes:
-        try:
-            self._file.seek(start)
-            data = bytes(self._file.read(end - start))
-        except ValueError as err:
-            if "range requests" in str(err):
-                raise NoRangesError from err
-            raise
+        if self._http is not None:
+            return self._http.fetch(start, end)
+        self._file.seek(start)
+        data = bytes(self._file.read(end - start))
         if len(data) != end - start:
             raise OSError(f"{len(data)} of {end - start} bytes at byte {start}")
         return data
 
     def _copy_whole(self) -> int:
         """Fetch all of it into a temporary file, and return its size."""
+        if getattr(self, "size", None) is not None:
+            self.require_copy()
         warnings.warn(
             f"{show_url(self._url)}: the server sends no ranges, so all of it is read",
             RemoteNote,
@@ -123,13 +154,21 @@ class RemoteFile:
         return self._copy.seek(0, os.SEEK_END)
 
     def _copy_once(self) -> IO[bytes]:
-        whole = {"block_size": 0, **self._options} if self._url.startswith("http") else {}
-        with ExitStack() as undoing, self._system.open(self._path, "rb", **whole) as source:
+        with ExitStack() as undoing:
             copy = undoing.enter_context(tempfile.TemporaryFile())
-            while data := source.read(_WINDOW // 8):
-                copy.write(data)
+            if self._http is not None:
+                self._http.copy(cast("BinaryIO", copy), self._most)
+            else:
+                self._copy_stream(copy)
             undoing.pop_all()
         return copy
+
+    def _copy_stream(self, copy: IO[bytes]) -> None:
+        with self._system.open(self._path, "rb") as source:
+            while data := source.read(_WINDOW // 8):
+                copy.write(data)
+                if copy.tell() > self._most:
+                    raise AnswerError(describe_too_long(self._most))
 
 
 class RangeStream(io.RawIOBase):
@@ -138,7 +177,7 @@ class RangeStream(io.RawIOBase):
     def __init__(self, file: RemoteFile) -> None:
         self._file, self._place = file, 0
         self._start, self._data = 0, b""  # what was fetched last
-        self._ahead = _HEAD
+        self._ahead = HEAD
         self._expected: list[tuple[int, int]] = []
 
     def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
@@ -204,7 +243,7 @@ class RangeStream(io.RawIOBase):
         if held is not None:
             return held
         goes_on = place == self._start + len(self._data)
-        self._ahead = min(self._ahead * 2, _WINDOW) if goes_on and place else _HEAD
+        self._ahead = min(self._ahead * 2, _WINDOW) if goes_on and place else HEAD
         end = place + min(max(count, self._ahead), _WINDOW)
         for first, last in self._expected:
             if first <= place < last:

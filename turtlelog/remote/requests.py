@@ -29,33 +29,8 @@ class ReplacedError(Exception):
     """A file that is another one than at the first answer."""
 
 
-class SameFile:
-    """Holds the answers of a server of http to one file; s3fs asks its server for that itself."""
-
-    def __init__(self) -> None:
-        self._first: dict[str, str] | None = None
-
-    def choose_options(self, url: str) -> dict[str, Any]:
-        """Return the options with which a file is opened, whose answers are looked at."""
-        is_http = "::" not in url and urlsplit(url).scheme.lower() in {"http", "https"}
-        return {"raise_for_status": self._look} if is_http else {}
-
-    async def _look(self, answer: Any) -> None:
-        if answer.status not in {200, 206}:
-            return
-        found = {name: answer.headers[name] for name in _MARKS if name in answer.headers}
-        first = self._first = self._first or found
-        shared = next((name for name in _MARKS if name in first and name in found), None)
-        if shared is not None and _strip_weak(first[shared]) != _strip_weak(found[shared]):
-            raise ReplacedError
-
-
-_MARKS: Final = ("ETag", "Last-Modified")
-"""What tells one content of a file from another, the surer one first."""
-
-
-def _strip_weak(mark: str) -> str:
-    return mark.removeprefix("W/")
+class AnswerError(Exception):
+    """An answer that cannot be used, in a line that says why; asking again brings no other."""
 
 
 _BACKENDS: Final = {
@@ -178,6 +153,8 @@ def _choose_options(url: str) -> dict[str, Any]:
         headers = {**conf.get("headers", {}), "Accept-Encoding": "identity"}
         # What is percent-encoded already is signed like that.
         is_encoded = url.isascii() and " " not in url
+        # What is compressed is refused, and never inflated.
+        client["auto_decompress"] = False
         return {"client_kwargs": client, "headers": headers, "encoded": is_encoded}
     if scheme in {"s3", "s3a"}:
         usual = {
@@ -228,27 +205,43 @@ def _find_status(err: BaseException) -> int | None:
 
 _LOST: Final = ("NoCredentialsError", "PartialCredentialsError", "TokenRetrievalError")
 _REPLACED: Final = ("ReplacedError", "FileExpired")
+_CIRCLES: Final = ("TooManyRedirects",)
+_ASIDE: Final = ("InvalidUrlRedirectClientError", "NonHttpUrlRedirectClientError")
 _AWAY: Final = ("ClientConnectorError", "ClientConnectorDNSError", "EndpointConnectionError",
     "ConnectionRefusedError", "gaierror")  # fmt: skip
 _SLOW: Final = ("TimeoutError", "ReadTimeoutError", "ConnectTimeoutError", "FSTimeoutError",
     "SocketTimeoutError", "ConnectionTimeoutError", "ServerTimeoutError")  # fmt: skip
+
+_SURE: Final = (
+    (_REPLACED, "expected one file throughout, found that it was replaced while it was read"),
+    (
+        _CIRCLES,
+        "expected the file after 5 redirects at most, found more: the server sends in circles",
+    ),
+    (_ASIDE, "expected a redirect to http or https, found one to something else, not followed"),
+)
+_LIKELY: Final = (
+    (_LOST, "expected credentials of the object storage, found none"),
+    (_SLOW, "expected an answer within {stall_s} s, found none: the server hangs"),
+    (_AWAY, "expected a server, found none that answers at this address"),
+)
+"""What errors of these names mean, by their status and without one."""
 
 
 def _describe(err: BaseException, url: str) -> str:
     """Return in one line what went wrong, without what is secret."""
     names = {kind.__name__ for cause in _list_causes(err) for kind in type(cause).__mro__}
     status = _find_status(err)
-    if names & set(_REPLACED):
-        return "expected one file throughout, found that it was replaced while it was read"
+    sure, likely = (
+        next((said for kinds, said in table if names & {*kinds}), None)
+        for table in (_SURE, _LIKELY)
+    )
+    if isinstance(err, AnswerError) or sure is not None:
+        return sure or str(err)
     if status in {401, 403} or (isinstance(err, PermissionError) and status is None):
         return "expected a file that may be read, found no access to it (the server refuses)"
-    for kinds, said in (
-        (_LOST, "expected credentials of the object storage, found none"),
-        (_SLOW, f"expected an answer within {STALL_S} s, found none: the server hangs"),
-        (_AWAY, "expected a server, found none that answers at this address"),
-    ):
-        if names & set(kinds):
-            return said
+    if likely is not None:
+        return likely.format(stall_s=STALL_S)
     if status == 404 or (isinstance(err, FileNotFoundError) and status is None):
         return "expected an object or file, found none of this name"
     found = hide_secrets(describe_error(err), url)
@@ -259,8 +252,8 @@ def _describe(err: BaseException, url: str) -> str:
 
 def _may_pass(err: BaseException) -> bool:
     status, names = _find_status(err), {type(cause).__name__ for cause in _list_causes(err)}
-    if names & {*_LOST, *_AWAY, *_SLOW, *_REPLACED} or isinstance(
-        err, PermissionError | ImportError
+    if names & {*_LOST, *_AWAY, *_SLOW, *_REPLACED, *_CIRCLES, *_ASIDE} or isinstance(
+        err, AnswerError | PermissionError | ImportError
     ):
         return False
     if isinstance(err, FileNotFoundError) and status is None:

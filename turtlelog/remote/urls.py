@@ -8,7 +8,9 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, BinaryIO, Final
 
@@ -25,6 +27,47 @@ if TYPE_CHECKING:
     _LocalPath = Path
 else:
     _LocalPath = type(Path())  # until Python 3.12 Path itself cannot have children
+
+
+_MAX_DOWNLOAD: Final[ContextVar[int]] = ContextVar("max_download", default=4 * 2**30)
+"""Bytes that are fetched into a temporary file at most: what a small disk has room for."""
+
+_SIZES: Final = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12,
+    "Ki": 2**10, "Mi": 2**20, "Gi": 2**30, "Ti": 2**40}  # fmt: skip
+
+
+@contextmanager
+def limit_downloads(most: int | None = None) -> Iterator[None]:
+    """Set how much of a URL may be fetched into a temporary file while the block runs.
+
+    Args:
+        most: Bytes of one file at most; None: as before the block.
+    """
+    token = _MAX_DOWNLOAD.set(_MAX_DOWNLOAD.get() if most is None else most)
+    try:
+        yield
+    finally:
+        _MAX_DOWNLOAD.reset(token)
+
+
+def set_max_download(most: int) -> None:
+    """Set the same until the end of the block of `limit_downloads` around it."""
+    _MAX_DOWNLOAD.set(most)
+
+
+def parse_size(text: str) -> int | None:
+    """Return a number of bytes, as in 500MB, 4GiB or 4G; None where a text is no such number."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?) *([kKMGT]?i?)B?", text)
+    prefix = "" if found is None else found[2].replace("K", "k").replace("ki", "Ki")
+    if found is None or prefix not in _SIZES:
+        return None
+    return int(float(found[1]) * _SIZES[prefix])
+
+
+def format_size(count: int) -> str:
+    """Return a number of bytes in the greatest unit of which there is one, as `4 GiB`."""
+    unit = next((name for name in ("Ti", "Gi", "Mi", "Ki") if count >= _SIZES[name]), "")
+    return f"{count / _SIZES[unit]:.4g} {unit}B" if unit else f"{count} bytes"
 
 
 class RemoteNote(UserWarning):
@@ -45,12 +88,17 @@ class _ShownUrl(str):
 
     path: "RemotePath"
 
-    def __reduce__(self) -> tuple[Any, tuple[str]]:
-        return _show_path, (self.path.url,)
+    def __reduce__(self) -> tuple[Any, tuple[str, int]]:
+        return _show_path, (self.path.url, self.path.max_download)
 
 
-def _show_path(url: str) -> str:
-    return str(RemotePath(url))
+def _show_path(url: str, most: int) -> str:
+    return str(_load_path(url, most))
+
+
+def _load_path(url: str, most: int) -> "RemotePath":
+    """Return a path as another process had it, with its limit."""
+    return RemotePath(url, max_download=most)
 
 
 class RemotePath(_LocalPath):
@@ -58,20 +106,29 @@ class RemotePath(_LocalPath):
 
     Attributes:
         url: The whole URL.
+        max_download: Bytes of it that are fetched into a temporary file at most, where its server
+            sends no ranges or it is in SQLite. Default: that of `limit_downloads`, else 4 GiB.
     """
 
     url: str
+    _most: int | None
     _file: "RemoteFile | None"
     _failure: RemoteError | None
 
-    def __new__(cls, url: str) -> "RemotePath":
+    def __new__(cls, url: str, *, max_download: int | None = None) -> "RemotePath":  # noqa: ARG004
         """Make a path of its text."""
         return super().__new__(cls, show_url(url))
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, *, max_download: int | None = None) -> None:
         if sys.version_info >= (3, 12):
             super().__init__(show_url(url))
         self.url, self._file, self._failure = url, None, None
+        self._most = max_download
+
+    @property
+    def max_download(self) -> int:
+        """Bytes of it that are fetched into a temporary file at most."""
+        return _MAX_DOWNLOAD.get() if self._most is None else self._most
 
     def __str__(self) -> str:
         shown = _ShownUrl(show_url(self.url))
@@ -87,8 +144,8 @@ class RemotePath(_LocalPath):
     def __hash__(self) -> int:
         return hash(self.url)
 
-    def __reduce__(self) -> tuple[type["RemotePath"], tuple[str]]:
-        return RemotePath, (self.url,)
+    def __reduce__(self) -> tuple[Any, tuple[str, int]]:
+        return _load_path, (self.url, self.max_download)
 
     def split_topic(self) -> tuple["RemotePath", str | None]:
         """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`.
@@ -99,7 +156,8 @@ class RemotePath(_LocalPath):
         found = _TOPIC.fullmatch(rest)
         if found is None:
             return self, None
-        return RemotePath(scheme + mark + found[1] + (found[3] or "")), found[2]
+        url = scheme + mark + found[1] + (found[3] or "")
+        return RemotePath(url, max_download=self._most), found[2]
 
     @property
     def file(self) -> "RemoteFile":
@@ -114,7 +172,7 @@ class RemotePath(_LocalPath):
             from turtlelog.remote.ranges import RemoteFile
 
             try:
-                self._file = RemoteFile(self.url)
+                self._file = RemoteFile(self.url, self.max_download)
             except RemoteError as err:
                 self._failure = err
                 raise
@@ -201,7 +259,7 @@ class RemotePath(_LocalPath):
     def _replace(self, change: Callable[[str], str]) -> "RemotePath":
         place, end = re.fullmatch(r"([^?#]*)(.*)", self.url, re.DOTALL).groups()  # type: ignore[union-attr]
         scheme, mark, path = place.partition("://")
-        return RemotePath(scheme + mark + change(path) + end)
+        return RemotePath(scheme + mark + change(path) + end, max_download=self._most)
 
 
 def make_path(path: "str | os.PathLike[str]") -> Path:

@@ -124,6 +124,7 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
         stream, place = closing.enter_context(open_file(path)), path
         head = _read_head(stream)
         if isinstance(path, RemotePath) and head == SQLITE_MAGIC:  # SQLite opens files only
+            path.file.require_copy()
             folder = closing.enter_context(tempfile.TemporaryDirectory(prefix="turtlelog-"))
             place = Path(folder) / "fetched"
             with place.open("wb") as copy:
