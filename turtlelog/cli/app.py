@@ -29,7 +29,7 @@ from turtlelog.cli.output import (
 from turtlelog.cli.progress import end_progress
 from turtlelog.cli.usage_errors import describe_usage_error
 from turtlelog.errors import TurtlelogError, UsageError, suggest_names
-from turtlelog.remote.urls import RemoteNote
+from turtlelog.remote.urls import RemoteNote, limit_downloads
 from turtlelog.version import __version__
 
 _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
@@ -221,7 +221,7 @@ def _call(tokens: Sequence[str] | None) -> Any:
     tokens = sys.argv[1:] if tokens is None else tokens
     if tokens and tokens[0] in _FORMER:
         raise UsageError(f"{tokens[0]}: expected turtlelog {_FORMER[tokens[0]]}, found an old name")
-    with _stop_on_request(), _print_remote_notes():
+    with _stop_on_request(), _print_remote_notes(), limit_downloads():
         try:
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
         finally:

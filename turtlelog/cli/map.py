@@ -10,7 +10,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_metrics
 from turtlelog.cli.map_answer import describe_map, list_map_lines, list_sensitivity_lines
-from turtlelog.cli.options import Json, Place
+from turtlelog.cli.options import Json, MaxDownload, Place
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -104,6 +104,7 @@ def map_(
     view: ViewOptions | None = None,
     picture: PictureOptions | None = None,
     json: Json = False,
+    max_download: MaxDownload = None,  # noqa: ARG001 (it holds as soon as it is read)
 ) -> None:
     """Draw the table of a sweep: metrics over its keys, with theory's limits of the gain.
 
@@ -121,6 +122,8 @@ def map_(
         table: What `turtlelog sweep` wrote (.parquet).
         output: Write this figure (.pdf, .png, .svg), report (.html) or Rerun recording (.rrd).
         json: Print one JSON object instead of lines.
+        max_download: Longest file behind a URL that is fetched as a whole, which servers without
+            ranges need, as in 500MB. Default: 4GiB.
     """
     options, picture = view or ViewOptions(), picture or PictureOptions()
     page = _require_output(output, table, options.kind, picture)

@@ -14,7 +14,7 @@ from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.processes import FILE_S, choose_jobs
-from turtlelog.remote.urls import make_path
+from turtlelog.remote.urls import make_path, parse_size, set_max_download
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -53,6 +53,22 @@ Whole = Annotated[int, Parameter(converter=_read_whole)]
 Jobs = Annotated[Whole | None, Parameter(name="--jobs", metavar="COUNT")]
 
 
+def _read_size(_: Any, tokens: Sequence[Token]) -> int:
+    """Return a size, and let it hold for every URL of this command."""
+    most = parse_size(tokens[0].value)
+    if most is None:
+        found = f"found {tokens[0].value[:60]!r}"
+        raise UsageError(f"{tokens[0].keyword}: expected a size, as in 500MB or 4GiB, {found}")
+    set_max_download(most)
+    return most
+
+
+MaxDownload = Annotated[
+    int | None, Parameter(name="--max-download", metavar="SIZE", converter=_read_size)
+]
+"""Of every command that takes URLs; `limit_downloads` is around the command."""
+
+
 _READING: Final = Group("Reading other people's files", sort_key=2)
 
 
@@ -73,6 +89,8 @@ class TopicOptions:
         column: The column of a table that holds t, x, y, heading or another quantity, as in
             "heading=yaw [deg]"; may stand several times.
         partial: Read what an unfinished or damaged recording still holds.
+        max_download: Longest file behind a URL that is fetched as a whole, which servers without
+            ranges need, as in 500MB. Default: 4GiB.
     """
 
     pose_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
@@ -83,6 +101,7 @@ class TopicOptions:
     time: Literal["auto", "log", "stamp"] = "auto"
     column: Annotated[list[str] | None, Parameter(metavar="NAME=COLUMN")] = None
     partial: Partial = False
+    max_download: MaxDownload = None
 
     def build_choice(self) -> "ReadChoice":
         """Return what is asked for as a choice.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import File, Json, Place
+from turtlelog.cli.options import File, Json, MaxDownload, Place
 from turtlelog.cli.output import print_json, print_lines
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_folder, require_new_target
@@ -24,6 +24,7 @@ def recover(
     *,
     output: Annotated[Place, Parameter(name=("--output", "-o"))],
     json: Json = False,
+    max_download: MaxDownload = None,  # noqa: ARG001 (it holds as soon as it is read)
 ) -> None:
     """Write what an unfinished or damaged recording still holds as a complete one.
 
@@ -37,6 +38,8 @@ def recover(
         output: Write the recovered recording to this .mcap file. Of a bag, another name is a new
             folder, for a bag of all its files.
         json: Print one JSON object instead of text.
+        max_download: Longest file behind a URL that is fetched as a whole, which servers without
+            ranges need, as in 500MB. Default: 4GiB.
     """
     if file.is_dir() and output.suffix.lower() != ".mcap":
         require_new_folder(output)

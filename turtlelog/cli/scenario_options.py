@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_law
-from turtlelog.cli.options import Place, TopicOptions, Whole, read_chosen_run
+from turtlelog.cli.options import MaxDownload, Place, TopicOptions, Whole, read_chosen_run
 from turtlelog.errors import UsageError
 from turtlelog.remote.urls import make_path
 
@@ -48,9 +48,12 @@ class LawOptions(ScenarioOptions):
     Attributes:
         law: Let another law drive: a built-in kind, path.py:Class or package.module:Class. Its code
             runs. SCENARIO is textbook then, unless one is given.
+        max_download: Longest file behind a URL that is fetched as a whole, which servers without
+            ranges need, as in 500MB. Default: 4GiB.
     """
 
     law: Annotated[str | None, Parameter(metavar="KIND", completer=complete_law)] = None
+    max_download: MaxDownload = None
 
     def find_law_kind(self) -> str | None:
         """Return the kind of law that --law or --set names.

@@ -20,7 +20,7 @@ T = TypeVar("T")
 HEAD: Final = 2**14
 """Bytes of the first request: they tell what a file is, and hold its header."""
 
-_MOST_REDIRECTS: Final = 5
+MOST_REDIRECTS: Final = 5
 """Servers of files need one or two: to https, and from a link that stays to a storage."""
 
 _SLOWEST_BYTES_PER_S: Final = 1000.0
@@ -83,7 +83,8 @@ class HttpFile:
         headers = {**self._system.kwargs.get("headers", {})}
         if span is not None:
             headers["Range"] = f"bytes={span[0]}-{span[1] - 1}"
-        options = {"max_redirects": _MOST_REDIRECTS, **options, "headers": headers}
+        # aiohttp counts the answer that it no longer follows.
+        options = {"max_redirects": MOST_REDIRECTS + 1, **options, "headers": headers}
         address = self._system.encode_url(self._url)
         answer = await asyncio.wait_for(session.get(address, **options), requests.STALL_S)
         try:
@@ -133,8 +134,6 @@ class HttpFile:
                 if count > (most if length is None else length):
                     raise AnswerError(describe_too_long(most))
                 target.write(piece)
-            if length is not None and count != length:
-                raise OSError(f"{count} of {length} bytes")
 
     def _require_same(self, answer: Any) -> None:
         """Refuse the answer of another file than the first was of."""

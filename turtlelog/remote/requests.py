@@ -206,6 +206,8 @@ def _find_status(err: BaseException) -> int | None:
 _LOST: Final = ("NoCredentialsError", "PartialCredentialsError", "TokenRetrievalError")
 _REPLACED: Final = ("ReplacedError", "FileExpired")
 _CIRCLES: Final = ("TooManyRedirects",)
+_WILD: Final = ("HttpProcessingError",)
+_CUT: Final = ("ClientPayloadError", "ServerDisconnectedError", "ConnectionResetError")
 _ASIDE: Final = ("InvalidUrlRedirectClientError", "NonHttpUrlRedirectClientError")
 _AWAY: Final = ("ClientConnectorError", "ClientConnectorDNSError", "EndpointConnectionError",
     "ConnectionRefusedError", "gaierror")  # fmt: skip
@@ -218,6 +220,8 @@ _SURE: Final = (
         _CIRCLES,
         "expected the file after 5 redirects at most, found more: the server sends in circles",
     ),
+    (_CUT, "expected all of the bytes asked for, found that the connection broke off"),
+    (_WILD, "expected an answer in http, found one that breaks its rules"),
     (_ASIDE, "expected a redirect to http or https, found one to something else, not followed"),
 )
 _LIKELY: Final = (
