@@ -210,7 +210,7 @@ def nowhere(_: Request) -> Iterator[bytes]:
 def bomb(_: Request) -> Iterator[bytes]:
     import gzip
 
-    body = gzip.compress(bytes(50 * 2**20), 1)
+    body = gzip.compress(bytes(5 * 2**20), 1)
     yield first_range("Content-Encoding: gzip", f"Content-Length: {len(body)}") + body
 
 
@@ -249,6 +249,12 @@ def endless_file(_: Request) -> Iterator[bytes]:
     yield say(200)
     yield DATA
     yield from repeat(bytes(2**16))
+
+
+def huge_ranges(asked: Request) -> Iterator[bytes]:
+    start, end = asked.start or 0, asked.end or 0
+    place = f"Content-Range: bytes {start}-{end - 1}/{10**13}"
+    yield say(206, place, f"Content-Length: {end - start}") + b"1,2,3\n" * (2**14 // 6) + b"1,2\n"
 
 
 def huge_file(_: Request) -> Iterator[bytes]:

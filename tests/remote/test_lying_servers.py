@@ -19,7 +19,6 @@ LEAST_TAKEN = 3 * 2**20
 
 @pytest.fixture(autouse=True)
 def short_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(requests, "STALL_S", 0.5)
     monkeypatch.setattr(http_file, "PATIENCE_S", 0.3)
     monkeypatch.setattr(requests, "_WAITS_S", (0.0,))
 
@@ -76,8 +75,13 @@ def run(words: list[str]) -> int | str | None:
     ids=lambda value: getattr(value, "__name__", ""),
 )
 def test_an_answer_that_lies_is_one_line(
-    answer: Answer, said: str, capsys: pytest.CaptureFixture[str]
+    answer: Answer,
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    if answer is lies.slow_headers:
+        monkeypatch.setattr(requests, "STALL_S", 0.5)
     with LyingServer(answer=answer) as server:
         assert run(["info", server.url(), "--max-download", "2MiB"]) == 2
     told = capsys.readouterr()
@@ -100,6 +104,16 @@ def test_other_commands_refuse_the_same(
     assert capsys.readouterr().err.count("turtlelog: error: ") == 1
     assert server.sent < LEAST_TAKEN
     assert not list(tmp_path.iterdir())
+
+
+def test_a_table_without_end_is_not_read_into_memory() -> None:
+    said = r"x\.csv: expected at most 4 GiB, found a file that is longer"
+    with (
+        LyingServer(answer=lies.huge_ranges) as server,
+        pytest.raises(tl.LogError, match=said),
+    ):
+        tl.read_run(server.url("x.csv"))
+    assert server.sent < LEAST_TAKEN
 
 
 @pytest.mark.parametrize(("count", "is_followed"), [(5, True), (6, False)])

@@ -64,7 +64,7 @@ class RemoteFile:
             self.size = self._copy_whole()
 
     def require_copy(self) -> None:
-        """Refuse to fetch all of it into a temporary file where that would be too much.
+        """Refuse to fetch all of it, into a temporary file or into memory, where it is too long.
 
         Raises:
             RemoteError: It is longer than is allowed.
@@ -211,6 +211,8 @@ class RangeStream(io.RawIOBase):
     def read(self, size: int | None = -1) -> bytes:
         """Return that many bytes, fewer at the end only."""
         left = max(self._file.size - self._place, 0)
+        if size is None or size < 0:
+            self._file.require_copy()
         count = left if size is None or size < 0 else min(size, left)
         return b"".join(bytes(piece) for piece in self._iterate(count))
 
