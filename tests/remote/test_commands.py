@@ -145,3 +145,14 @@ def test_an_error_in_python_shows_no_password() -> None:
     with pytest.raises(tl.TurtlelogError, match="127") as caught:
         tl.read_run(SECRET_URLS[1])
     assert "SECRET" not in str(caught.value)
+
+
+def test_a_report_of_checks_of_a_signed_url_names_it_without_its_signature(
+    server: RangeServer, tmp_path: Path
+) -> None:
+    page, spec = tmp_path / "report.html", tmp_path / "spec.toml"
+    spec.write_text('format = 1\n[checks.end]\nexpect = "final.position_error < 1"\n')
+    url = server.url("signed.mcap")
+    assert _run(["check", str(spec), url + SIGNED, "--report", str(page)]) == 0
+    assert url in page.read_text("utf-8")
+    assert "SECRET" not in page.read_text("utf-8")

@@ -95,7 +95,9 @@ def write_report(
     if not runs:
         raise ShowError(f"{path}: expected at least one run to report on, found none")
     load_library("bokeh")
-    known = [str(source) for source in sources] or [""] * len(runs)
+    # The text of a URL without its signature knows the whole one, but no copy of it does.
+    texts = (source if isinstance(source, str) else str(source) for source in sources)
+    known = [*texts] or [""] * len(runs)
     file_of = {id(run): file for run, file in zip(runs, known, strict=True)}
     runs = order_by_gain(runs)
     metrics, names = [measure_run(run) for run in runs], name_runs(runs)
