@@ -29,6 +29,9 @@ _SCHEME: Final = r"[A-Za-z][A-Za-z0-9+._-]+"
 URL: Final = re.compile(rf"(?:{_SCHEME}::)*{_SCHEME}://")
 """`simplecache::https://` is one within the other."""
 
+_IN_TEXT: Final = re.compile(URL.pattern + r"[^\s'\"<>`]*(?<![.,;:!?)])")
+"""A URL within a sentence, whose marks are behind it."""
+
 _LINK: Final = re.compile(rf"::(?={_SCHEME}(?:::|://))")
 """Between two of such a chain; `::` may also be in a password or an address."""
 
@@ -123,7 +126,7 @@ def hide_secrets(text: str, url: str = "") -> str:
         text: What a library or the user wrote.
         url: What it is about: its user, password and query are hidden also where they stand alone.
     """
-    text = re.sub(URL.pattern + r"[^\s'\"<>]*", lambda found: show_url(found[0]), text)
+    text = _IN_TEXT.sub(lambda found: show_url(found[0]), text)
     for secret in sorted(_list_secrets(url), key=len, reverse=True):
         text = text.replace(secret, "...")
     return text

@@ -71,10 +71,17 @@ def test_a_url_is_shown_without_what_is_secret(url: str, shown: str) -> None:
     ("text", "shown"),
     [
         ('Invalid bucket name "key:SE/CRET@bucket": no', 'Invalid bucket name "...bucket": no'),
-        ("no host in https://key:SE/CRET@bucket/x?a=1, twice", "no host in https://bucket/x twice"),
+        (
+            "no host in https://key:SE/CRET@bucket/x?a=1, twice",
+            "no host in https://bucket/x, twice",
+        ),
         ("SignatureDoesNotMatch: you sent a%3DSIG", "SignatureDoesNotMatch: you sent ..."),
         ("you sent a=SIG", "you sent ..."),
         ("at s3://b/x: expected", "at s3://b/x: expected"),
+        (
+            "as in tcp://host:8786, or (tcp://[::1]:1).",
+            "as in tcp://host:8786, or (tcp://[::1]:1).",
+        ),
         ("connect tcp://U:PW@host:1: refused", "connect tcp://host:1: refused"),
     ],
 )
