@@ -18,6 +18,14 @@ from turtlelog.paths import (
 )
 
 SQUARE = Path(kind="polygon", points=((3.0, 3.0), (8.0, 3.0), (8.0, 8.0), (3.0, 8.0)))
+HEXAGON_M = 2.0
+HEXAGON = Path(
+    kind="polygon",
+    points=tuple(
+        (5.0 + HEXAGON_M * math.cos(turn), 5.0 + HEXAGON_M * math.sin(turn))
+        for turn in np.arange(6) * math.pi / 3.0
+    ),
+)
 LINE = Path(kind="line", points=((1.0, 1.0), (4.0, 5.0)))
 CIRCLE = Path(kind="circle", center_x_m=5.0, center_y_m=5.0, size_m=2.0)
 EIGHT = Path(kind="figure-eight", center_x_m=5.0, center_y_m=5.0, size_m=1.5)
@@ -104,19 +112,21 @@ def test_nearest_point_is_that_of_a_dense_search(
 @pytest.mark.parametrize("name", PATHS)
 @given(
     share=st.floats(0.0, 0.99),
+    lap=st.integers(-2, 3),
     aside_m=st.floats(-0.2, 0.2),
     lookahead_m=st.floats(0.25, 1.0),
 )
 def test_point_ahead_is_a_lookahead_away_and_no_point_before_it_is(
-    name: str, share: float, aside_m: float, lookahead_m: float
+    name: str, share: float, lap: int, aside_m: float, lookahead_m: float
 ) -> None:
     path = PATHS[name]
     from_m = share * path.length_m
     near = path.locate(from_m)
     x_m = near.x_m - aside_m * math.sin(near.heading_rad)
     y_m = near.y_m + aside_m * math.cos(near.heading_rad)
-    ahead = path.find_ahead(x_m, y_m, lookahead_m, from_m)
-    assert math.hypot(ahead.x_m - x_m, ahead.y_m - y_m) == pytest.approx(lookahead_m, rel=1e-9)
+    laps_m = lap * path.length_m if path.is_closed else 0.0
+    ahead = path.find_ahead(x_m, y_m, lookahead_m, from_m + laps_m)
+    assert math.hypot(ahead.x_m - x_m, ahead.y_m - y_m) == pytest.approx(lookahead_m, rel=1e-8)
     arcs_m, points = locate_densely(name)
     points = points[arcs_m >= from_m]
     away_m = np.hypot(points[:, 0] - x_m, points[:, 1] - y_m)
@@ -124,6 +134,29 @@ def test_point_ahead_is_a_lookahead_away_and_no_point_before_it_is(
     assume(len(outside))
     first = points[outside[0]]
     assert math.hypot(first[0] - ahead.x_m, first[1] - ahead.y_m) <= 2e-3
+
+
+@pytest.mark.parametrize("path", [HEXAGON, CIRCLE, EIGHT], ids=["hexagon", "circle", "eight"])
+@given(from_m=st.floats(-0.5, 0.5), lap=st.integers(0, 2), lookahead_m=st.floats(0.1, 1.0))
+def test_point_ahead_moves_over_the_seam_without_a_jump(
+    path: Path, from_m: float, lap: int, lookahead_m: float
+) -> None:
+    arcs_m = [from_m + lap * path.length_m + step_m for step_m in (0.0, 1e-6)]
+    found = [path.find_ahead(*path.locate(arc_m)[:2], lookahead_m, arc_m)[:2] for arc_m in arcs_m]
+    # The sharper the bend, the faster the point ahead: behind 60 deg twice as fast as the robot.
+    assert math.dist(*found) <= 5e-6
+
+
+@given(from_m=st.floats(0.3, 0.6), aside_m=st.floats(0.01, 0.2), corner=st.integers(1, 6))
+def test_point_ahead_is_the_corner_that_is_a_lookahead_away(
+    from_m: float, aside_m: float, corner: int
+) -> None:
+    near, end = (HEXAGON.locate(corner * HEXAGON_M - way_m) for way_m in (from_m, 0.0))
+    x_m = near.x_m - aside_m * math.sin(near.heading_rad)
+    y_m = near.y_m + aside_m * math.cos(near.heading_rad)
+    lookahead_m = math.dist((x_m, y_m), end[:2])
+    ahead = HEXAGON.find_ahead(x_m, y_m, lookahead_m, corner * HEXAGON_M - from_m)
+    assert ahead[:2] == pytest.approx(end[:2], abs=1e-8)
 
 
 def test_point_ahead_of_a_robot_far_away_is_the_nearest() -> None:
@@ -147,6 +180,33 @@ def test_lookahead_that_no_point_of_a_small_circle_has_goes_on_along_it() -> Non
 )
 def test_offset_is_positive_on_the_left(place: tuple[float, float], offset_m: float) -> None:
     assert SQUARE.find_nearest(*place, 0.0, 10.0).offset_m == pytest.approx(offset_m)
+
+
+@given(corner=st.integers(1, 9), past_m=st.floats(0.01, 0.4))
+def test_straight_on_from_a_corner_is_outside_of_it_on_every_lap(
+    corner: int, past_m: float
+) -> None:
+    triangle = Path(kind="polygon", points=((3.1, 3.2), (8.3, 3.7), (5.3, 8.1)))
+    lap, leg = divmod(corner - 1, 3)
+    piece = triangle.pieces[leg]
+    corner_m = lap * triangle.length_m + piece.start_m + piece.length_m
+    x_m, y_m = piece.locate(piece.length_m + past_m)[:2]
+    found = triangle.find_nearest(x_m, y_m, corner_m - 0.2, corner_m + 0.2)
+    assert (found.arc_m, found.offset_m) == pytest.approx((corner_m, -past_m))
+
+
+@pytest.mark.parametrize("lap", [-1, 0, 1, 7])
+def test_on_every_lap_a_corner_has_the_direction_of_the_next_leg(lap: int) -> None:
+    for piece in HEXAGON.pieces:
+        corner_m = HEXAGON.find_on_first_lap(piece.start_m + lap * HEXAGON.length_m)
+        assert HEXAGON.locate(corner_m).heading_rad == piece.heading_rad
+
+
+def test_corners_of_later_laps_are_those_of_the_first_and_the_seam() -> None:
+    corners = SQUARE.list_corners(26.0)
+    assert [corner.arc_m for corner in corners] == [5.0, 10.0, 15.0, 20.0, 25.0]
+    assert [corner.leg_m for corner in corners] == [5.0] * 5
+    assert SQUARE.list_corners(19.0) == [*SQUARE.corners]
 
 
 def test_corners_are_jumps_of_the_direction() -> None:

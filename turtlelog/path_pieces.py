@@ -3,9 +3,13 @@
 import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from turtlelog.angles import wrap_angle
+
+ROUNDING_M: Final = 1e-9
+"""How far a way may be wrong by rounding [m]: where two pieces meet, a circle may seem to be left
+behind the end of the one and before the start of the other."""
 
 
 class PathPoint(NamedTuple):
@@ -90,7 +94,7 @@ class PathPiece(NamedTuple):
     def find_exit(self, x_m: float, y_m: float, radius_m: float, low_m: float) -> float | None:
         """Return the first way from `low_m` on at which the piece leaves a circle [m].
 
-        None where it does not within its length.
+        None if it does not within its length. Both ends count by `ROUNDING_M` more.
         """
         curvature = self.curvature_1_m
         if curvature == 0.0:
@@ -102,26 +106,30 @@ class PathPiece(NamedTuple):
             if square < 0.0:
                 return None
             way_m += math.sqrt(square)
-            return way_m if low_m <= way_m <= self.length_m else None
-        return self._find_exit_of_arc(x_m, y_m, radius_m, low_m)
+        else:
+            way_m = self._find_exit_of_arc(x_m, y_m, radius_m, low_m)
+        if not low_m - ROUNDING_M <= way_m <= self.length_m + ROUNDING_M:
+            return None
+        return min(max(way_m, low_m), self.length_m)
 
-    def _find_exit_of_arc(
-        self, x_m: float, y_m: float, radius_m: float, low_m: float
-    ) -> float | None:
+    def _find_exit_of_arc(self, x_m: float, y_m: float, radius_m: float, low_m: float) -> float:
+        """Return the first way from `low_m` on at which the circle of an arc leaves another [m].
+
+        Infinite if it never does.
+        """
         curvature = self.curvature_1_m
         arc_radius_m = 1.0 / abs(curvature)
         center_x_m, center_y_m = self._find_center()
         center_away_m = math.hypot(x_m - center_x_m, y_m - center_y_m)
         if center_away_m == 0.0:
-            return None
+            return math.inf
         squares = arc_radius_m * arc_radius_m + center_away_m * center_away_m
         cosine = (squares - radius_m * radius_m) / (2.0 * arc_radius_m * center_away_m)
         if not -1.0 <= cosine <= 1.0:
-            return None
+            return math.inf
         way_m = (self._turn_to(x_m, y_m) + math.copysign(math.acos(cosine), curvature)) / curvature
         turn_m = 2.0 * math.pi * arc_radius_m
-        way_m += turn_m * math.ceil((low_m - way_m) / turn_m)
-        return way_m if way_m <= self.length_m else None
+        return way_m + turn_m * math.ceil((low_m - ROUNDING_M - way_m) / turn_m)
 
     def _find_center(self) -> tuple[float, float]:
         x_m = self.x_m - math.sin(self.heading_rad) / self.curvature_1_m

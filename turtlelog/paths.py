@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import PathError
-from turtlelog.path_pieces import PathPiece, PathPoint, join_points
+from turtlelog.path_pieces import ROUNDING_M, PathPiece, PathPoint, join_points
 
 PathKind = Literal["line", "polygon", "waypoints", "circle", "figure-eight"]
 
@@ -182,7 +182,7 @@ class Path:
 
     @cached_property
     def corners(self) -> tuple[Corner, ...]:
-        """Where its direction jumps, in order; the end of a closed path is none."""
+        """Where its direction jumps on the first lap, in order; its end is no corner."""
         found = [
             (piece.start_m, turn)
             for before, piece in pairwise(self.pieces)
@@ -193,6 +193,24 @@ class Path:
             Corner(arc_m, turn, end_m - arc_m)
             for (arc_m, turn), end_m in zip(found, ends_m, strict=False)
         )
+
+    def list_corners(self, to_m: float) -> list[Corner]:
+        """Return the corners of the first lap, and of later ones up to an arc length [m], in order.
+
+        Where one lap ends and the next begins is a corner, too, if the direction jumps there.
+        """
+        if not self.is_closed or not to_m >= self.length_m:
+            return [*self.corners]
+        turn = _find_turn(self.pieces[-1], self.pieces[0])
+        seam = [Corner(0.0, turn, 0.0)] if abs(turn) >= CORNER_RAD else []
+        laps_m = [lap * self.length_m for lap in range(math.floor(to_m / self.length_m) + 2)]
+        every = [
+            one._replace(arc_m=one.arc_m + lap_m)
+            for lap_m in laps_m
+            for one in (*(seam if lap_m else ()), *self.corners)
+        ]
+        found = [one._replace(leg_m=after.arc_m - one.arc_m) for one, after in pairwise(every)]
+        return [one for one in found if one.arc_m <= max(to_m, self.length_m)]
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
@@ -212,15 +230,25 @@ class Path:
         length_m = self.length_m
         if arc_m == length_m:  # the end, in the direction in which it is reached
             return self.pieces[-1].locate(self.pieces[-1].length_m)
-        if self.is_closed and not 0.0 <= arc_m < length_m:
-            arc_m = math.fmod(arc_m, length_m)
-            arc_m += length_m if arc_m < 0.0 else 0.0
+        arc_m = self.find_on_first_lap(arc_m)
         if not self.is_closed and not 0.0 <= arc_m <= length_m:
             piece = self.pieces[0 if arc_m < 0.0 else -1]
             end_m = 0.0 if arc_m < 0.0 else piece.length_m
             return piece.go_straight(end_m).locate(arc_m - piece.start_m - end_m)
-        piece = self.pieces[self._find_piece(arc_m)]
+        # At a corner the next leg counts, also where a later lap is rounded to just before it.
+        piece = self.pieces[self._find_piece(arc_m + ROUNDING_M)]
         return piece.locate(arc_m - piece.start_m)
+
+    def find_on_first_lap(self, arc_m: float) -> float:
+        """Return the arc length of the same point on the first lap of a closed path [m].
+
+        The end of a lap is the beginning of the next. An open path has one lap, without an end.
+        """
+        if not self.is_closed or 0.0 <= arc_m < self.length_m:
+            return arc_m
+        arc_m = math.fmod(arc_m, self.length_m)
+        arc_m += self.length_m if arc_m < 0.0 else 0.0
+        return 0.0 if arc_m > self.length_m - ROUNDING_M else arc_m
 
     def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> PathPlace:
         """Return where a position is with respect to the stretch between two arc lengths.
@@ -238,8 +266,10 @@ class Path:
             point = piece.locate(way_m)
             away_m = math.hypot(x_m - point.x_m, y_m - point.y_m)
             if away_m < best_m:
-                best_m, best = away_m, (start_m + way_m, piece)
-        return PathPlace(best[0], math.copysign(best_m, self._find_side(x_m, y_m, *best)))
+                best_m, best = away_m, (way_m, piece)
+        way_m, piece = best
+        side = self._find_side(x_m, y_m, way_m, piece)
+        return PathPlace(piece.start_m + way_m, math.copysign(best_m, side))
 
     def find_point(self, point: tuple[float, float, float]) -> float:
         """Return the arc length of a point of the path, x [m], y [m] and direction [rad] [m].
@@ -266,6 +296,7 @@ class Path:
         near = self.locate(from_m)
         if math.hypot(x_m - near.x_m, y_m - near.y_m) >= lookahead_m:
             return near
+        from_m = self.find_on_first_lap(from_m)
         for piece in self._iterate_on(from_m):
             low_m = max(from_m - piece.start_m, 0.0)
             way_m = piece.find_exit(x_m, y_m, lookahead_m, low_m)
@@ -304,7 +335,10 @@ class Path:
                     yield piece._replace(start_m=start_m)
 
     def _iterate_on(self, from_m: float) -> Iterator[PathPiece]:
-        """Yield the pieces from an arc length on: once around, or to the end and straight on."""
+        """Yield the pieces from an arc length on: once around, or to the end and straight on.
+
+        That of a closed path is on the first lap.
+        """
         first = self._find_piece(from_m)
         yield from self.pieces[first:]
         if self.is_closed:
@@ -313,12 +347,11 @@ class Path:
         else:
             yield self.pieces[-1].go_straight(self.pieces[-1].length_m)
 
-    def _find_side(self, x_m: float, y_m: float, arc_m: float, piece: PathPiece) -> float:
+    def _find_side(self, x_m: float, y_m: float, way_m: float, piece: PathPiece) -> float:
         """Return a number that is positive where a position is on the left of the path.
 
-        `arc_m` is that of the nearest point, `piece` the first that holds it.
+        `piece` is the first that has the nearest point, `way_m` the way to it.
         """
-        way_m = arc_m - piece.start_m
         point = piece.locate(way_m)
         cos, sin = math.cos(point.heading_rad), math.sin(point.heading_rad)
         if way_m in (0.0, piece.length_m):

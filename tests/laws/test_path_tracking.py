@@ -201,3 +201,16 @@ def test_tracker_comes_to_the_path(kind: str, start: tuple[float, float, float])
     late = tl.measure.read_signal(run, "cross_track")
     assert late is not None
     assert np.abs(late.values[-len(late.values) // 4 :]).max() < 0.02
+
+
+@pytest.mark.parametrize("kind", TRACKERS)
+@pytest.mark.parametrize("first", [1, 2, 3])
+def test_closed_path_is_tracked_alike_wherever_it_begins(kind: str, first: int) -> None:
+    corners = [[4.0, 4.0], [6.0, 4.3], [6.5, 6.0], [4.5, 6.5]]
+    paths = [{"kind": "polygon", "points": corners[at:] + corners[:at]} for at in (0, first)]
+    runs = [track({"kind": kind}, path, (5.0, 4.15, 0.1489)) for path in paths]
+    xy_m = [run.poses.xy_m for run in runs]
+    assert xy_m[1] == pytest.approx(xy_m[0], abs=1e-6)
+    found = [tl.measure_run(run, only=["cross.*"]) for run in runs]
+    for name in ("cross.corner_overshoot", "cross.largest_error", "cross.rms_error"):
+        assert found[1][name].value == pytest.approx(found[0][name].value, abs=1e-6)

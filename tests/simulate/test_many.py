@@ -273,6 +273,20 @@ def test_compiled_loop_has_every_law(kernels: Kernels, kind: str, block: int) ->
         require_same(kernels, build_other(kind, seed))
 
 
+@pytest.mark.parametrize("kind", ["kanayama", "pure-pursuit"])
+@pytest.mark.parametrize("corners", [3, 4, 6])
+def test_compiled_loop_drives_on_into_the_next_lap(
+    kernels: Kernels, kind: str, corners: int
+) -> None:
+    turns = [2.0 * math.pi * number / corners for number in range(corners)]
+    points = tuple((5.0 + math.cos(turn), 5.0 + math.sin(turn)) for turn in turns)
+    changes = {"path.kind": "polygon", "path.points": points, "law.kind": kind}
+    start = {"start.x_m": 5.0 + math.cos(math.pi / corners), "start.y_m": 5.4}
+    scenario = override_scenario(get_preset("textbook"), changes | start)
+    assert simulate_run(scenario).stop_reason == "path_end"
+    require_same(kernels, scenario)
+
+
 @pytest.mark.parametrize("effect", COMPILED_EFFECTS)
 def test_compiled_robot_is_the_interpreted_one_with_every_effect(
     kernels: Kernels, effect: str

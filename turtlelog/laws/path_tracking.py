@@ -120,7 +120,9 @@ class PathTracker(ABC):
             self._begin_m = nearest_m if path.is_closed else 0.0
         end_m = (self._begin_m or 0.0) + path.length_m - self._parameters.end_tolerance_m
         is_over = self._begin_m is not None and nearest_m >= end_m
-        return Target(path.locate(nearest_m), self._parameters.speed_m_s, 0.0, nearest_m, is_over)
+        # On a closed path the next lap begins with the direction of its first leg.
+        point = path.locate(nearest_m if is_over else path.find_on_first_lap(nearest_m))
+        return Target(point, self._parameters.speed_m_s, 0.0, nearest_m, is_over)
 
     @classmethod
     def _name_gain(cls, path: Path) -> str | None:

@@ -11,6 +11,7 @@ from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.references import read_reference
 from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import Response, Values
+from turtlelog.paths import Corner, Path
 
 _STANDS_STILL: Final = Missing(status=Status.NO_STEP, reason="the reference does not move")
 _NO_PATH: Final = Missing(status=Status.ABSENT, reason="the path is not known")
@@ -26,6 +27,10 @@ _FINE_STEPS: Final = 40
 
 _LEAST_MOVED: Final = 1e-6
 """A reference that moves by less stands still [rad or m]: poses are rounded to 32 bits."""
+
+_BEYOND_M: Final = 0.1
+"""How far a run goes on from a corner of a later lap for it to count [m]: a run that ends with its
+lap goes a sample beyond the first corner of the next, 16 mm at 1 m/s."""
 
 
 def _has_lag(loop: ControlLoop) -> bool:
@@ -114,7 +119,7 @@ def _compute_corner_overshoot(context: RunContext, response: Response) -> Result
         return _NO_CORNER
     arcs_m, offsets_m = along.values[response.rows], -response.error
     found: list[tuple[float, float]] = []
-    for corner in path.corners:
+    for corner in _list_corners(path, arcs_m):
         rows = np.flatnonzero(
             (arcs_m >= corner.arc_m) & (arcs_m < corner.arc_m + corner.leg_m / 2.0)
         )
@@ -126,3 +131,9 @@ def _compute_corner_overshoot(context: RunContext, response: Response) -> Result
         return _NOT_PASSED
     largest_m, at_s = max(found)
     return Found(largest_m, response.start_s + at_s)
+
+
+def _list_corners(path: Path, arcs_m: Values) -> list[Corner]:
+    """Return the corners that a run came to; by time, the path ends with its first lap."""
+    to_m = float(arcs_m.max(initial=0.0)) - _BEYOND_M if path.speed_m_s is None else 0.0
+    return [one for one in path.list_corners(to_m) if one.arc_m >= arcs_m.min(initial=np.inf)]

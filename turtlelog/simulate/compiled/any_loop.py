@@ -4,7 +4,7 @@ from typing import Any
 
 from numba import njit
 
-from turtlelog import paths as path
+from turtlelog import path_pieces, paths as path
 from turtlelog.compiled_loops import sum_up_sources
 from turtlelog.laws import posture as posture_law
 from turtlelog.plants import lagged as plant
@@ -32,7 +32,7 @@ from turtlelog.simulate.compiled.turtle import step_turtle
 
 SOURCES = (
     *(*loop.SOURCES, loop, lagged, plant, law_fields, open_loop, path_tracking, paths),
-    *(path, posture, posture_law, sequential, turtle),
+    *(path, path_pieces, posture, posture_law, sequential, turtle),
 )
 """Whose code and constants stand in the machine code."""
 

@@ -7,7 +7,12 @@ from turtlelog.paths import REACH_M
 from turtlelog.simulate.compiled.functions import call, inline, least, wrap_angle
 from turtlelog.simulate.compiled.law_fields import KANAYAMA
 from turtlelog.simulate.compiled.memory import PATH_END
-from turtlelog.simulate.compiled.paths import find_ahead, find_nearest, locate
+from turtlelog.simulate.compiled.paths import (
+    find_ahead,
+    find_nearest,
+    find_on_first_lap,
+    locate,
+)
 
 _TRACK = 0  # its phase by number
 
@@ -29,10 +34,12 @@ def decide_tracking(
     if settings.path_has_speed:
         speed_m_s = settings.path_speed_m_s
         target_m, nearest_m, is_over = _find_due(settings, state, memory, (x_m, y_m), time_ns)
+        behind_m = target_m - nearest_m
     else:
         speed_m_s = settings.law_speed_m_s
         nearest_m, is_over = _find_nearest(settings, state, memory, (x_m, y_m))
-        target_m = nearest_m
+        behind_m = 0.0
+        target_m = nearest_m if is_over else find_on_first_lap(settings, nearest_m)
     point = locate(settings, memory, target_m)
     speed = turn_rate = 0.0
     if is_over:
@@ -41,7 +48,7 @@ def decide_tracking(
         speed, turn_rate = _steer_to_point(settings, pose, point, speed_m_s)
     else:
         ahead = find_ahead(settings, memory, (x_m, y_m), settings.law_lookahead_m, nearest_m)
-        speed = speed_m_s + settings.law_kp_along * (target_m - nearest_m)
+        speed = speed_m_s + settings.law_kp_along * behind_m
         turn_rate = _steer_ahead(pose, ahead, speed)
     if not math.isfinite(point[0] + point[1] + point[2]):
         state.has_failed = 1

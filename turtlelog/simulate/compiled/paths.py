@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from turtlelog.path_pieces import ROUNDING_M
 from turtlelog.simulate.compiled.functions import call, find_hypot, inline, least, most, wrap_angle
 
 Point = tuple[float, float, float, float]
@@ -57,6 +58,26 @@ def _find_nearest_on(piece: Any, x_m: float, y_m: float, low_m: float, high_m: f
 
 
 @call
+def _find_exit_of_arc(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float) -> float:
+    """Return the first way from `low_m` on at which the circle of an arc leaves another."""
+    curvature = piece.curvature_1_m
+    arc_radius_m = 1.0 / abs(curvature)
+    center_x_m, center_y_m = _find_center(piece)
+    center_away_m = find_hypot(x_m - center_x_m, y_m - center_y_m)
+    if center_away_m == 0.0:
+        return math.inf
+    squares = arc_radius_m * arc_radius_m + center_away_m * center_away_m
+    cosine = (squares - radius_m * radius_m) / (2.0 * arc_radius_m * center_away_m)
+    if not -1.0 <= cosine <= 1.0:
+        return math.inf
+    turned = _turn_to(piece, x_m, y_m) + math.copysign(math.acos(cosine), curvature)
+    way_m = turned / curvature
+    turn_m = 2.0 * math.pi * arc_radius_m
+    turns = np.ceil((low_m - ROUNDING_M - way_m) / turn_m) + 0.0
+    return way_m + turn_m * turns  # type: ignore[no-any-return]
+
+
+@call
 def _find_exit(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float) -> float:
     """Return the first way from `low_m` on at which a piece leaves a circle, NaN without one."""
     curvature = piece.curvature_1_m
@@ -69,21 +90,11 @@ def _find_exit(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float
         if square < 0.0:
             return math.nan
         way_m += math.sqrt(square)
-        return way_m if low_m <= way_m <= piece.length_m else math.nan
-    arc_radius_m = 1.0 / abs(curvature)
-    center_x_m, center_y_m = _find_center(piece)
-    center_away_m = find_hypot(x_m - center_x_m, y_m - center_y_m)
-    if center_away_m == 0.0:
+    else:
+        way_m = _find_exit_of_arc(piece, x_m, y_m, radius_m, low_m)
+    if not low_m - ROUNDING_M <= way_m <= piece.length_m + ROUNDING_M:
         return math.nan
-    squares = arc_radius_m * arc_radius_m + center_away_m * center_away_m
-    cosine = (squares - radius_m * radius_m) / (2.0 * arc_radius_m * center_away_m)
-    if not -1.0 <= cosine <= 1.0:
-        return math.nan
-    turned = _turn_to(piece, x_m, y_m) + math.copysign(math.acos(cosine), curvature)
-    way_m = turned / curvature
-    turn_m = 2.0 * math.pi * arc_radius_m
-    way_m += turn_m * (np.ceil((low_m - way_m) / turn_m) + 0.0)
-    return way_m if way_m <= piece.length_m else math.nan
+    return least(most(way_m, low_m), piece.length_m)  # type: ignore[no-any-return]
 
 
 @call
@@ -99,6 +110,17 @@ def _find_piece(settings: Any, memory: Any, arc_m: float) -> int:
     return max(low - 1, 0)
 
 
+@inline
+def find_on_first_lap(settings: Any, arc_m: float) -> float:
+    """Return the arc length of the same point on the first lap of a closed path."""
+    length_m = settings.path_length_m
+    if not settings.path_is_closed or 0.0 <= arc_m < length_m:
+        return arc_m
+    arc_m = np.fmod(arc_m, length_m)
+    arc_m += length_m if arc_m < 0.0 else 0.0
+    return 0.0 if arc_m > length_m - ROUNDING_M else arc_m
+
+
 @call
 def locate(settings: Any, memory: Any, arc_m: float) -> Point:
     """Return the point at an arc length, also beyond the ends."""
@@ -112,9 +134,8 @@ def locate(settings: Any, memory: Any, arc_m: float) -> Point:
             beyond = memory.pieces[0 if arc_m < 0.0 else count - 1]
             end_m = 0.0 if arc_m < 0.0 else beyond.length_m
             return _locate_on(tangent, arc_m - beyond.start_m - end_m)  # type: ignore[no-any-return]
-        arc_m = np.fmod(arc_m, length_m)
-        arc_m += length_m if arc_m < 0.0 else 0.0
-    piece = memory.pieces[_find_piece(settings, memory, arc_m)]
+        arc_m = find_on_first_lap(settings, arc_m)
+    piece = memory.pieces[_find_piece(settings, memory, arc_m + ROUNDING_M)]
     return _locate_on(piece, arc_m - piece.start_m)  # type: ignore[no-any-return]
 
 
@@ -146,7 +167,7 @@ def find_nearest(
     (x_m, y_m), length_m = position, settings.path_length_m
     if not settings.path_is_closed:
         low_m, high_m = most(low_m, 0.0), least(high_m, length_m)
-    best_m, best_arc_m, best, best_start_m = np.inf, low_m, 0, memory.pieces[0].start_m
+    best_m, best_way_m, best, best_start_m = np.inf, low_m, 0, memory.pieces[0].start_m
     first, after = 0, settings.path_pieces
     from_lap, to_lap = 0, 0
     is_part = not settings.path_is_closed or 0.0 < low_m <= high_m < length_m
@@ -167,9 +188,9 @@ def find_nearest(
             point = _locate_on(piece, way_m)
             away_m = find_hypot(x_m - point[0], y_m - point[1])
             if away_m < best_m:
-                best_m, best_arc_m, best, best_start_m = away_m, start_m + way_m, number, start_m
-    side = _find_side(settings, memory, x_m, y_m, best_arc_m - best_start_m, best)
-    return best_arc_m, math.copysign(best_m, side)
+                best_m, best_way_m, best, best_start_m = away_m, way_m, number, start_m
+    side = _find_side(settings, memory, x_m, y_m, best_way_m, best)
+    return best_start_m + best_way_m, math.copysign(best_m, side)
 
 
 @call
@@ -181,6 +202,7 @@ def find_ahead(
     near = locate(settings, memory, from_m)
     if find_hypot(x_m - near[0], y_m - near[1]) >= lookahead_m:
         return near  # type: ignore[no-any-return]
+    from_m = find_on_first_lap(settings, from_m)
     first = _find_piece(settings, memory, from_m)
     # Behind the last piece of an open path stands its tangent; of a closed one the first is next.
     after = count + first + 1 if settings.path_is_closed else count + 1
