@@ -14,10 +14,12 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet
 import pytest
 
 import turtlelog as tl
 import turtlelog.cluster
+from tests.laws.test_law_files import write_law
 from turtlelog.cli.app import main
 from turtlelog.cluster import connect_cluster
 from turtlelog.errors import ProcessError
@@ -217,6 +219,17 @@ def test_a_cluster_tunes_as_this_computer_does(
     here = _run(capsys, *words, "--jobs", "1")
     assert here[0] == 0
     assert _run(capsys, *words, "--scheduler", cluster) == here
+
+
+def test_a_cluster_imports_the_helpers_beside_a_law(
+    cluster: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kinds = [write_law(tmp_path / name, speed) for name, speed in (("a", 0.5), ("b", 0.25))]
+    grid = ["--grid", f"law.kind={','.join(kinds)}", "--grid", "start.heading_rad=0,1"]
+    words = ["sweep", "--set", "max_duration_s=0.5", "--law", kinds[0], *grid]
+    output = tmp_path / "t.parquet"
+    assert _run(capsys, *words, "-o", str(output), "--scheduler", cluster)[0] == 0
+    assert pyarrow.parquet.read_table(output).column("failed").to_pylist() == [None] * 4
 
 
 def test_who_says_nothing_is_no_scheduler(

@@ -69,6 +69,7 @@ def test_it(simulate):
 
 
 OWN = """
+from pathlib import Path
 import pytest
 from turtlelog.errors import CheckError
 from turtlelog.laws import SequentialP
@@ -90,6 +91,12 @@ def test_scenario(turtlelog_simulate):
 def test_file(turtlelog_simulate):
     assert turtlelog_simulate(law=f"{__file__}:Own").phase("rotate").overshoot < 5
 
+def test_helper(turtlelog_simulate, tmp_path):
+    (tmp_path / "gains.py").write_text("KP = 2")
+    law = "import gains\\nfrom turtlelog.laws import SequentialP as Own\\nassert gains.KP == 2"
+    (tmp_path / "own.py").write_text(law)
+    assert turtlelog_simulate(law=f"{tmp_path / 'own.py'}:Own").phase("rotate").overshoot < 5
+
 def test_no_class_of_a_module(turtlelog_simulate):
     class Inner(SequentialP):
         pass
@@ -102,4 +109,4 @@ def test_no_class_of_a_module(turtlelog_simulate):
 
 def test_a_class_of_ones_own_is_simulated_by_itself(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(OWN)
-    pytester.runpytest("-p", "turtlelog.pytest_plugin").assert_outcomes(passed=4)
+    pytester.runpytest("-p", "turtlelog.pytest_plugin").assert_outcomes(passed=5)

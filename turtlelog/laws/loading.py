@@ -17,6 +17,7 @@ from turtlelog.errors import LawError, TurtlelogError, describe_error
 from turtlelog.expressions.tokens import KEYWORDS
 from turtlelog.laws.base import Goal, Law
 from turtlelog.laws.kanayama import Kanayama
+from turtlelog.laws.law_files import load_law_file
 from turtlelog.laws.open_loop import OpenLoop
 from turtlelog.laws.posture import Posture
 from turtlelog.laws.pure_pursuit import PurePursuit
@@ -192,7 +193,7 @@ def _load_module(place: str) -> ModuleType:
     try:
         with print_to_stderr():
             if place.endswith(".py"):
-                return _run_file(Path(place))
+                return load_law_file(Path(place))
             return importlib.import_module(place)
     except KeyboardInterrupt:
         raise
@@ -200,28 +201,15 @@ def _load_module(place: str) -> ModuleType:
         reason = describe_error(err)
         if isinstance(err, ImportError) and "'Phase'" in reason:
             reason = f"{reason}: a law names its phases itself now, as text: {_PROTOCOL}"
+        if isinstance(err, ModuleNotFoundError) and (file := _find_file(place)):
+            reason = f"{reason}: the file {file} is no installed module; write {file}:CLASS"
         raise LawError(f"{place} cannot be loaded: {reason}") from err
 
 
-def _run_file(path: Path) -> ModuleType:
-    source = path.read_bytes()
-    # Compiled here: Python's own cache beside the file overlooks an edit within the same second.
-    from hashlib import sha256
-
-    key = sha256(str(path.resolve()).encode() + source).hexdigest()[:16]
-    name = f"turtlelog_law_{path.stem}_{key}"
-    if name in sys.modules:
-        return sys.modules[name]
-    module = ModuleType(name)
-    module.__file__ = str(path)
-    # Dataclasses and pickle look their module up by name.
-    sys.modules[name] = module
-    try:
-        exec(compile(source, str(path), "exec"), module.__dict__)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
+def _find_file(place: str) -> str | None:
+    """Return the file, seen from here, that the name of a module was meant for."""
+    file = f"{place.replace('.', '/')}.py"
+    return file if Path(file).is_file() else None
 
 
 def _require_law(law: Any, kind: str) -> None:

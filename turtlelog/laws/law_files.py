@@ -1,0 +1,148 @@
+"""The module of a law's file; what it imports from beside the file is private to its folder.
+
+Neither `sys.path` nor the names of other modules change: two laws in two folders that each
+`import helper` get their own, whenever they do, in `step` as well. The import statements of these
+modules look beside them first, except for the standard library and turtlelog. Functions such as
+`importlib.import_module` know nothing of that.
+"""
+
+import builtins
+import sys
+from collections.abc import Mapping, Sequence
+from functools import partial
+from hashlib import sha256
+from importlib.abc import MetaPathFinder
+from importlib.machinery import (
+    EXTENSION_SUFFIXES,
+    SOURCE_SUFFIXES,
+    ExtensionFileLoader,
+    FileFinder,
+    ModuleSpec,
+    SourceFileLoader,
+)
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final, NoReturn
+
+_PREFIX: Final = "turtlelog_law_folder_"
+
+_NEVER_BESIDE: Final = sys.stdlib_module_names | {"turtlelog"}
+"""A file beside a law does not replace these: a `random.py` there may be anything."""
+
+
+def load_law_file(path: Path) -> ModuleType:
+    """Return the module of a file; a file that has not changed gives the same module.
+
+    Raises:
+        OSError: If the file cannot be read.
+        BaseException: Whatever the file raises.
+    """
+    source, place = path.read_bytes(), path.resolve()
+    key = sha256(str(place).encode() + source).hexdigest()[:16]
+    name = f"turtlelog_law_{path.stem}_{key}"
+    if name in sys.modules:
+        return sys.modules[name]
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    vars(module)["__builtins__"] = _open_folder(place.parent).builtins
+    # Dataclasses and pickle look their module up by name.
+    sys.modules[name] = module
+    try:
+        # Compiled here: Python's own cache beside the file overlooks an edit within a second.
+        exec(compile(source, str(path), "exec"), vars(module))
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+class _LawFolder:
+    """A folder of laws: a package of a name that no other has.
+
+    Attributes:
+        name: Of the package, which begins the names of the modules in the folder.
+        builtins: Of these modules: Python's, with an import that looks into the folder first.
+    """
+
+    def __init__(self, name: str, path: Path) -> None:
+        self.name = name
+        self.builtins: dict[str, Any] = {**vars(builtins), "__import__": self._import}
+        self._loaders: Any = (
+            (ExtensionFileLoader, EXTENSION_SUFFIXES),
+            (partial(_Loader, self.builtins), SOURCE_SUFFIXES),
+        )
+        package = ModuleType(name)
+        package.__path__ = [str(path)]
+        sys.modules[name] = self._package = package
+
+    def find_spec(self, name: str, path: Sequence[str]) -> ModuleSpec | None:
+        """Return where a module of the package is, below the folders of its parent."""
+        specs = (FileFinder(one, *self._loaders).find_spec(name) for one in path)
+        return next((spec for spec in specs if spec is not None), None)
+
+    def _import(
+        self,
+        name: str,
+        globals: Mapping[str, object] | None = None,  # noqa: A002
+        locals: Mapping[str, object] | None = None,  # noqa: A002
+        fromlist: Sequence[str] | None = (),
+        level: int = 0,
+    ) -> ModuleType:
+        """Import as Python does; a module of the folder by its name in the package."""
+        first = name.partition(".")[0]
+        if level or not self._has(first):
+            return builtins.__import__(name, globals, locals, fromlist, level)
+        found = builtins.__import__(f"{self.name}.{name}", globals, locals, fromlist, 0)
+        return found if fromlist else sys.modules[f"{self.name}.{first}"]
+
+    def _has(self, first: str) -> bool:
+        if first in _NEVER_BESIDE:
+            return False
+        name = f"{self.name}.{first}"
+        if name in sys.modules:
+            return True
+        spec = self.find_spec(name, self._package.__path__)
+        if spec is None:
+            return False
+        # A folder without `__init__.py`, of data maybe, counts where nothing else has the name.
+        return spec.loader is not None or find_spec(first) is None
+
+
+class _Loader(SourceFileLoader):
+    """Runs a module of a folder of laws; knows no cache, which would overlook a quick edit."""
+
+    def __init__(self, inner: dict[str, Any], name: str, path: str) -> None:
+        super().__init__(name, path)
+        self._builtins = inner
+
+    def path_stats(self, path: Any) -> NoReturn:
+        raise OSError(path)
+
+    def exec_module(self, module: ModuleType) -> None:
+        vars(module)["__builtins__"] = self._builtins
+        super().exec_module(module)
+
+
+class _Finder(MetaPathFinder):
+    """Finds the modules of folders of laws, by their names."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        del target
+        folder = _FOLDERS.get(fullname.partition(".")[0])
+        return None if folder is None else folder.find_spec(fullname, path or ())
+
+
+_FOLDERS: Final[dict[str, _LawFolder]] = {}
+_FINDER: Final = _Finder()
+
+
+def _open_folder(path: Path) -> _LawFolder:
+    name = f"{_PREFIX}{sha256(str(path).encode()).hexdigest()[:16]}"
+    if name not in _FOLDERS:
+        _FOLDERS[name] = _LawFolder(name, path)
+    if _FINDER not in sys.meta_path:
+        sys.meta_path.insert(0, _FINDER)  # before those that know files alone
+    return _FOLDERS[name]
