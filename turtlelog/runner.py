@@ -14,6 +14,7 @@ from turtlelog.log.recording.recorder import INTERRUPTED
 from turtlelog.run import Event, Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import Tick, collect_run, iterate_ticks
+from turtlelog.simulate.step_budget import STEP_BUDGET_S
 
 
 class Sink(Protocol):
@@ -93,7 +94,7 @@ def run_live(
     *,
     realtime: bool,
     clock: Clock = WALL_CLOCK,
-    step_budget_s: float | None = None,
+    step_budget_s: float | None = STEP_BUDGET_S,
 ) -> Run:
     """Simulate a scenario, hand every tick to the sinks as it comes, and return the run.
 
@@ -123,7 +124,7 @@ def run_live(
         for sink in reversed(sinks):
             closing.callback(sink.close, notes)
         try:
-            ticks = iterate_ticks(scenario, step_budget_s=step_budget_s)
+            ticks = iterate_ticks(scenario, step_budget_s=step_budget_s, one_by_one=realtime)
             run = collect_run(scenario, _drive(ticks, sinks, pace, request))
         except SimulationError as err:
             notes.update(pace.describe() if pace else {})

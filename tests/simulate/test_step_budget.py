@@ -1,20 +1,31 @@
+import inspect
 import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.log.runs import assert_same
+from turtlelog.check.recording import SimulatedRuns
 from turtlelog.errors import SimulationError
 from turtlelog.laws import Decision, Pose
 from turtlelog.log import Recorder, read_recording
 from turtlelog.runner import run_live
 from turtlelog.scenario import Scenario, get_preset, override_scenario
-from turtlelog.simulate import collect_run, iterate_ticks, simulate_run, step_budget
+from turtlelog.simulate import (
+    collect_run,
+    iterate_ticks,
+    simulate_many,
+    simulate_run,
+    step_budget,
+)
 from turtlelog.simulate.step_budget import StepBudget, StepBudgetError
+from turtlelog.sweep import prepare_sweep
+from turtlelog.tune import Candidates
 
 POSE = Pose(0.0, 0.0, 0.0)
 DECISION = Decision(speed_m_s=0.0, turn_rate_rad_s=0.0)
@@ -43,7 +54,7 @@ def make_scenario(folder: Path, body: str) -> Scenario:
 
 
 def count_threads() -> int:
-    return sum(thread.name in {"step", "step end"} for thread in threading.enumerate())
+    return sum(thread.name in {"loop", "step", "step end"} for thread in threading.enumerate())
 
 
 def wait_until(holds: Callable[[], bool], most_s: float = 20.0) -> None:
@@ -70,13 +81,15 @@ def test_a_built_in_law_has_a_budget_as_well() -> None:
 def test_a_step_that_takes_too_long_ends_the_run_and_its_recording(tmp_path: Path) -> None:
     scenario = make_scenario(tmp_path, "time.sleep(0.3)")
     recorder = Recorder(tmp_path / "a.mcap", scenario)
-    with pytest.raises(StepBudgetError, match=r"sample 12 took 3\S+ ms of a budget of 200 ms$"):
+    with pytest.raises(
+        StepBudgetError, match=r"sample 12 took 3\S+ ms of a budget of 200 ms, at 0\.192 s; "
+    ):
         run_live(scenario, [recorder], realtime=False, step_budget_s=0.2)
     run = read_recording(tmp_path / "a.mcap")
     assert (len(run.samples), run.stop_reason, run.is_complete) == (12, "step_budget", False)
     assert run.events[-1].text.startswith("The run ended: step budget: law ")
     assert " sample 12 took 3" in run.events[-1].text
-    assert run.events[-1].text.endswith(" ms of a budget of 200 ms.")
+    assert "--step-budget-ms 1200, in Python step_budget_s=1.2" in run.events[-1].text
 
 
 def test_a_step_just_within_its_budget_goes_on(tmp_path: Path) -> None:
@@ -181,3 +194,98 @@ def test_the_thread_of_a_run_ends_with_it() -> None:
 def test_a_budget_is_a_time_above_0(budget_s: float) -> None:
     with pytest.raises(SimulationError, match="step_budget_s: expected a time above 0 s, found"):
         run_live(get_preset("textbook"), realtime=False, step_budget_s=budget_s)
+
+
+LATE = r"own\.py:Own, sample 12 took more than 1000 ms of a budget of 1000 ms, at 0\.192 s; a slow"
+"""Of the law above with the least budget whose steps are not timed one by one."""
+
+
+@pytest.mark.parametrize(
+    "call",
+    [simulate_run, simulate_many, iterate_ticks, run_live, prepare_sweep, Candidates]
+    + [SimulatedRuns.simulate],
+    ids=lambda call: call.__name__,
+)
+def test_a_step_has_ten_seconds_unless_set(call: Callable[..., object]) -> None:
+    assert inspect.signature(call).parameters["step_budget_s"].default == 10.0
+
+
+def test_a_long_budget_that_is_kept_changes_nothing(tmp_path: Path) -> None:
+    scenario = make_scenario(tmp_path, "time.sleep(0.5)")
+    found = simulate_run(scenario, step_budget_s=1.0)
+    assert_same(found, simulate_run(scenario, step_budget_s=None))
+
+
+def test_a_step_beyond_a_long_budget_ends_the_run_at_its_tick(tmp_path: Path) -> None:
+    before, scenario = count_threads(), make_scenario(tmp_path, "while True: time.sleep(0.01)")
+    with pytest.raises(StepBudgetError, match=LATE) as caught:
+        simulate_run(scenario, step_budget_s=1.0)
+    require_end(caught.value)
+    assert caught.value.run.poses.time_ns[-1] == 12 * 16_000_000
+    wait_until(lambda: count_threads() <= before)
+
+
+def require_end(error: SimulationError) -> None:
+    run = error.run
+    assert run is not None
+    assert (len(run.samples), run.stop_reason, run.is_complete) == (12, "step_budget", False)
+    assert run.events[-1].text == f"The run ended: step budget: {error}."
+
+
+CATCHING = "exec('for _ in range(30):\\n try: time.sleep(.01)\\n except BaseException: _ = 0')"
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "time.sleep(3)",
+        "until = time.time() + 3\n            while time.time() < until: " + CATCHING,
+    ],
+    ids=["it waits in C", "it catches everything"],
+)
+def test_a_step_that_cannot_be_ended_does_not_hold_a_run_up(
+    tmp_path: Path, body: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(step_budget, "_PATIENCE_S", 0.1)
+    stdout, scenario = sys.stdout, make_scenario(tmp_path, body)
+    with pytest.raises(StepBudgetError, match=LATE) as caught:
+        simulate_run(scenario, step_budget_s=1.0)
+    require_end(caught.value)
+    assert sys.stdout is stdout
+
+
+def test_a_step_is_ended_in_any_thread(tmp_path: Path) -> None:
+    scenario = make_scenario(tmp_path, "while True: time.sleep(0.01)")
+    with ThreadPoolExecutor(1) as pool, pytest.raises(StepBudgetError, match=LATE):
+        pool.submit(simulate_run, scenario, step_budget_s=1.0).result()
+
+
+def test_a_law_that_never_begins_has_its_budget_too(tmp_path: Path) -> None:
+    path = tmp_path / "own.py"
+    text = (
+        LAW.format(body="pass") + "    def __init__(self, p):\n        while True: time.sleep(.01)"
+    )
+    path.write_text(text, encoding="utf-8")
+    scenario = override_scenario(get_preset("textbook"), {"law.kind": f"{path}:Own"})
+    with pytest.raises(StepBudgetError, match="took more than 1000 ms .*, before its first sample"):
+        simulate_run(scenario, step_budget_s=1.0)
+
+
+def test_who_looks_at_a_step_in_a_debugger_has_all_the_time(tmp_path: Path) -> None:
+    debugger = "exec('def look():\\n time.sleep(1.6)', {'__name__': 'pdb', 'time': time}, found)"
+    scenario = make_scenario(tmp_path, f"found = {{}}; {debugger}; found['look']()")
+    assert simulate_run(scenario, step_budget_s=1.0).stop_reason == "standstill"
+
+
+def test_ticks_that_nobody_takes_leave_no_thread(tmp_path: Path) -> None:
+    before, scenario = count_threads(), make_scenario(tmp_path, "pass")
+    ticks = iterate_ticks(scenario)
+    assert next(ticks).time_ns == 0
+    del ticks
+    wait_until(lambda: count_threads() <= before)
+
+
+def test_a_live_run_computes_each_tick_when_it_is_due(tmp_path: Path) -> None:
+    scenario = make_scenario(tmp_path, "pass")
+    ticks = iterate_ticks(scenario, one_by_one=True)
+    assert [next(ticks).time_ns for _ in range(3)] == [0, 16_000_000, 32_000_000]

@@ -45,6 +45,7 @@ from turtlelog.scenario import (
     override_scenario,
 )
 from turtlelog.simulate import declare_scenario, simulate_run
+from turtlelog.simulate.step_budget import STEP_BUDGET_S
 
 Expected: TypeAlias = "Recording | AnyReference"
 
@@ -304,6 +305,7 @@ class SimulatedRuns:
         law: type[Law] | str | None = None,
         kp: float | None = None,
         changes: Mapping[str, Any] | None = None,
+        step_budget_s: float | None = STEP_BUDGET_S,
     ) -> Recording:
         """Return the recording of a simulation.
 
@@ -313,11 +315,13 @@ class SimulatedRuns:
             law: The law that drives, a class or what names one, as `my_law.py:MyLaw`.
             kp: All gains that the law declares.
             changes: Other values by dotted key, as in `{"law.pause_ticks": 0}`.
+            step_budget_s: Time that the law may compute for one answer [s]; None: as long as it
+                takes.
 
         Raises:
             CheckError: Where the law is no class that its module knows.
             ScenarioError: Where there is no such scenario, or a change is wrong.
-            SimulationError: Where the law fails.
+            SimulationError: Where the law fails or computes for longer.
         """
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(str(scenario or ("paper" if law is None else "textbook")))
@@ -331,7 +335,7 @@ class SimulatedRuns:
             scenario = override_gains(scenario, gains, kp, source="simulate")
         self._count += 1
         path = self._folder / f"simulated-{self._count}.mcap"
-        write_recording(simulate_run(scenario), path)
+        write_recording(simulate_run(scenario, step_budget_s=step_budget_s), path)
         return Recording(path, name=f"{scenario.name} ({path.name})", watch=self._watch)
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
@@ -50,6 +50,29 @@ Connect = Annotated[str | None, Parameter(name="--connect", metavar="URL")]
 Json = Annotated[bool, Parameter(name="--json")]
 Whole = Annotated[int, Parameter(converter=_read_whole)]
 """A whole number; a plain int would cut 1.5 to 1."""
+
+
+def _read_budget(_: Any, tokens: Sequence[Token]) -> float:
+    text = tokens[0].value
+    with suppress(ValueError):
+        if 0.0 < float(text) < math.inf:
+            return float(text)
+    expected = "a time above 0 in milliseconds"
+    raise UsageError(f"--step-budget-ms: expected {expected}, found {text[:60]!r}")
+
+
+StepBudgetMs = Annotated[
+    float | None, Parameter(name="--step-budget-ms", metavar="MS", converter=_read_budget)
+]
+
+
+def choose_step_budget(given_ms: float | None) -> float:
+    """Return how long a law may compute for one answer, as asked or by default [s]."""
+    from turtlelog.simulate.step_budget import STEP_BUDGET_S
+
+    return STEP_BUDGET_S if given_ms is None else given_ms / 1e3
+
+
 Jobs = Annotated[Whole | None, Parameter(name="--jobs", metavar="COUNT")]
 
 

@@ -3,15 +3,21 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
-from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
-from cyclopts import Parameter, Token
+from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
-from turtlelog.cli.options import Connect, Json, Output, Place
+from turtlelog.cli.options import (
+    Connect,
+    Json,
+    Output,
+    Place,
+    StepBudgetMs,
+    choose_step_budget,
+)
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
@@ -50,15 +56,6 @@ _ADVICE: Final = (
 )
 
 
-def _read_budget(_: Any, tokens: Sequence[Token]) -> float:
-    text = tokens[0].value
-    with suppress(ValueError):
-        if 0.0 < float(text) < inf:
-            return float(text)
-    expected = "a time above 0 in milliseconds"
-    raise UsageError(f"--step-budget-ms: expected {expected}, found {text[:60]!r}")
-
-
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveOptions:
@@ -70,20 +67,15 @@ class LiveOptions:
         realtime: Run at the speed of the wall clock.
         live: Show the run in a viewer while it goes on, and until its window is closed.
         connect: As --live, in a viewer that runs, as in rerun+http://127.0.0.1:9876/proxy.
-        step_budget_ms: End the run where the law computes for longer than so many milliseconds in
-            one step, by the clock; also where it never returns.
+        step_budget_ms: End the run if the law computes longer in one step, by the clock. Default:
+            10000. Unit: ms. Built-in laws have no default.
     """
 
     watch: bool = False
     realtime: bool = False
     live: bool = False
     connect: Connect = None
-    step_budget_ms: Annotated[float | None, Parameter(metavar="MS", converter=_read_budget)] = None
-
-    @property
-    def step_budget_s(self) -> float | None:
-        """The budget in seconds."""
-        return None if self.step_budget_ms is None else self.step_budget_ms / 1e3
+    step_budget_ms: StepBudgetMs = None
 
 
 @Parameter(name="*")
@@ -287,7 +279,7 @@ def _strip(run: "Run", path: Path) -> "Run":
     )
 
 
-def _simulate(scenario: "Scenario", step_budget_s: float | None) -> "Run":
+def _simulate(scenario: "Scenario", step_budget_s: float) -> "Run":
     from turtlelog.simulate import collect_run, iterate_ticks
 
     ticks = iterate_ticks(scenario, step_budget_s=step_budget_s)
@@ -316,7 +308,7 @@ def _run(scenario: "Scenario", record: RecordOptions, live: LiveOptions, url: st
 
 def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
     if not live.realtime and url is None:
-        return _simulate(scenario, live.step_budget_s)
+        return _simulate(scenario, choose_step_budget(live.step_budget_ms))
     from turtlelog.log.interrupts import hold_stop, interrupt_on_quit
 
     with ExitStack() as closing:
@@ -334,7 +326,10 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
         progress = show_progress("simulated", scenario.max_duration_s, "s at most")
         sinks.append(_Watcher(closing.enter_context(progress)))
         result = tl.runner.run_live(
-            scenario, sinks, realtime=live.realtime, step_budget_s=live.step_budget_s
+            scenario,
+            sinks,
+            realtime=live.realtime,
+            step_budget_s=choose_step_budget(live.step_budget_ms),
         )
     if viewer is not None and viewer.lost:
         print_note(f"viewer: {viewer.lost}; the run went on without it")

@@ -11,7 +11,15 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_metrics
-from turtlelog.cli.options import Json, Place, Whole, WorkOptions, split_names
+from turtlelog.cli.options import (
+    Json,
+    Place,
+    StepBudgetMs,
+    Whole,
+    WorkOptions,
+    choose_step_budget,
+    split_names,
+)
 from turtlelog.cli.output import EXIT_FINE, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
@@ -113,10 +121,13 @@ class SweepOptions(WorkOptions):
     Attributes:
         yes: Sweep over more than a million rows without asking.
         trust_law: Run the code of the law that a recording names, where it is not built in.
+        step_budget_ms: A row fails if its law computes longer in one step, by the clock. Default:
+            10000. Unit: ms. Built-in laws have no default.
     """
 
     yes: bool = False
     trust_law: bool = False
+    step_budget_ms: StepBudgetMs = None
 
 
 def sweep(
@@ -163,12 +174,21 @@ def sweep(
             progress.done = done
 
         try:
-            found = tl.sweep.run_sweep(prepared, table.output, jobs=place, watch=watch)
+            found = tl.sweep.run_sweep(
+                prepared, table.output, jobs=place, watch=watch, tell=_tell_late
+            )
         except KeyboardInterrupt:
             print_note(f"{int(progress.done)} of {rows} rows are done; the same command goes on")
             raise
     _answer(found, time.monotonic() - begun, json=json)
     return EXIT_FINE
+
+
+def _tell_late(late: str) -> None:
+    print_note(
+        f"{late}. Every such row takes as long. Ctrl-C keeps the rows that are done: the same"
+        " command goes on, also with a shorter --step-budget-ms"
+    )
 
 
 def _prepare(
@@ -190,6 +210,7 @@ def _prepare(
         metrics=patterns,
         records=records,
         trust_law=work.trust_law,
+        step_budget_s=choose_step_budget(work.step_budget_ms),
     )
 
 

@@ -7,7 +7,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_metrics
-from turtlelog.cli.options import Json, Place, Whole, WorkOptions
+from turtlelog.cli.options import (
+    Json,
+    Place,
+    StepBudgetMs,
+    Whole,
+    WorkOptions,
+    choose_step_budget,
+)
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
@@ -139,10 +146,13 @@ class TuneOptions(WorkOptions):
     Attributes:
         output: Write the scenario with the best values to this .toml file.
         trust_law: Run the code of the law that a recording names, where it is not built in.
+        step_budget_ms: A candidate fails if its law computes longer in one step, by the clock.
+            Default: 10000. Unit: ms. Built-in laws have no default.
     """
 
     output: Annotated[Place | None, Parameter(name=("--output", "-o"))] = None
     trust_law: bool = False
+    step_budget_ms: StepBudgetMs = None
 
 
 def tune(
@@ -183,7 +193,7 @@ def tune(
     scenario, keys = _parse_keys(scenario, goal.vary or [], options, trust_law=work.trust_law)
     more = robustness.list_variations(scenario, [key.key for key in keys])
     with work.find_any_place() as place:
-        answer = _search(scenario, keys, goal, wanted, seed, place, trust_law=work.trust_law)
+        answer = _search(scenario, keys, goal, wanted, seed, place, work=work)
         if "name" not in list_given_keys(options):
             answer.scenario = replace(answer.scenario, name=answer.tell_name())
         if work.output is not None:
@@ -223,7 +233,7 @@ def _search(  # noqa: PLR0913  (what a search takes)
     seed: int,
     place: Any,
     *,
-    trust_law: bool,
+    work: TuneOptions,
 ) -> Answer:
     """Return the best values and their neighbourhood."""
     most = goal.count_evaluations(len(keys))
@@ -240,7 +250,9 @@ def _search(  # noqa: PLR0913  (what a search takes)
             jobs=place,
             expected=expected,
             watch=watch,
-            trust_law=trust_law,
+            trust_law=work.trust_law,
+            step_budget_s=choose_step_budget(work.step_budget_ms),
+            tell=_tell_late,
         )
         candidates.require_bounds([tuple(key.low for key in keys), tuple(key.high for key in keys)])
         is_maximised, around = wanted.is_maximised, None
@@ -262,6 +274,10 @@ def _search(  # noqa: PLR0913  (what a search takes)
         tuned=tuned,
         around=around,
     )
+
+
+def _tell_late(late: str) -> None:
+    print_note(f"{late}. Every such candidate takes as long; --step-budget-ms 100 ends it sooner")
 
 
 def _tell_best_so_far(
@@ -298,4 +314,5 @@ def _simulate_variants(
             jobs=place,
             watch=watch,
             trust_law=work.trust_law,
+            step_budget_s=choose_step_budget(work.step_budget_ms),
         )

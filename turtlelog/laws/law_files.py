@@ -27,7 +27,7 @@ from typing import Any, Final, NoReturn
 
 _PREFIX: Final = "turtlelog_law_folder_"
 
-_NEVER_BESIDE: Final = sys.stdlib_module_names | {"turtlelog"}
+_NEVER_BESIDE: Final = sys.stdlib_module_names | {"__main__", "turtlelog"}
 """A file beside a law does not replace these: a `random.py` there may be anything."""
 
 
@@ -45,7 +45,9 @@ def load_law_file(path: Path) -> ModuleType:
         return sys.modules[name]
     module = ModuleType(name)
     module.__file__ = str(path)
-    vars(module)["__builtins__"] = _open_folder(place.parent).builtins
+    folder = _open_folder(place.parent)
+    folder.elsewhere.clear()  # the file may have been edited because of one that was missing
+    vars(module)["__builtins__"] = folder.builtins
     # Dataclasses and pickle look their module up by name.
     sys.modules[name] = module
     try:
@@ -57,16 +59,26 @@ def load_law_file(path: Path) -> ModuleType:
     return module
 
 
+def list_law_files(path: Path) -> list[Path]:
+    """Return the file of a law, and those beside it that were imported so far."""
+    beside = f"{_name_folder(path.resolve().parent)}."
+    modules = [module for name, module in [*sys.modules.items()] if name.startswith(beside)]
+    files = [getattr(module, "__file__", None) for module in modules]
+    return [path, *sorted(Path(file) for file in files if file)]
+
+
 class _LawFolder:
     """A folder of laws: a package of a name that no other has.
 
     Attributes:
         name: Of the package, which begins the names of the modules in the folder.
         builtins: Of these modules: Python's, with an import that looks into the folder first.
+        elsewhere: Names that were not in the folder.
     """
 
     def __init__(self, name: str, path: Path) -> None:
         self.name = name
+        self.elsewhere: set[str] = set()
         self.builtins: dict[str, Any] = {**vars(builtins), "__import__": self._import}
         self._loaders: Any = (
             (ExtensionFileLoader, EXTENSION_SUFFIXES),
@@ -97,16 +109,17 @@ class _LawFolder:
         return found if fromlist else sys.modules[f"{self.name}.{first}"]
 
     def _has(self, first: str) -> bool:
-        if first in _NEVER_BESIDE:
+        if first in _NEVER_BESIDE or first in self.elsewhere:
             return False
         name = f"{self.name}.{first}"
         if name in sys.modules:
             return True
         spec = self.find_spec(name, self._package.__path__)
-        if spec is None:
-            return False
         # A folder without `__init__.py`, of data maybe, counts where nothing else has the name.
-        return spec.loader is not None or find_spec(first) is None
+        if spec is None or (spec.loader is None and find_spec(first) is not None):
+            self.elsewhere.add(first)
+            return False
+        return True
 
 
 class _Loader(SourceFileLoader):
@@ -139,8 +152,12 @@ _FOLDERS: Final[dict[str, _LawFolder]] = {}
 _FINDER: Final = _Finder()
 
 
+def _name_folder(path: Path) -> str:
+    return f"{_PREFIX}{sha256(str(path).encode()).hexdigest()[:16]}"
+
+
 def _open_folder(path: Path) -> _LawFolder:
-    name = f"{_PREFIX}{sha256(str(path).encode()).hexdigest()[:16]}"
+    name = _name_folder(path)
     if name not in _FOLDERS:
         _FOLDERS[name] = _LawFolder(name, path)
     if _FINDER not in sys.meta_path:

@@ -6,17 +6,25 @@ from typing import Final
 
 import msgspec
 
-from turtlelog.laws import Pose
+from turtlelog.laws import LAWS, Pose
 from turtlelog.plants import Plant
 from turtlelog.run import Event
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.controller import build_controller
 from turtlelog.simulate.drives import build_drive
 from turtlelog.simulate.event_watch import build_watch
-from turtlelog.simulate.law_driver import Samples, build_law
+from turtlelog.simulate.law_driver import LawDriver, Samples, build_law
 from turtlelog.simulate.sensing import build_sensor
 from turtlelog.simulate.shaping import build_driver
-from turtlelog.simulate.step_budget import STEP_BUDGET, StepBudgetError
+from turtlelog.simulate.step_budget import (
+    STEP_BUDGET,
+    STEP_BUDGET_S,
+    TIMED_BELOW_S,
+    LimitedLoop,
+    StepBudgetError,
+    is_inspected,
+    require_budget,
+)
 from turtlelog.simulate.transport import build_commands
 
 _POSE: Final = Struct("<5f")
@@ -55,9 +63,13 @@ class Tick(msgspec.Struct, frozen=True, gc=False):
 
 
 def iterate_ticks(
-    scenario: Scenario, plant: Plant | None = None, *, step_budget_s: float | None = None
+    scenario: Scenario,
+    plant: Plant | None = None,
+    *,
+    step_budget_s: float | None = STEP_BUDGET_S,
+    one_by_one: bool = False,
 ) -> Iterator[Tick]:
-    """Yield the ticks of a closed loop until the law is done or `max_duration_s` has passed.
+    """Return the ticks of a closed loop until the law is done or `max_duration_s` has passed.
 
     Ticks are steps of the plant, one per period; what the scenario counts in ticks as well. A tick
     owns the time up to the next. At one time the plant moves first, then commands arrive, then the
@@ -66,18 +78,40 @@ def iterate_ticks(
     Args:
         scenario: What to simulate.
         plant: On whose clock; None: on that of the scenario's plant.
-        step_budget_s: How long the law may compute for one answer [s]; None: as long as it takes.
+        step_budget_s: Time that the law may compute for one answer, by the computer's clock [s];
+            None: as long as it takes. From 1 s on the steps of built-in laws are not watched, and
+            the loop of another law computes in a thread of its own.
+        one_by_one: Compute a tick when it is taken, not some ticks ahead.
 
     Raises:
-        SimulationError: Where the law fails or answers with something that is no number; after the
-            tick in which it does, whose stop reason is `law_failed`, or `step_budget` where it
-            computed for too long.
+        ScenarioError: If the law cannot be loaded or may not run.
+        SimulationError: If the budget is no time. While iterating, if the law fails or answers with
+            something that is no number; after the tick in which it does, whose stop reason is
+            `law_failed`, or `step_budget` if it computed for too long.
     """
     scenario = resolve_scenario(scenario)
+    if step_budget_s is not None:
+        require_budget(step_budget_s)
+    drivers: list[LawDriver] = []
+    ticks = _iterate(scenario, plant, step_budget_s, drivers)
+    kind = scenario.law.kind
+    if step_budget_s is None or step_budget_s < TIMED_BELOW_S or kind in LAWS or is_inspected():
+        return ticks
+    return LimitedLoop(ticks, drivers, step_budget_s, law=kind, one_by_one=one_by_one).iterate()
+
+
+def _iterate(
+    scenario: Scenario,
+    plant: Plant | None,
+    step_budget_s: float | None,
+    drivers: list[LawDriver],
+) -> Iterator[Tick]:
+    """Yield the ticks; `drivers` gets what asks the law."""
     plant = scenario.plant.facts if plant is None else plant
     period_ns = plant.period_ns
     law = build_law(scenario.law)
     driver = build_driver(scenario, law, period_ns=period_ns, step_budget_s=step_budget_s)
+    drivers.append(driver)
     controller = build_controller(scenario, driver, plant)
     sensor = build_sensor(scenario, period_ns, controller.receive)
     commands = build_commands(scenario, plant)

@@ -14,7 +14,9 @@ from turtlelog.plants import Plant
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate.closed_loop import Tick, iterate_ticks
+from turtlelog.simulate.event_watch import describe_stop
 from turtlelog.simulate.law_driver import Sample, declare_scenario
+from turtlelog.simulate.step_budget import STEP_BUDGET, STEP_BUDGET_S, StepBudgetError
 
 # Rows are packed as they come: 8 bytes a value, whole numbers first.
 _POSE_ROW: Final = Struct("<q5d")
@@ -24,16 +26,27 @@ _NAN: Final = float("nan")
 _NO_POSE: Final = Pose(_NAN, _NAN, _NAN)
 
 
-def simulate_run(scenario: Scenario, plant: Plant | None = None) -> Run:
+def simulate_run(
+    scenario: Scenario,
+    plant: Plant | None = None,
+    *,
+    step_budget_s: float | None = STEP_BUDGET_S,
+) -> Run:
     """Simulate a scenario and return its run; with a `plant` on that plant's clock.
+
+    Args:
+        scenario: What to simulate.
+        plant: On whose clock; None: on that of the scenario's plant.
+        step_budget_s: Time that the law may compute for one answer, by the computer's clock [s];
+            None: as long as it takes.
 
     Raises:
         ScenarioError: Where the law cannot be loaded or may not run.
-        SimulationError: Where the law fails, with the run so far as `run`, or no pose is answered
-            within `max_duration_s`.
+        SimulationError: Where the law fails or computes for longer, with the run so far as `run`,
+            or no pose is answered within `max_duration_s`.
     """
     scenario = resolve_scenario(scenario)
-    return collect_run(scenario, iterate_ticks(scenario, plant))
+    return collect_run(scenario, iterate_ticks(scenario, plant, step_budget_s=step_budget_s))
 
 
 def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
@@ -46,6 +59,8 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
     try:
         collector.take(ticks)
     except SimulationError as err:
+        if isinstance(err, StepBudgetError):
+            collector.end_late(err)
         err.run = collector.build_run() if collector.has_samples else None
         raise
     return collector.build_run()
@@ -89,6 +104,14 @@ class RunCollector:
                 )
             self._events += tick.events
             self._stop_reason = tick.stop_reason
+
+    def end_late(self, err: StepBudgetError) -> None:
+        """Enter the end of a loop whose step could not be ended, and has no last tick."""
+        if self._stop_reason is None and self._poses:
+            last_ns = int.from_bytes(self._poses[-_POSE_ROW.size :][:8], "little", signed=True)
+            text = describe_stop(STEP_BUDGET, f": {err}")
+            self._stop_reason = STEP_BUDGET
+            self._events.append(Event(time_ns=last_ns, kind="stop", text=text))
 
     def build_run(self) -> Run:
         """Return the run of all ticks so far.

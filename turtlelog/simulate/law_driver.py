@@ -1,7 +1,7 @@
 """A law at work: it reads poses one by one, and its decisions become samples."""
 
 import sys
-from math import copysign, hypot, isfinite, isinf, nan
+from math import copysign, hypot, inf, isfinite, isinf, nan
 from typing import Final
 
 import msgspec
@@ -21,7 +21,14 @@ from turtlelog.laws import (
 from turtlelog.loops import Declaration
 from turtlelog.scenario import LawChoice, Scenario, resolve_law
 from turtlelog.simulate.answers import complete_decision
-from turtlelog.simulate.step_budget import StepBudget, StepBudgetError
+from turtlelog.simulate.step_budget import (
+    TIMED_BELOW_S,
+    StepBudget,
+    StepBudgetError,
+    StepEnded,
+    advise_budget,
+    describe_excess,
+)
 
 LARGEST_FLOAT: Final = 3.4e38
 """Poses and applied velocities are published as 32-bit floats."""
@@ -89,6 +96,8 @@ class LawDriver:
     """
 
     __slots__ = (
+        "_asked_ns",
+        "_budget_s",
         "_call",
         "_ended",
         "_first_phase",
@@ -109,10 +118,13 @@ class LawDriver:
     def __init__(self, scenario: Scenario, law: Law, *, step_budget_s: float | None = None) -> None:
         """Take goal and limits from a scenario; the law begins at the first pose.
 
-        With a budget a step that computes for longer by the clock fails with a StepBudgetError.
+        With a budget a step that computes for longer by the clock fails with a StepBudgetError: a
+        short one is measured here, of a longer one a `LimitedLoop` takes care.
         """
         self._law, self._kind = law, scenario.law.kind
-        self._call = law.step if step_budget_s is None else StepBudget(law.step, step_budget_s)
+        self._budget_s, self._asked_ns = inf if step_budget_s is None else step_budget_s, 0
+        is_timed = self._budget_s < TIMED_BELOW_S
+        self._call = StepBudget(law.step, self._budget_s) if is_timed else law.step
         self._step = self._call if type(law) in LAWS.values() else self._step_of_others
         goal, parameters = _build_goal(scenario), scenario.law.parameters
         self.declaration = declaration = declare_law(type(law), parameters, goal, scenario.path)
@@ -140,6 +152,7 @@ class LawDriver:
         """
         sequence = self._sequence
         self._sequence += 1
+        self._asked_ns = time_ns
         try:
             if sequence == 0:
                 self._reset(pose)
@@ -151,8 +164,11 @@ class LawDriver:
                 phase = self._judge(decision)
         except KeyboardInterrupt:
             raise
-        except StepBudgetError as err:
-            raise StepBudgetError(f"law {self._kind}, sample {sequence} {err}") from err
+        except (StepBudgetError, StepEnded) as err:
+            budget_s, is_ended = self._budget_s, isinstance(err, StepEnded)
+            ended = describe_excess(budget_s, budget_s, has_returned=False)
+            what = ended if is_ended else str(err)
+            raise StepBudgetError(self.describe_late(what)) from None
         except BaseException as err:
             reason = describe_law_error(err, type(self._law))
             raise SimulationError(f"law {self._kind}, sample {sequence}: {reason}") from err
@@ -176,6 +192,17 @@ class LawDriver:
             distance,
             published_ns,
         )
+
+    @property
+    def asked(self) -> int:
+        """How many poses the law was asked to answer."""
+        return self._sequence
+
+    def describe_late(self, what: str) -> str:
+        """Return that the latest answer is late, and how a longer budget is set."""
+        place = f"law {self._kind}, sample {self._sequence - 1}"
+        advice = advise_budget(self._budget_s)
+        return f"{place} {what}, at {self._asked_ns / 1e9:.3f} s; {advice}"
 
     def _reset(self, pose: Pose) -> None:
         with print_to_stderr():

@@ -15,6 +15,7 @@ from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.collect import simulate_run
 from turtlelog.simulate.compiled.fields import is_common, is_compiled
 from turtlelog.simulate.compiled.runner import KernelRunner
+from turtlelog.simulate.step_budget import STEP_BUDGET_S
 
 COST_S: Final = 1.0
 """What numba's import and the loop take from their cache [s]."""
@@ -63,14 +64,19 @@ class ManyRuns(Iterator[Simulated]):
     """
 
     def __init__(
-        self, scenarios: Iterable[Scenario], *, plant: Plant | None, threads: int | None
+        self,
+        scenarios: Iterable[Scenario],
+        *,
+        plant: Plant | None,
+        threads: int | None,
+        step_budget_s: float | None,
     ) -> None:
         self.compiled = self.interpreted = 0
         self._threads = count_cores() if threads is None else threads
         if self._threads < 1:
             raise SimulationError(f"threads: expected at least 1, found {threads}")
         self._count = len(scenarios) if isinstance(scenarios, Sized) else 1
-        self._plant = plant
+        self._plant, self._step_budget_s = plant, step_budget_s
         self._scenarios = iter(scenarios)
         self._waiting: deque[Simulated | Future[Simulated]] = deque()
         self._pool: ThreadPoolExecutor | None = None
@@ -115,18 +121,24 @@ class ManyRuns(Iterator[Simulated]):
         with self._counting:
             self.compiled += run is not None
             self.interpreted += run is None
-        return _simulate(scenario, plant) if run is None else run
+        return self._simulate(scenario, plant) if run is None else run
 
     def _interpret(self, scenario: Scenario, plant: Plant, loop: CompiledLoops | None) -> Simulated:
         """Simulate, and find out whether the others are worth loading a compiled loop."""
         with self._counting:
             self.interpreted += 1
-        found = _simulate(scenario, plant)
+        found = self._simulate(scenario, plant)
         if isinstance(found, Run) and loop is not None:
             # The first tells how long the others will be about; later ones count themselves.
             runs = self._count if self.interpreted == 1 else 1
             loop.expect(len(found.samples) * runs, find_saving(scenario))
         return found
+
+    def _simulate(self, scenario: Scenario, plant: Plant) -> Simulated:
+        try:
+            return simulate_run(scenario, plant, step_budget_s=self._step_budget_s)
+        except SimulationError as err:
+            return err
 
 
 def find_loop(scenario: Scenario, plant: Plant) -> CompiledLoops | None:
@@ -144,7 +156,11 @@ def find_saving(scenario: Scenario) -> float:
 
 
 def simulate_many(
-    scenarios: Iterable[Scenario], *, plant: Plant | None = None, threads: int | None = None
+    scenarios: Iterable[Scenario],
+    *,
+    plant: Plant | None = None,
+    threads: int | None = None,
+    step_budget_s: float | None = STEP_BUDGET_S,
 ) -> ManyRuns:
     """Simulate scenarios one after the other, each as `simulate_run` does, bit for bit.
 
@@ -155,6 +171,7 @@ def simulate_many(
         scenarios: What to simulate; taken as the runs are.
         plant: On whose clock; None: each on that of its own plant.
         threads: That simulate at once; None: as many as cores.
+        step_budget_s: Time that a law may compute for one answer [s]; None: as long as it takes.
 
     Returns:
         An iterator of runs; where one fails its SimulationError, with the run so far as `run`.
@@ -163,11 +180,4 @@ def simulate_many(
         SimulationError: Where `threads` is no number above 0.
         ScenarioError: While iterating, where a law cannot be loaded or may not run.
     """
-    return ManyRuns(scenarios, plant=plant, threads=threads)
-
-
-def _simulate(scenario: Scenario, plant: Plant) -> Simulated:
-    try:
-        return simulate_run(scenario, plant)
-    except SimulationError as err:
-        return err
+    return ManyRuns(scenarios, plant=plant, threads=threads, step_budget_s=step_budget_s)

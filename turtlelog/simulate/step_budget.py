@@ -1,21 +1,51 @@
-"""How long a law may compute for one answer, by the clock; also of one that never returns."""
+"""How long a law may compute for one answer, by the clock; also of one that never returns.
+
+A step that computes is ended by an exception, which is raised in the thread of the law alone: it
+hits nothing but the law. Code that goes on nevertheless, as it catches everything or waits in C, is
+left to itself in its thread, which ends with the process at the latest. Only C code that never
+releases the interpreter's lock holds a run up.
+"""
 
 import contextvars
+import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
+from itertools import islice
 from math import inf
 from queue import Empty, SimpleQueue
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 
 from turtlelog.display import format_number
 from turtlelog.errors import SimulationError
 from turtlelog.laws import Decision, Pose
 
+if TYPE_CHECKING:
+    from turtlelog.simulate.closed_loop import Tick
+
 STEP_BUDGET: Final = "step_budget"
 """Stop reason of a run whose law computed for longer than it may."""
+
+STEP_BUDGET_S: Final = 10.0
+"""What a law of the user's own may take for one answer unless another budget is set [s]: far more
+than a robot waits for, and short enough for somebody who waits for a law that never returns."""
+
+TIMED_BELOW_S: Final = 1.0
+"""Below this budget each step computes in a thread of its own and is timed, which takes as long
+again as the loop [s]. From here on the whole loop is in a thread and looked at now and then."""
+
+_LOOKS: Final = 20
+"""How often a budget is looked whether the step has returned: it may last a twentieth longer."""
+
+_PIECE_S: Final = 0.02
+"""How long the loop goes on before its ticks are handed out [s]: a bar moves, Ctrl-C acts."""
+
+_AT_ONCE: Final = 256
+"""Ticks that are handed out together at most: fewer cost more calls, more do not fit a cache."""
 
 _PATIENCE_S: Final = 1.0
 """Wait beyond the budget [s]: for a step that returns within it, the error states its time."""
@@ -23,27 +53,122 @@ _PATIENCE_S: Final = 1.0
 _AGAIN_S: Final = 0.05
 """Between two attempts to end a step that does not return [s]: a law may catch what ends it."""
 
+_ATTEMPTS: Final = 10
+"""To end a step that does not return, before the run goes on without it."""
+
 _LONGEST_S: Final = 3600.0
 """One wait of a longer budget [s]: a queue refuses waits beyond some years."""
 
+_DEBUGGERS: Final = frozenset({"bdb", "pdb", "pydevd", "_pydevd_bundle", "debugpy"})
+
+_OF_A_BUDGET: Final = " of a budget of "
+
 Step = Callable[[int, Pose], Decision]
-_Answer = tuple[Decision | None, BaseException | None, float]
+_Result = TypeVar("_Result")
 
 
 class StepBudgetError(SimulationError):
     """A law that computed for longer than it may."""
 
 
-class _Ended(SystemExit):
+class StepEnded(SystemExit):
     """What ends a step that does not return. Threads end with a SystemExit without a word."""
 
 
-class StepBudget:
-    """A law's `step` that computes in a thread of its own, for a limited time.
+def require_budget(budget_s: float) -> None:
+    """Refuse a budget that is no time.
 
-    The exception that ends a step is raised in that thread alone, so it hits nothing but the law. A
-    step that goes on nevertheless, as it catches everything or waits in C code, does not delay the
-    run. Only C code that never releases the interpreter's lock does.
+    Raises:
+        SimulationError: If it is not above 0, or infinite.
+    """
+    if not 0.0 < budget_s < inf:
+        raise SimulationError(f"step_budget_s: expected a time above 0 s, found {budget_s}")
+
+
+def describe_excess(budget_s: float, took_s: float, *, has_returned: bool = True) -> str:
+    """Return how long a step took, or is at work already [s]."""
+    took = f"{format_number(took_s * 1e3)} ms"
+    more = "" if has_returned else "more than "
+    return f"took {more}{took}{_OF_A_BUDGET}{format_number(budget_s * 1e3)} ms"
+
+
+def is_late(reason: str) -> bool:
+    """Whether the reason of a failure is that a step took longer than its budget."""
+    return _OF_A_BUDGET in reason
+
+
+def advise_budget(budget_s: float) -> str:
+    """Return how a longer budget is set."""
+    longer_s = 6.0 * budget_s
+    option = f"--step-budget-ms {format_number(longer_s * 1e3)}"
+    return f"a slow law needs more: {option}, in Python step_budget_s={format_number(longer_s)}"
+
+
+class _Worker(Generic[_Result]):
+    """A thread that calls a function when it is asked to.
+
+    Attributes:
+        start_s: When the call began that it is at, if it is at one [s].
+    """
+
+    def __init__(self, call: Callable[..., _Result], name: str) -> None:
+        self._questions: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
+        self._answers: SimpleQueue[tuple[_Result | None, BaseException | None, float]]
+        self._answers = SimpleQueue()
+        self.start_s: list[float] = []
+        # With the context of the caller: numpy's handling of errors and the like are as there.
+        call = partial(contextvars.copy_context().run, call)
+        channels = self._questions, self._answers, self.start_s
+        self._thread = threading.Thread(
+            target=_work, args=(call, *channels), name=name, daemon=True
+        )
+        self._thread.start()
+        weakref.finalize(self, self._questions.put, None)
+
+    def ask(self, *question: Any) -> None:
+        """Have the function called."""
+        self.start_s.clear()
+        self._questions.put(question)
+
+    def wait(self, most_s: float) -> tuple[_Result | None, BaseException | None, float]:
+        """Return what the function returned or raised, and how long it took [s].
+
+        Raises:
+            Empty: If it takes longer than this [s].
+        """
+        return self._answers.get(timeout=min(most_s, _LONGEST_S))
+
+    def interrupt(self) -> None:
+        """Raise an exception in the thread."""
+        import ctypes  # Only steps that do not return pay for it.
+
+        ended = ctypes.py_object(StepEnded)
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread.ident or 0), ended)
+
+    def leave(self) -> None:
+        """Go on without it; the thread is ended as soon as that is possible."""
+        self._questions.put(None)
+        arguments = self._thread, self.interrupt
+        threading.Thread(target=_end, args=arguments, name="step end", daemon=True).start()
+
+    def end(self) -> None:
+        """Let the thread end once it has nothing to do."""
+        self._questions.put(None)
+
+    def is_debugged(self) -> bool:
+        """Whether somebody looks at what it does, in a debugger."""
+        frame = sys._current_frames().get(self._thread.ident or 0)
+        while frame is not None:
+            if str(frame.f_globals.get("__name__")).partition(".")[0] in _DEBUGGERS:
+                return True
+            frame = frame.f_back
+        return False
+
+
+class StepBudget:
+    """A law's `step` that computes in a thread of its own, and is timed.
+
+    A step that cannot be ended does not delay the run.
     """
 
     def __init__(self, step: Step, budget_s: float) -> None:
@@ -52,13 +177,9 @@ class StepBudget:
         Raises:
             SimulationError: Where that is no time above 0.
         """
-        if not 0.0 < budget_s < inf:
-            raise SimulationError(f"step_budget_s: expected a time above 0 s, found {budget_s}")
+        require_budget(budget_s)
         self._step, self._budget_s = step, budget_s
-        self._questions: SimpleQueue[tuple[int, Pose] | None] = SimpleQueue()
-        self._answers: SimpleQueue[_Answer] = SimpleQueue()
-        self._start_s: list[float] = []
-        self._thread: threading.Thread | None = None
+        self._worker: _Worker[Decision] | None = None
 
     def __call__(self, time_ns: int, pose: Pose) -> Decision:
         """Return the law's decision, or raise what the law raises.
@@ -66,72 +187,178 @@ class StepBudget:
         Raises:
             StepBudgetError: Where it took longer; the text goes on after the number of the sample.
         """
-        thread = self._thread or self._begin()
-        self._start_s.clear()
-        self._questions.put((time_ns, pose))
+        worker = self._worker = self._worker or _Worker(self._step, "step")
+        worker.ask(time_ns, pose)
         try:
-            decision, error, took_s = self._wait()
+            decision, error, took_s = self._wait(worker)
         except BaseException:
-            self._questions.put(None)
-            threading.Thread(target=_end, args=(thread,), name="step end", daemon=True).start()
+            worker.leave()
             raise
         if took_s > self._budget_s:
-            raise StepBudgetError(f"took {self._describe(took_s)}") from error
+            raise StepBudgetError(describe_excess(self._budget_s, took_s)) from error
         if error is not None:
             raise error
         return decision  # type: ignore[return-value]
 
-    def _begin(self) -> threading.Thread:
-        # With the context of the caller: numpy's handling of errors and the like are as there.
-        run_step = contextvars.copy_context().run
-        channels = self._questions, self._answers, self._start_s
-        arguments = (run_step, self._step, *channels)
-        self._thread = threading.Thread(target=_work, args=arguments, name="step", daemon=True)
-        self._thread.start()
-        weakref.finalize(self, self._questions.put, None)
-        return self._thread
-
-    def _wait(self) -> _Answer:
+    def _wait(
+        self, worker: _Worker[Decision]
+    ) -> tuple[Decision | None, BaseException | None, float]:
         """Return the answer; of a step that is late, wait a while longer to know its time."""
         took_s, most_s = 0.0, self._budget_s + _PATIENCE_S
         while took_s < most_s:
             try:
-                return self._answers.get(timeout=min(most_s - took_s, _LONGEST_S))
+                return worker.wait(most_s - took_s)
             except Empty:
-                began_s = self._start_s[0] if self._start_s else time.perf_counter()
+                began_s = worker.start_s[0] if worker.start_s else time.perf_counter()
                 took_s = time.perf_counter() - began_s
-        raise StepBudgetError(f"took more than {self._describe(most_s)}")
+        raise StepBudgetError(describe_excess(self._budget_s, most_s, has_returned=False))
 
-    def _describe(self, took_s: float) -> str:
-        took, budget = format_number(took_s * 1e3), format_number(self._budget_s * 1e3)
-        return f"{took} ms of a budget of {budget} ms"
+
+class AskedLaw(Protocol):
+    """What asks a law, seen from another thread."""
+
+    @property
+    def asked(self) -> int:
+        """How many answers were asked for."""
+
+    def describe_late(self, what: str) -> str:
+        """Return that the latest answer is late."""
+
+
+class LimitedLoop:
+    """A loop that goes on in a thread of its own while its steps keep their budget.
+
+    The thread hands its ticks out now and then, so that they cost as much as without a budget.
+    """
+
+    def __init__(
+        self,
+        ticks: "Iterator[Tick]",
+        asked: Sequence[AskedLaw],
+        budget_s: float,
+        *,
+        law: str,
+        one_by_one: bool,
+    ) -> None:
+        """Take a loop.
+
+        Args:
+            ticks: Of it.
+            asked: Has what asks its law once it has begun.
+            budget_s: How long the law may compute for one answer [s].
+            law: Its kind.
+            one_by_one: Whether each tick is computed when it is taken, as one does that has a time.
+        """
+        self._ticks, self._asked, self._budget_s = ticks, asked, budget_s
+        self._law, self._one_by_one = law, one_by_one
+        self._made: deque[Tick] = deque()
+        self._hands_out = self._is_late = False
+
+    def iterate(self) -> "Iterator[Tick]":
+        """Yield the ticks.
+
+        Raises:
+            StepBudgetError: If a step takes longer than the budget, after the ticks before it.
+        """
+        worker, is_over, error, stdout = _Worker(self._advance, "loop"), False, None, sys.stdout
+        while not (is_over or error):
+            worker.ask()
+            try:
+                is_over, error = self._wait(worker)
+            except BaseException as err:
+                worker.leave()
+                sys.stdout = stdout  # what a law prints goes to stderr while it computes
+                if not isinstance(err, StepBudgetError):
+                    raise
+                error = err
+            while self._made:
+                yield self._made.popleft()
+        worker.end()
+        if self._is_late and not isinstance(error, StepBudgetError):
+            error = StepBudgetError(self._describe())
+        if error is not None:
+            raise error
+
+    def _advance(self) -> bool:
+        """Make ticks until they are to be handed out; return whether there are no more."""
+        self._hands_out = self._one_by_one
+        made = self._made
+        for tick in islice(self._ticks, _AT_ONCE):
+            made.append(tick)
+            if self._hands_out:
+                return False
+        return len(made) < _AT_ONCE
+
+    def _wait(self, worker: _Worker[bool]) -> tuple[bool, BaseException | None]:
+        """Return whether the loop is over, and what it raised.
+
+        Raises:
+            StepBudgetError: If a step is late and cannot be ended.
+        """
+        with suppress(Empty):
+            return _judge(worker.wait(_PIECE_S))
+        self._hands_out = True
+        seen, waited_s, look_s = -1, 0.0, self._budget_s / _LOOKS
+        while waited_s < self._budget_s:
+            began_s = time.perf_counter()
+            with suppress(Empty):
+                return _judge(worker.wait(look_s))
+            # A process that was stopped for an hour has not computed for an hour.
+            waited_s += min(time.perf_counter() - began_s, 2.0 * look_s)
+            before, seen = seen, self._asked[0].asked if self._asked else 0
+            if seen != before or worker.is_debugged():
+                waited_s = 0.0
+        self._is_late = True
+        return self._end(worker)
+
+    def _end(self, worker: _Worker[bool]) -> tuple[bool, BaseException | None]:
+        for _ in range(_ATTEMPTS):
+            worker.interrupt()
+            with suppress(Empty):
+                return _judge(worker.wait(_PATIENCE_S / _ATTEMPTS))
+        raise StepBudgetError(self._describe())
+
+    def _describe(self) -> str:
+        what = describe_excess(self._budget_s, self._budget_s, has_returned=False)
+        if self._asked:
+            return self._asked[0].describe_late(what)
+        return f"law {self._law} {what}, before its first sample; {advise_budget(self._budget_s)}"
+
+
+def _judge(
+    answer: tuple[bool | None, BaseException | None, float],
+) -> tuple[bool, BaseException | None]:
+    is_over, error, _ = answer
+    return bool(is_over), error
+
+
+def is_inspected() -> bool:
+    """Whether somebody debugs or profiles this thread, and would miss what another one does."""
+    debugger = getattr(sys.gettrace(), "__self__", None)
+    return sys.getprofile() is not None or type(debugger).__module__.partition(".")[0] in _DEBUGGERS
 
 
 def _work(
-    run_step: Callable[[Step, int, Pose], Decision],
-    step: Step,
-    questions: SimpleQueue[tuple[int, Pose] | None],
-    answers: SimpleQueue[_Answer],
+    call: Callable[..., _Result],
+    questions: SimpleQueue[tuple[Any, ...] | None],
+    answers: SimpleQueue[tuple[_Result | None, BaseException | None, float]],
     start_s: list[float],
 ) -> None:
     """Answer one question after the other, with the time that each took [s]."""
-    with suppress(_Ended):  # it may come when the step has just returned
+    with suppress(StepEnded):  # it may come when the step has just returned
         while (question := questions.get()) is not None:
-            decision, error = None, None
+            result, error = None, None
             began_s = time.perf_counter()
             start_s.append(began_s)
             try:
-                decision = run_step(step, *question)
+                result = call(*question)
             except BaseException as err:
                 error = err
-            answers.put((decision, error, time.perf_counter() - began_s))
+            answers.put((result, error, time.perf_counter() - began_s))
 
 
-def _end(thread: threading.Thread) -> None:
+def _end(thread: threading.Thread, interrupt: Callable[[], None]) -> None:
     """Raise an exception in a thread until it ends: code that catches all may catch some."""
-    import ctypes  # Only steps that do not return pay for it.
-
-    ended = ctypes.py_object(_Ended)
     while thread.is_alive():
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ended)
+        interrupt()
         thread.join(_AGAIN_S)

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from turtlelog.errors import ScenarioError
+from turtlelog.laws.law_files import list_law_files
 from turtlelog.measure import choose_metrics
 from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
+from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.plan import SweepPlan, build_row_scenario
 from turtlelog.sweep.simulate_rows import RowChunk, RowRecords, require_condition
 from turtlelog.version import __version__
@@ -24,7 +26,9 @@ class Sweep:
         plan: Its rows.
         metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
         records: Which runs are recorded; None: none.
-        law_code: A checksum of the file of a law that is not built in; empty otherwise.
+        law_code: A checksum of the files of a law that is not built in; empty otherwise.
+        step_budget_s: Time that a law may compute for one answer [s]; another one goes on with the
+            rows that are done.
     """
 
     base: str
@@ -32,6 +36,7 @@ class Sweep:
     metrics: tuple[str, ...] | None = None
     records: RowRecords | None = None
     law_code: str = ""
+    step_budget_s: float = STEP_BUDGET_S
 
     def list_facts(self) -> dict[str, str]:
         """Return what makes two sweeps the same, as file metadata have it."""
@@ -58,6 +63,7 @@ class Sweep:
             records=self.records,
             ahead=ahead,
             threads=threads,
+            step_budget_s=self.step_budget_s,
         )
 
 
@@ -68,6 +74,7 @@ def prepare_sweep(
     metrics: Sequence[str] | None = None,
     records: RowRecords | None = None,
     trust_law: bool = False,
+    step_budget_s: float = STEP_BUDGET_S,
 ) -> Sweep:
     """Return a sweep of a base scenario, after the first, the middle and the last row were built.
 
@@ -77,6 +84,8 @@ def prepare_sweep(
         metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
         records: Which runs are recorded.
         trust_law: Whether a law that a recording names may run, too.
+        step_budget_s: Time that a law may compute for one answer [s]; a row whose law takes longer
+            fails.
 
     Raises:
         ScenarioError: Where none of these rows makes a scenario, or the law may not run.
@@ -109,12 +118,17 @@ def prepare_sweep(
         metrics=None if metrics is None else tuple(metrics),
         records=records,
         law_code=_sum_up_code(sorted(kinds)),
+        step_budget_s=step_budget_s,
     )
 
 
 def _sum_up_code(kinds: Sequence[str]) -> str:
-    """Return a checksum of the files of laws, empty where all are built in or modules."""
-    files = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
+    """Return a checksum of the files of laws and of what they import from beside them.
+
+    Empty where all are built in or modules.
+    """
+    laws = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
+    files = [file for law in laws for file in list_law_files(law)]
     if not files:
         return ""
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

@@ -27,6 +27,7 @@ from turtlelog.run import Run
 from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_many
 from turtlelog.simulate.compiled.fields import is_compiled, is_sequential
+from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late
 from turtlelog.sweep.batch import measure_rows
 from turtlelog.sweep.batch_table import COLUMN_OF, OK, STATUSES
 from turtlelog.sweep.plan import build_row_scenario
@@ -59,6 +60,7 @@ class RowChunk:
         ahead: How many rows this process has before it, about: whether the compiled loop is worth
             loading.
         threads: That work on it at once, where it is a batch.
+        step_budget_s: Time that a law may compute for one answer [s].
     """
 
     base: str
@@ -69,6 +71,7 @@ class RowChunk:
     records: RowRecords | None = None
     ahead: int = 0
     threads: int = 1
+    step_budget_s: float = STEP_BUDGET_S
 
 
 @dataclass(slots=True, kw_only=True)
@@ -109,6 +112,11 @@ class RowResults:
     def __len__(self) -> int:
         return len(self.failed)
 
+    def find_late(self) -> str | None:
+        """Return the first row whose law took longer than its budget, and why it failed."""
+        late = [(row, one) for row, one in enumerate(self.failed) if one and is_late(one)]
+        return f"row {self.first + late[0][0]}: {late[0][1]}" if late else None
+
 
 class _Scenarios(Iterator[Scenario]):
     """The scenarios of a chunk, which say how many come after them in later ones."""
@@ -137,7 +145,8 @@ def simulate_rows(chunk: RowChunk) -> RowResults:
         except TurtlelogError as err:
             scenarios.append(err)
     good = [one for one in scenarios if isinstance(one, Scenario)]
-    runs = iter(simulate_many(_Scenarios(good, chunk.ahead), threads=1))
+    rows = _Scenarios(good, chunk.ahead)
+    runs = iter(simulate_many(rows, threads=1, step_budget_s=chunk.step_budget_s))
     results = RowResults(first=chunk.first)
     for row, one in enumerate(scenarios, start=chunk.first):
         found = next(runs) if isinstance(one, Scenario) else one

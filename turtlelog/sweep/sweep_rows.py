@@ -63,6 +63,7 @@ def run_sweep(
     *,
     jobs: "int | Executor | None" = None,
     watch: Callable[[int], None] | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> SweepSummary:
     """Simulate all rows of a sweep, write their table and return what came of it.
 
@@ -74,6 +75,7 @@ def run_sweep(
         output: The Parquet file.
         jobs: Processes, or what takes the work; None: as many as cores where that is quicker.
         watch: Called with the number of rows that are done.
+        tell: Called once, with the first row whose law takes longer than its budget for a step.
 
     Raises:
         SweepError: Where the file is that of another sweep, another process works on it, or the
@@ -89,7 +91,7 @@ def run_sweep(
     try:
         _begin_records(sweep, kept)
         rows = SweptRows(kept)
-        _simulate(sweep, rows, jobs, watch or _ignore)
+        _simulate(sweep, rows, jobs, _Telling(watch or _ignore, tell or _ignore))
         write_result_table(assemble_table(sweep.plan, facts, rows), output)
         is_complete = True
     finally:
@@ -97,7 +99,7 @@ def run_sweep(
     return _summarise(output, sweep)
 
 
-def _ignore(_: int) -> None:
+def _ignore(_: object) -> None:
     """Do nothing."""
 
 
@@ -139,7 +141,7 @@ def _simulate(
     sweep: Sweep,
     rows: SweptRows,
     jobs: "int | Executor | None",
-    watch: Callable[[int], None],
+    watch: "_Telling",
 ) -> None:
     """Simulate the rows that are not done, two of them alone to see how long one takes."""
     watch(rows.count)
@@ -152,7 +154,7 @@ def _simulate(
         found = simulate_rows(first)
         row_s = time.perf_counter() - begun
         rows.add(found)
-        watch(rows.count)
+        watch(rows.count, found)
     rest = sweep.plan.row_count - rows.count
     if jobs is None:
         jobs = count_cores() if rest * row_s > LONG_S else 1
@@ -169,7 +171,21 @@ def _simulate(
     chunks = _Chunks(cut, rows.list_gaps(sweep.plan.row_count), size)
     for results in map_in_processes(simulate_rows, chunks, jobs, name=_name_chunk):
         rows.add(results)
-        watch(rows.count)
+        watch(rows.count, results)
+
+
+class _Telling:
+    """Tells how many rows are done, and of the first whose law is late."""
+
+    def __init__(self, watch: Callable[[int], None], tell: Callable[[str], None]) -> None:
+        self._watch, self._tell, self._has_told = watch, tell, False
+
+    def __call__(self, done: int, results: RowResults | None = None) -> None:
+        self._watch(done)
+        late = None if results is None or self._has_told else results.find_late()
+        if late is not None:
+            self._has_told = True
+            self._tell(late)
 
 
 class _Chunks(Sequence[RowChunk]):

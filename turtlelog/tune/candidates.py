@@ -12,6 +12,7 @@ from turtlelog.measure import list_metrics
 from turtlelog.processes import LONG_S, count_cores, map_in_processes, start_pool
 from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
+from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.plan import build_row_scenario
 from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
 from turtlelog.tune.goal import ConstraintFinding, TuningGoal
@@ -80,6 +81,8 @@ class Candidates:
         expected: int = 1000,
         watch: Callable[[int], None] | None = None,
         trust_law: bool = False,
+        step_budget_s: float = STEP_BUDGET_S,
+        tell: Callable[[str], None] | None = None,
     ) -> None:
         """Take what the candidates vary.
 
@@ -91,6 +94,8 @@ class Candidates:
             expected: How many candidates there will be, about.
             watch: Called with the number of candidates that are known.
             trust_law: Whether a law that a recording names may run, too.
+            step_budget_s: Time that the law may compute for one answer [s].
+            tell: Called once, with the first candidate whose law takes longer.
 
         Raises:
             ScenarioError: Where the base is no scenario, or its law may not run.
@@ -104,6 +109,7 @@ class Candidates:
         self._goal, self._base = goal, format_scenario(base)
         self._jobs, self._expected = jobs, expected
         self._watch = watch or (lambda _: None)
+        self._step_budget_s, self._tell = step_budget_s, tell
         self._known: dict[Point, Candidate] = {}
         self._row_s: float | None = None
         self._is_batch = False
@@ -148,6 +154,10 @@ class Candidates:
             for place, point in enumerate(new[first : first + len(results)]):
                 self._known[point] = self._judge(point, results, place)
                 self.evaluations += 1
+            late = results.find_late()
+            if late is not None and self._tell is not None:
+                self._tell(f"--vary: {late.partition(': ')[2]}")
+                self._tell = None
             self._watch(len(self._known))
         return [self._known[point] for point in points]
 
@@ -199,6 +209,7 @@ class Candidates:
             metrics=self._goal.metrics,
             ahead=max(self._expected - self.evaluations, 0),
             threads=threads,
+            step_budget_s=self._step_budget_s,
         )
 
     def _judge(self, point: Point, results: RowResults, place: int) -> Candidate:
