@@ -14,6 +14,7 @@ from turtlelog.check.recording import SimulatedRuns
 from turtlelog.errors import SimulationError
 from turtlelog.laws import Decision, Pose
 from turtlelog.log import Recorder, read_recording
+from turtlelog.replay import replay_law
 from turtlelog.runner import run_live
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import (
@@ -202,8 +203,10 @@ LATE = r"own\.py:Own, sample 12 took more than 1000 ms of a budget of 1000 ms, a
 
 @pytest.mark.parametrize(
     "call",
-    [simulate_run, simulate_many, iterate_ticks, run_live, prepare_sweep, Candidates]
-    + [SimulatedRuns.simulate],
+    [
+        *(simulate_run, simulate_many, iterate_ticks, run_live, prepare_sweep, Candidates),
+        SimulatedRuns.simulate,
+    ],
     ids=lambda call: call.__name__,
 )
 def test_a_step_has_ten_seconds_unless_set(call: Callable[..., object]) -> None:
@@ -267,7 +270,7 @@ def test_a_law_that_never_begins_has_its_budget_too(tmp_path: Path) -> None:
     )
     path.write_text(text, encoding="utf-8")
     scenario = override_scenario(get_preset("textbook"), {"law.kind": f"{path}:Own"})
-    with pytest.raises(StepBudgetError, match="took more than 1000 ms .*, before its first sample"):
+    with pytest.raises(StepBudgetError, match=r"took more than 1000 .*before its first"):
         simulate_run(scenario, step_budget_s=1.0)
 
 
@@ -289,3 +292,10 @@ def test_a_live_run_computes_each_tick_when_it_is_due(tmp_path: Path) -> None:
     scenario = make_scenario(tmp_path, "pass")
     ticks = iterate_ticks(scenario, one_by_one=True)
     assert [next(ticks).time_ns for _ in range(3)] == [0, 16_000_000, 32_000_000]
+
+
+def test_a_law_on_recorded_poses_has_its_budget_too(tmp_path: Path) -> None:
+    run = simulate_run(get_preset("textbook"))
+    scenario = make_scenario(tmp_path, "while True: time.sleep(0.01)")
+    with pytest.raises(StepBudgetError, match=LATE):
+        replay_law(run, scenario, step_budget_s=1.0)

@@ -17,7 +17,6 @@ from turtlelog.errors import LawError, TurtlelogError, describe_error
 from turtlelog.expressions.tokens import KEYWORDS
 from turtlelog.laws.base import Goal, Law
 from turtlelog.laws.kanayama import Kanayama
-from turtlelog.laws.law_files import load_law_file
 from turtlelog.laws.open_loop import OpenLoop
 from turtlelog.laws.posture import Posture
 from turtlelog.laws.pure_pursuit import PurePursuit
@@ -193,6 +192,8 @@ def _load_module(place: str) -> ModuleType:
     try:
         with print_to_stderr():
             if place.endswith(".py"):
+                from turtlelog.laws.law_files import load_law_file  # few commands run such a law
+
                 return load_law_file(Path(place))
             return importlib.import_module(place)
     except KeyboardInterrupt:

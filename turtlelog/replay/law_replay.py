@@ -1,5 +1,6 @@
 """The recorded poses through a law, against the recorded commands."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from turtlelog.differences import (
 )
 from turtlelog.errors import ReplayError as ReplayError
 from turtlelog.escapes import escape_controls
-from turtlelog.laws import Law, Pose
+from turtlelog.laws import LAWS, Law, Pose
 from turtlelog.log.recording.recovery_note import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.bag_reader import NOT_READ
@@ -36,7 +37,13 @@ from turtlelog.replay.sample_pairs import (
 )
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
-from turtlelog.simulate import Sample, SampleRows, build_driver, build_law
+from turtlelog.simulate import LawDriver, Sample, SampleRows, build_driver, build_law
+from turtlelog.simulate.step_budget import (
+    STEP_BUDGET_S,
+    LimitedLoop,
+    needs_watch,
+    require_budget,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,6 +99,7 @@ def replay_law(
     law: Law | None = None,
     tolerance: float = 0.0,
     trust_law: bool = False,
+    step_budget_s: float | None = STEP_BUDGET_S,
 ) -> LawReplay:
     """Let a law answer the recorded poses, in the order and at the times of the samples.
 
@@ -106,12 +114,14 @@ def replay_law(
         law: Takes the place of the scenario's.
         tolerance: Differences up to this one are none, in each signal's unit.
         trust_law: Run the law that the recording names, where it is not built in: its code.
+        step_budget_s: Time that the law may compute for one answer [s]; None: as long as it takes.
 
     Raises:
         ReplayError: Where the run holds no samples.
         ScenarioError: Where no scenario is given, and the run does not hold all of its own or names
             a law that is neither built in nor trusted.
-        SimulationError: Where the law fails or answers with something that is no number.
+        SimulationError: Where the law fails, computes for longer, or answers with something that is
+            no number.
     """
     require_tolerance(tolerance)
     if not len(run.samples):
@@ -122,7 +132,7 @@ def replay_law(
     if law is None:
         scenario = resolve_scenario(scenario, trust_law=trust_law)
         law = build_law(scenario.law)
-    found, blocks_ticks, last = _answer_poses(run, scenario, law)
+    found, blocks_ticks, last = _answer_poses(run, scenario, law, step_budget_s)
     answers, recorded = found.samples, Answers(run.samples, run.declaration)
     rows = slice(len(answers))
     pairings = [*pair_samples(recorded, found, rows=rows, others=rows)]
@@ -160,21 +170,33 @@ def _describe_nothing_read(run: Run) -> str:
 
 
 def _answer_poses(
-    run: Run, scenario: Scenario, law: Law
+    run: Run, scenario: Scenario, law: Law, step_budget_s: float | None
 ) -> tuple[Answers, NDArray[np.int64], Sample]:
     """Return the samples up to the law's end, the ticks that each blocks for, and the last."""
-    driver, read = build_driver(scenario, law), run.samples.pose_sequence
-    poses = run.poses
-    columns = (run.samples.time_ns, read, *poses.read_xy_m[read].T, poses.read_heading_rad[read])
+    driver = build_driver(scenario, law, step_budget_s=step_budget_s)
+    samples = _iterate_answers(run, driver)
+    if step_budget_s is not None:
+        require_budget(step_budget_s)
+        if needs_watch(step_budget_s, is_built_in=type(law) in LAWS.values()):
+            samples = LimitedLoop(
+                samples, [driver], step_budget_s, law=scenario.law.kind, one_by_one=False
+            ).iterate()
     rows, blocks_ticks = SampleRows(driver.declaration, has_shaping=scenario.shaping.acts), []
-    for time_ns, row, x, y, heading in zip(*(column.tolist() for column in columns), strict=True):
-        sample = driver.answer(time_ns, row, Pose(x, y, heading))
+    for sample in samples:
         rows.add(sample)
         blocks_ticks.append(sample.decision.blocks_ticks)
-        if sample.decision.stop_reason is not None:
-            break
     answers = Answers(rows.build_columns(), driver.declaration)
     return answers, np.array(blocks_ticks, dtype=np.int64), sample
+
+
+def _iterate_answers(run: Run, driver: LawDriver) -> Iterator[Sample]:
+    poses, read = run.poses, run.samples.pose_sequence
+    columns = (run.samples.time_ns, read, *poses.read_xy_m[read].T, poses.read_heading_rad[read])
+    for time_ns, row, x, y, heading in zip(*(column.tolist() for column in columns), strict=True):
+        sample = driver.answer(time_ns, row, Pose(x, y, heading))
+        yield sample
+        if sample.decision.stop_reason is not None:
+            break
 
 
 def _count_published(run: Run) -> Difference | None:

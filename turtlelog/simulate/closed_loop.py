@@ -19,10 +19,9 @@ from turtlelog.simulate.shaping import build_driver
 from turtlelog.simulate.step_budget import (
     STEP_BUDGET,
     STEP_BUDGET_S,
-    TIMED_BELOW_S,
     LimitedLoop,
     StepBudgetError,
-    is_inspected,
+    needs_watch,
     require_budget,
 )
 from turtlelog.simulate.transport import build_commands
@@ -95,7 +94,7 @@ def iterate_ticks(
     drivers: list[LawDriver] = []
     ticks = _iterate(scenario, plant, step_budget_s, drivers)
     kind = scenario.law.kind
-    if step_budget_s is None or step_budget_s < TIMED_BELOW_S or kind in LAWS or is_inspected():
+    if step_budget_s is None or not needs_watch(step_budget_s, is_built_in=kind in LAWS):
         return ticks
     return LimitedLoop(ticks, drivers, step_budget_s, law=kind, one_by_one=one_by_one).iterate()
 

@@ -18,14 +18,11 @@ from functools import partial
 from itertools import islice
 from math import inf
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 from turtlelog.display import format_number
 from turtlelog.errors import SimulationError
 from turtlelog.laws import Decision, Pose
-
-if TYPE_CHECKING:
-    from turtlelog.simulate.closed_loop import Tick
 
 STEP_BUDGET: Final = "step_budget"
 """Stop reason of a run whose law computed for longer than it may."""
@@ -65,6 +62,7 @@ _OF_A_BUDGET: Final = " of a budget of "
 
 Step = Callable[[int, Pose], Decision]
 _Result = TypeVar("_Result")
+_Item = TypeVar("_Item")
 
 
 class StepBudgetError(SimulationError):
@@ -214,6 +212,16 @@ class StepBudget:
         raise StepBudgetError(describe_excess(self._budget_s, most_s, has_returned=False))
 
 
+def needs_watch(step_budget_s: float | None, *, is_built_in: bool) -> bool:
+    """Whether a loop computes in a `LimitedLoop`: one of a law of the user's own does.
+
+    Steps that are timed one by one need none. Who debugs or profiles a thread would miss what
+    another one does.
+    """
+    is_timed = step_budget_s is not None and step_budget_s < TIMED_BELOW_S
+    return step_budget_s is not None and not (is_timed or is_built_in or _is_inspected())
+
+
 class AskedLaw(Protocol):
     """What asks a law, seen from another thread."""
 
@@ -225,15 +233,15 @@ class AskedLaw(Protocol):
         """Return that the latest answer is late."""
 
 
-class LimitedLoop:
+class LimitedLoop(Generic[_Item]):
     """A loop that goes on in a thread of its own while its steps keep their budget.
 
-    The thread hands its ticks out now and then, so that they cost as much as without a budget.
+    The thread hands out what it makes now and then, so that it costs as much as without a budget.
     """
 
     def __init__(
         self,
-        ticks: "Iterator[Tick]",
+        items: Iterator[_Item],
         asked: Sequence[AskedLaw],
         budget_s: float,
         *,
@@ -243,22 +251,22 @@ class LimitedLoop:
         """Take a loop.
 
         Args:
-            ticks: Of it.
+            items: What it makes, as its ticks.
             asked: Has what asks its law once it has begun.
             budget_s: How long the law may compute for one answer [s].
             law: Its kind.
-            one_by_one: Whether each tick is computed when it is taken, as one does that has a time.
+            one_by_one: Whether each item is made when it is taken, as at the time of its own.
         """
-        self._ticks, self._asked, self._budget_s = ticks, asked, budget_s
+        self._items, self._asked, self._budget_s = items, asked, budget_s
         self._law, self._one_by_one = law, one_by_one
-        self._made: deque[Tick] = deque()
+        self._made: deque[_Item] = deque()
         self._hands_out = self._is_late = False
 
-    def iterate(self) -> "Iterator[Tick]":
-        """Yield the ticks.
+    def iterate(self) -> Iterator[_Item]:
+        """Yield the items.
 
         Raises:
-            StepBudgetError: If a step takes longer than the budget, after the ticks before it.
+            StepBudgetError: If a step takes longer than the budget, after the items before it.
         """
         worker, is_over, error, stdout = _Worker(self._advance, "loop"), False, None, sys.stdout
         while not (is_over or error):
@@ -280,11 +288,11 @@ class LimitedLoop:
             raise error
 
     def _advance(self) -> bool:
-        """Make ticks until they are to be handed out; return whether there are no more."""
+        """Make items until they are to be handed out; return whether there are no more."""
         self._hands_out = self._one_by_one
         made = self._made
-        for tick in islice(self._ticks, _AT_ONCE):
-            made.append(tick)
+        for item in islice(self._items, _AT_ONCE):
+            made.append(item)
             if self._hands_out:
                 return False
         return len(made) < _AT_ONCE
@@ -332,8 +340,8 @@ def _judge(
     return bool(is_over), error
 
 
-def is_inspected() -> bool:
-    """Whether somebody debugs or profiles this thread, and would miss what another one does."""
+def _is_inspected() -> bool:
+    """Whether somebody debugs or profiles this thread."""
     debugger = getattr(sys.gettrace(), "__self__", None)
     return sys.getprofile() is not None or type(debugger).__module__.partition(".")[0] in _DEBUGGERS
 
