@@ -95,7 +95,10 @@ def test_a_law_without_end_ends_the_run_with_its_recording(
     (tmp_path / "slow.py").write_text(SLOW, encoding="utf-8")
     law, path = f"{tmp_path / 'slow.py'}:Slow", tmp_path / "a.mcap"
     answer = call("run", "--law", law, "--step-budget-ms", "250", "-o", path, *more)
-    told = f"law {law}, sample 12 took more than 1250 ms of a budget of 250 ms"
+    told = (
+        f"law {law}, sample 12 took more than 1250 ms of a budget of 250 ms, at 0.192 s; a slow law"
+        " needs more: --step-budget-ms 1500, in Python step_budget_s=1.5"
+    )
     assert (answer.code, answer.out) == (2, "")
     assert answer.err.splitlines() == [f"wrote {path}", f"turtlelog: error: {told}"]
     run = tl.read_recording(path)
