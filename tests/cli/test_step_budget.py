@@ -46,6 +46,16 @@ def test_a_law_without_end_ends_by_itself_with_one_line(law: str, call: Call) ->
     )
 
 
+@pytest.mark.parametrize("more", [(), ("--law",)], ids=["loop", "poses"])
+def test_a_replay_through_a_law_without_end_ends_with_one_line(
+    more: tuple[str, ...], law: str, kp4: Path, call: Call
+) -> None:
+    way = ["--law", law] if more else ["--set", f"law.kind={law}"]
+    answer = call("replay", kp4, *way, "--set", "law.gain=2", "--step-budget-ms", "50")
+    assert (answer.code, answer.out) == (2, "")
+    assert " took more than 1050 ms of a budget of 50 ms, at 0." in answer.err
+
+
 def test_a_row_of_a_sweep_without_end_fails_and_the_others_go_on(
     law: str, tmp_path: Path, call: Call
 ) -> None:

@@ -7,7 +7,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, format_results
-from turtlelog.cli.options import Json, Output, Place, TopicOptions, read_runs
+from turtlelog.cli.options import (
+    Json,
+    Output,
+    Place,
+    TopicOptions,
+    choose_step_budget,
+    read_runs,
+)
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_verdicts
 from turtlelog.cli.replay_answer import (
     describe_changes,
@@ -104,16 +111,26 @@ def _replay_plant(run: "Run") -> _Answer:
 def _replay_law(
     run: "Run", scenario: "Scenario | None", mode: ReplayOptions, _: Path | None
 ) -> _Answer:
-    tolerance = mode.tolerance or 0.0
-    found = tl.replay_law(run, scenario, tolerance=tolerance, trust_law=mode.trust_law)
+    found = tl.replay_law(
+        run,
+        scenario,
+        tolerance=mode.tolerance or 0.0,
+        trust_law=mode.trust_law,
+        step_budget_s=choose_step_budget(mode.step_budget_ms),
+    )
     return describe_law(run, found), format_law(run, found), found
 
 
 def _replay_loop(
     run: "Run", scenario: "Scenario | None", mode: ReplayOptions, output: Path | None
 ) -> _Answer:
-    tolerance = mode.tolerance or 0.0
-    found = tl.replay_loop(run, scenario, tolerance=tolerance, trust_law=mode.trust_law)
+    found = tl.replay_loop(
+        run,
+        scenario,
+        tolerance=mode.tolerance or 0.0,
+        trust_law=mode.trust_law,
+        step_budget_s=choose_step_budget(mode.step_budget_ms),
+    )
     if output is not None:
         tl.write_recording(found.run, output)
         print_note(f"wrote {output}")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.options import StepBudgetMs
 from turtlelog.cli.output import print_note
 from turtlelog.cli.scenario_options import ScenarioOptions, change_scenario, name_by_changes
 from turtlelog.errors import UsageError
@@ -33,6 +34,8 @@ class ReplayOptions:
         tolerance: Differences up to this one count as none [m, rad, m/s, rad/s: as the signal].
         expect_equal: Exit with code 1 where there is a difference.
         trust_law: Run the code of the law that the recording names, where it is not built in.
+        step_budget_ms: End the replay if the law computes longer in one step, by the clock.
+            Default: 10000. Unit: ms. Built-in laws have no default.
     """
 
     plant: bool = False
@@ -41,6 +44,7 @@ class ReplayOptions:
     tolerance: float | None = None
     expect_equal: bool = False
     trust_law: bool = False
+    step_budget_ms: StepBudgetMs = None
 
 
 def settle_file(file: Path | None, options: ReplayOptions) -> tuple[Path, str | None]:
@@ -72,6 +76,7 @@ def require_sound(
         "--scenario": options.scenario,
         "--tolerance": options.tolerance,
         "--trust-law": options.trust_law or None,
+        "--step-budget-ms": options.step_budget_ms,
         **_name_changes(changes),
     }
     wrong = [name for name, value in given.items() if value is not None]

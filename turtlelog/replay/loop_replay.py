@@ -31,6 +31,7 @@ from turtlelog.replay.sample_pairs import Answers, compare_declarations, list_ab
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import simulate_run
+from turtlelog.simulate.step_budget import STEP_BUDGET_S
 
 _OF_TICKS: Final = (
     *("applied_speed", "applied_turn_rate", "sample_time", "pose_read", "command_time"),
@@ -86,6 +87,7 @@ def replay_loop(
     *,
     tolerance: float = 0.0,
     trust_law: bool = False,
+    step_budget_s: float | None = STEP_BUDGET_S,
 ) -> LoopReplay:
     """Simulate the scenario of a recording again, and compare row by row.
 
@@ -98,6 +100,7 @@ def replay_loop(
         scenario: Otherwise that of the recording; a changed one answers "what if".
         tolerance: Differences up to this one are none, in each signal's unit.
         trust_law: Run the law that the recording names, where it is not built in: its code.
+        step_budget_s: Time that the law may compute for one answer [s]; None: as long as it takes.
 
     Raises:
         ReplayError: Where the run holds neither such ticks nor samples.
@@ -115,7 +118,9 @@ def replay_loop(
         )
     scenario = restore_scenario(run) if scenario is None else scenario
     scenario = resolve_scenario(scenario, trust_law=trust_law)
-    replayed = replace(simulate_run(scenario), source=f"replay of {run.name}")
+    replayed = replace(
+        simulate_run(scenario, step_budget_s=step_budget_s), source=f"replay of {run.name}"
+    )
     pairings = pair_by_tick(run, replayed) if by_tick else pair_by_sample(run, replayed)
     signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
     counts = count_rows(run, replayed, by_tick=by_tick)
