@@ -194,7 +194,8 @@ def format_value(found: "Estimate | None", name: str) -> str:
 def _tell_axis(axis: "AxisModel") -> list[str]:
     name = _NAMES[axis.axis].capitalize()
     if not axis.is_known:
-        return [f"{name}: not identifiable: {axis.reason}. To know it, {axis.advice}."]
+        end = "" if axis.reason.endswith("?") else "."
+        return [f"{name}: not identifiable: {axis.reason}{end} To know it, {axis.advice}."]
     if axis.explained is None:
         return []
     second = (

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
 from turtlelog.identify.held_response import LaggedResponse, Values, limit_changes
-from turtlelog.identify.step_noise import NORMAL_MAD, Whitening, estimate_noise
+from turtlelog.identify.step_noise import LEAST_STEP, NORMAL_MAD, Whitening, estimate_noise
 
 _GRID_S: Final = 0.04
 """Between the dead times that are tried first [s]: a quarter of a usual delay."""
@@ -59,6 +60,10 @@ Kind = Literal["first_order", "second_order", "limited"]
 """A robot with one lag; with two, whose product is the further parameter [s^2]; with one, that
 changes its rate no faster than a limit, the time that it needs per unit of the command being the
 further parameter [s^2/m] or [s^2/rad]."""
+
+
+class NoGainError(IdentifyError):
+    """No gain above 0 explains anything of a motion."""
 
 
 class StepModel:
@@ -143,7 +148,7 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
     """Return the best fit of first order.
 
     Raises:
-        ValueError: Where no gain above 0 explains anything.
+        NoGainError: Where no gain above 0 explains anything.
     """
     model = StepModel(motions)
     plainly = _weigh_plainly(model)
@@ -268,7 +273,7 @@ def _search_grid(motions: Sequence[AxisMotion]) -> list[Values]:
             if size > 0.0 and along > 0.0:
                 tried.append((-along * along / size, along / size, dead_time_s, lag_s))
     if not tried:
-        raise ValueError("no gain above 0")
+        raise NoGainError("no motion follows the commands")
     tried.sort()
     return [np.array(found) for _, *found in tried[:_STARTS]]
 
@@ -283,8 +288,8 @@ def _drop_spikes(moved: Values) -> Values:
 
 def _weigh_plainly(model: StepModel) -> Callable[[Values], Values]:
     """Return a scaling by which the residual of standing still is about 1."""
-    scale = NORMAL_MAD * float(np.median(np.abs(model.moved))) or float(np.std(model.moved)) or 1.0
-    return lambda values: values / scale
+    scale = NORMAL_MAD * float(np.median(np.abs(model.moved))) or float(np.std(model.moved))
+    return lambda values: values / max(scale, LEAST_STEP)
 
 
 def _descend(

@@ -11,6 +11,7 @@ from turtlelog.identify.axis_fit import (
     DEAD_TIME,
     LAG,
     AxisFit,
+    NoGainError,
     fit_axis,
     measure_badness,
 )
@@ -43,6 +44,13 @@ _SUDDEN_SHARE: Final = 0.05
 """Share of the range of commands that changes within that time, below which they are ramps: a ramp
 over the range then takes more than 2 s, and shows no beginning."""
 
+_ABSURD: Final = 1e9
+"""Commands and steps above this are no robot's [m/s], [rad/s], [m] or [rad]: light takes 3 s so
+far. They come from bytes that are no number."""
+
+_NEGLIGIBLE: Final = 1e-9
+"""Commands below this move no robot [m/s] or [rad/s]: a millimetre in twelve days."""
+
 _OPPOSITE_WHY: Final[Mapping[Axis, str]] = MappingProxyType(
     {
         "speed": "its front and its back may be swapped",
@@ -59,6 +67,9 @@ def find_no_excitation(runs: Sequence[Run], axis: Axis) -> str:
         return "no commands were recorded"
     if not any(command.any() for command in commands):
         return f"the {name} is never commanded"
+    fastest = max(float(np.abs(command).max(initial=0.0)) for command in commands)
+    if fastest < _NEGLIGIBLE:
+        return f"the commanded {name} is at most {fastest:.2g} {UNITS[axis]}, which moves nothing"
     if not any(np.diff(command).any() for command in commands):
         return f"the commanded {name} never changes"
     largest = max(_find_sudden(run, axis) for run in runs)
@@ -69,6 +80,20 @@ def find_no_excitation(runs: Sequence[Run], axis: Axis) -> str:
             f"the {name} is commanded in ramps: within {_SUDDEN_S:g} s it changes by at most"
             f" {largest:.2g} of {span:.2g} {UNITS[axis]}"
         )
+    return ""
+
+
+def find_absurd(runs: Sequence[Run], motions: Sequence[AxisMotion], axis: Axis) -> str:
+    """Return what of an axis is larger than a robot can be; empty where nothing is."""
+    unit = UNITS[axis]
+    columns = (
+        ("commands", unit, [get_commands(run, axis) for run in runs]),
+        ("steps between poses", unit.removesuffix("/s"), [motion.moved for motion in motions]),
+    )
+    for what, its_unit, values in columns:
+        largest = max((float(np.abs(value).max()) for value in values if len(value)), default=0.0)
+        if largest > _ABSURD:
+            return f"the {what} reach {largest:.3g} {its_unit}, more than any robot does"
     return ""
 
 
@@ -110,7 +135,7 @@ def find_opposite(
     """Refuse an axis that moves the wrong way round, saying so; None where it does not."""
     try:
         other = fit_axis([replace(motion, moved=-motion.moved) for motion in motions])
-    except ValueError:
+    except NoGainError:
         return None
     found = describe_fit(axis, other, 0)
     explains = found.explained is not None and found.explained >= _OPPOSITE_EXPLAINS

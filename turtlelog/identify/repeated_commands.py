@@ -37,7 +37,8 @@ def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
 
     Only times up to the largest dead time count: a later repetition explains nothing.
     """
-    commands = [_sample(motion) for motion in motions if motion.commands.value.any()]
+    moving = [motion for motion in motions if len(motion.moved) and motion.commands.value.any()]
+    commands = [_sample(motion) for motion in moving]
     if not any(map(len, commands)):
         return None
     mean = float(np.concatenate(commands).mean())

@@ -10,6 +10,7 @@ from turtlelog.display import describe_count
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_fit import (
     AxisFit,
+    NoGainError,
     fit_axis,
 )
 from turtlelog.identify.axis_motion import (
@@ -24,6 +25,7 @@ from turtlelog.identify.axis_values import NORMAL_95, describe_fit
 from turtlelog.identify.correlation import find_correlation_delay
 from turtlelog.identify.order_choice import choose_order
 from turtlelog.identify.refused_axes import (
+    find_absurd,
     find_no_excitation,
     find_opposite,
     refuse_axis,
@@ -81,6 +83,7 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     reason = find_no_excitation(runs, axis)
     motions = [read_axis_motion(run, axis) for run in runs]
     steps = count_steps(motions)
+    reason = reason or find_absurd(runs, motions, axis)
     if steps > MOST_STEPS:
         share = MOST_STEPS / steps
         motions = [motion.take(slice(int(share * len(motion.moved)))) for motion in motions]
@@ -93,9 +96,9 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         return refuse_axis(axis, reason), []
     try:
         fit = fit_axis(motions)
-    except ValueError:
+    except NoGainError as err:
         opposite = find_opposite(axis, motions, None)
-        return opposite or refuse_axis(axis, "no motion follows the commands"), []
+        return opposite or refuse_axis(axis, str(err)), []
     fit = choose_order(fit)
     found = describe_fit(axis, fit, sum(_count_changes(run, axis) for run in runs))
     refused = refuse_fit(axis, motions, fit, found)

@@ -28,6 +28,10 @@ _OBEYS: Final = 0.25
 """Share of the held command from which on the robot still follows it: gains are 0.5 and more. What
 it did before a small command may be ten times as fast."""
 
+_ABOVE_NOISE: Final = 3.0
+"""How far a robot must go in a silence, by how far its poses wander at the end: the noise of 1,000
+poses goes 2.5 times as far as that of six."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SilentStop:
@@ -83,11 +87,19 @@ def _look_at_silence(
     rate_s = at_s[is_whole] - 0.5 * _JOINED_S
     # The mean: of a slow command the noise of poses looks like motion.
     left = abs(float(way[-1] - np.interp(last_s, at_s, way))) / _LOOK_S
-    if not len(rate) or left > min(_STOPPED * float(rate.max()), _OBEYS * held):
+    largest = float(rate.max(initial=0.0))
+    still_moves = left > min(_STOPPED * largest, _OBEYS * held)
+    if not largest or still_moves or not _has_moved(way, way[at_s >= last_s], held):
         return None
-    moving = np.flatnonzero(rate > 0.5 * rate.max())
+    moving = np.flatnonzero(rate > 0.5 * largest)
     stop_s = float(rate_s[moving[-1]])
     return SilentStop(begin_s=begin_s, stop_s=stop_s, end_s=end_s)
+
+
+def _has_moved(way: Values, at_end: Values, held: float) -> bool:
+    """Return whether a robot moves in a silence: one that stands all the while stops nowhere."""
+    went = float(np.abs(way).max())
+    return went > max(_OBEYS * held * _SILENCE_S, _ABOVE_NOISE * float(np.ptp(at_end)))
 
 
 def insert_stops(

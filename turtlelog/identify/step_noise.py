@@ -20,6 +20,10 @@ is not compared. No odometry keeps its place for good."""
 _LONGEST: Final = 32
 """Most steps over which slip is told from the noise of poses."""
 
+LEAST_STEP: Final = 1e-12
+"""Least deviation of a step [m] or [rad]: doubles do not resolve less in poses some kilometres from
+their origin. A robot without noise may leave exactly 0, which no weight can be made from."""
+
 _EXCLUDED: Final = 1e6
 """By how much the variance of an outlier is larger: it counts no more."""
 
@@ -59,7 +63,7 @@ def estimate_noise(
             lengths.append(length)
             variances.append(float(np.mean(ways**2)))
         length *= 2
-    measured = np.maximum(variances, np.finfo(float).tiny)
+    measured = np.maximum(variances, LEAST_STEP**2)
     terms = np.column_stack([lengths, np.full(len(lengths), 2.0)]) / measured[:, None]
     slip, sensing = scipy.optimize.nnls(terms, np.ones(len(lengths)))[0].tolist()
     return StepNoise(slip=max(slip, _LEAST_SLIP * sensing), sensing=sensing)
