@@ -50,6 +50,12 @@ _ROUND_ENDS: Final = 1e-9
 _SCORE_LAGS: Final = 12
 """Over how many steps the covariance allows for what whitening leaves."""
 
+_UNSEEN: Final = 1e-12
+"""Least change of all steps by a parameter's unit, in standard deviations of the noise."""
+
+_ROUNDED: Final = 1e-14
+"""Share of what parameters change together that rounding leaves of nothing."""
+
 GAIN, DEAD_TIME, LAG, EXTRA = range(4)
 """Places of the parameters."""
 
@@ -359,14 +365,20 @@ def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
     sandwich = inverse @ meat @ inverse
     squares = float(np.mean(white**2 / bent))
     plain = inverse * squares
-    ratio = np.sqrt(np.maximum(np.diag(plain) / np.maximum(np.diag(sandwich), 1e-300), 1.0))
+    ratio = np.sqrt(np.maximum(np.diag(plain) / np.maximum(np.diag(sandwich), 1e-100), 1.0))
     covariance = np.asarray(sandwich * np.outer(ratio, ratio))
-    excess = np.diag(covariance)[LAG] / max(float(np.diag(inverse)[LAG]), 1e-300)
+    # A parameter that no step depends on has no scores, and yet it is not known.
+    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), np.diag(plain)))
+    excess = np.diag(covariance)[LAG] / float(np.diag(inverse)[LAG])
     return covariance, max(float(excess), 1.0)
 
 
 def _invert(matrix: Values) -> Values:
-    """Return the inverse of a matrix of squares, whatever the units of its rows are."""
-    size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    """Return the inverse of a matrix of squares, whatever the units of its rows are.
+
+    It is large, not 0, in a direction of which the matrix shows nothing.
+    """
+    size = np.maximum(np.sqrt(np.diag(matrix)), _UNSEEN)
     scale = np.outer(size, size)
-    return np.asarray(np.linalg.pinv(matrix / scale, hermitian=True) / scale)
+    power, direction = np.linalg.eigh(matrix / scale)
+    return np.asarray((direction / np.maximum(power, _ROUNDED)) @ direction.T / scale)
