@@ -175,6 +175,12 @@ def fit_without_lag(fit: AxisFit) -> AxisFit:
     return _conclude(fit.model, parameters, cost, fit.whitening, fit.is_outlier)
 
 
+def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
+    """Return the best fit of first order from other parameters on, with its own noise."""
+    found = _descend(fit.model, start[: LAG + 1], fit.whitening.apply)[0]
+    return _finish(fit.model, found)
+
+
 def refit_axis(fit: AxisFit, kind: Kind, starts: Sequence[float]) -> AxisFit:
     """Return the best fit of another kind, with its own noise.
 
@@ -187,7 +193,11 @@ def refit_axis(fit: AxisFit, kind: Kind, starts: Sequence[float]) -> AxisFit:
     tried = [
         _descend(model, np.append(fit.parameters, start), fit.whitening.apply) for start in starts
     ]
-    parameters = min(tried, key=lambda found: found[1])[0]
+    return _finish(model, min(tried, key=lambda found: found[1])[0])
+
+
+def _finish(model: StepModel, parameters: Values) -> AxisFit:
+    """Return the best fit near some parameters, with its own noise."""
     whitening, is_outlier = _learn_noise(model, parameters)
     parameters, cost = _descend(model, parameters, whitening.apply)
     return _conclude(model, parameters, cost, whitening, is_outlier)

@@ -1,7 +1,8 @@
 """Whether a robot needs more than one lag: a second one, or a limit of its acceleration.
 
-More parameters always leave less. So another model must leave clearly less, and, fitted to the
-first part of the log only, predict the rest better than the simple one does.
+More parameters always leave less. So another model must leave clearly less, change what the robot
+does by more than can be neglected, and, fitted to the first part of the log only, predict the rest
+better than the simple one does.
 """
 
 from collections.abc import Sequence
@@ -19,8 +20,10 @@ from turtlelog.identify.axis_fit import (
     measure_gain,
     predict_badness,
     refit_axis,
+    restart_axis,
 )
 from turtlelog.identify.axis_motion import AxisMotion
+from turtlelog.identify.step_noise import LEAST_STEP
 
 _FITTED: Final = 2 / 3
 """Share of each log that is fitted; the rest is predicted."""
@@ -31,6 +34,15 @@ be tried: by chance it could in 0.5 % of robots."""
 
 _CLEARLY: Final = 15.0
 """By how much it must lower twice the negative log-likelihood: by chance in 1 of 10,000 robots."""
+
+_MATTERS: Final = 0.02
+"""By how much of the largest rate another model must change some step between poses to be told: 2 %
+is what counts as settled. What changes less is not seen, though a log without noise would show it.
+"""
+
+_SEEN: Final = 1.96
+"""Standard deviations by which a further parameter must differ from 0: its interval of 95 % begins
+above."""
 
 _PREDICTED: Final = 2.0
 """By how much it must lower that of the rest: noise alone makes it larger on average."""
@@ -50,19 +62,38 @@ def choose_order(fit: AxisFit) -> AxisFit:
     first, rest = _split(fit.model.motions)
     if not first or not rest:
         return fit
-    best, gained, simple = fit, _PREDICTED, None
+    best, gained = None, _PREDICTED
     for kind, starts in _list_candidates(fit):
         if max(measure_gain(fit, kind, start) for start in starts) < _ASKS:
             continue
         other = refit_axis(fit, kind, starts)
-        is_sound = other.parameters[GAIN] > 0.0 and other.parameters[EXTRA] > 0.0
-        if not is_sound or measure_badness(fit) - measure_badness(other) < _CLEARLY:
+        # Where it has escaped from a local minimum, the simple model may follow.
+        fit = min(fit, restart_axis(fit, other.parameters), key=measure_badness)
+        if not is_distinct(fit, other):
             continue
-        simple = predict_badness(fit, first, rest) if simple is None else simple
-        found = simple - predict_badness(other, first, rest)
+        found = predict_badness(fit, first, rest) - predict_badness(other, first, rest)
         if found > gained:
             best, gained = other, found
-    return best
+    return best or fit
+
+
+def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
+    """Return whether another model leaves clearly less, and does something else."""
+    gain, extra = other.parameters[[GAIN, EXTRA]].tolist()
+    if gain <= 0.0 or extra <= _SEEN * float(np.sqrt(other.covariance[EXTRA, EXTRA])):
+        return False
+    is_clear = measure_badness(fit) - measure_badness(other) >= _CLEARLY
+    return is_clear and measure_effect(fit, other) >= _MATTERS
+
+
+def measure_effect(fit: AxisFit, other: AxisFit) -> float:
+    """Return by how much two models differ at most in a step, as a share of the largest rate."""
+    rates = [
+        one.model.linearise(one.parameters)[0][~other.is_outlier]
+        / one.model.duration_s[~other.is_outlier]
+        for one in (fit, other)
+    ]
+    return float(np.abs(rates[0] - rates[1]).max() / max(np.abs(rates[0]).max(), LEAST_STEP))
 
 
 def _list_candidates(fit: AxisFit) -> list[tuple[Kind, list[float]]]:
