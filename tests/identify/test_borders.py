@@ -150,6 +150,34 @@ def say_axis(explained: float, whiteness: float) -> str:
     return " ".join(format_robot(tl.RobotModel(files=("a",), speed=axis, turn_rate=turns)).split())
 
 
+@pytest.mark.parametrize(
+    ("product_s2", "told"),
+    [
+        (0.0099, "the lag is the sum of two time constants. Their product is 0.0099 s^2"),
+        (0.0100, "with two time constants of about 100 ms"),
+        (0.0101, "oscillates: its damping ratio is 1.00"),
+        (0.0400, "oscillates: its damping ratio is 0.50"),
+    ],
+)
+def test_a_second_order_oscillates_only_if_its_interval_says_so(
+    product_s2: float, told: str
+) -> None:
+    value = Estimate(value=0.2, low=0.19, high=0.21)
+    product = Estimate(value=product_s2, low=product_s2 - 5e-5, high=product_s2 + 5e-5, unit="s^2")
+    axis = AxisModel(
+        axis="speed",
+        status="ok",
+        model="second_order",
+        gain=value,
+        lag_s=value,
+        lag_product_s2=product,
+        explained=0.9,
+    )
+    turns = AxisModel(axis="turn_rate", status="not_identifiable", reason="x", advice="y")
+    model = tl.RobotModel(files=("a",), speed=axis, turn_rate=turns)
+    assert told in " ".join(format_robot(model).split())
+
+
 def test_the_text_says_what_the_residual_shows() -> None:
     assert "Note" not in say_axis(0.51, 0.51)
     assert "most of what changes in the motion does not follow" in say_axis(0.49, 0.51)

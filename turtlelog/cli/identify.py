@@ -1,5 +1,6 @@
 """`turtlelog identify`: a robot's dead time, lag and gain."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -130,7 +131,7 @@ def describe_robot(files: Sequence[Path], model: "RobotModel") -> dict[str, Any]
 
 
 def _describe_axis(axis: "AxisModel") -> dict[str, Any]:
-    estimates = (*_VALUES, "lag_product_s2", "rate_limit")
+    estimates = (*_VALUES, "lag_product_s2", "rate_limit", "correlation_delay_s")
     told: dict[str, Any] = {
         "axis": axis.axis,
         "status": axis.status,
@@ -147,11 +148,11 @@ def _describe_axis(axis: "AxisModel") -> dict[str, Any]:
         "explained",
         "whiteness",
         "outliers",
-        "correlation_delay_s",
         "steps",
         "steps_in_all",
         "changes",
     )
+    told["correlation_reason"] = axis.correlation_reason or None
     told["silent_stops_s"] = [*axis.silent_stops_s]
     return told | {name: getattr(axis, name) for name in others}
 
@@ -198,20 +199,12 @@ def _tell_axis(axis: "AxisModel") -> list[str]:
         return [f"{name}: not identifiable: {axis.reason}{end} To know it, {axis.advice}."]
     if axis.explained is None:
         return []
-    second = (
-        "do not correlate"
-        if axis.correlation_delay_s is None
-        else f"correlate best at {1e3 * axis.correlation_delay_s:.0f} ms"
-    )
     told = [
         f"{name}: the model explains {100.0 * axis.explained:.0f} % of the variance of"
-        f" {axis.steps} steps between poses; commands and motion {second}.{_tell_residual(axis)}"
+        f" {axis.steps} steps between poses.{_tell_residual(axis)}",
+        _tell_correlation(axis),
+        *_tell_second_order(axis),
     ]
-    if axis.lag_product_s2 is not None:
-        told.append(
-            f"{name} is of second order: the lag is the sum of two time constants, whose product is"
-            f" {axis.lag_product_s2.value:.3g} s^2."
-        )
     if axis.rate_limit is not None:
         limit = axis.rate_limit
         told.append(
@@ -219,6 +212,36 @@ def _tell_axis(axis: "AxisModel") -> list[str]:
             f" {limit.high:.3g})."
         )
     return told
+
+
+def _tell_correlation(axis: "AxisModel") -> str:
+    """Return at which delays commands and motion correlate best, or why that says nothing."""
+    delay = axis.correlation_delay_s
+    if delay is None:
+        return f"{_NAMES[axis.axis].capitalize()}: {axis.correlation_reason}."
+    low, high = (f"{1e3 * end:.0f}" for end in (delay.low, delay.high))
+    return (
+        f"{_NAMES[axis.axis].capitalize()}: commands and motion correlate best at a delay of {low}"
+        f" to {high} ms."
+    )
+
+
+def _tell_second_order(axis: "AxisModel") -> list[str]:
+    """Return what a second order is like: two lags, or an oscillation where it surely is one."""
+    product, lag, name = axis.lag_product_s2, axis.lag_s, _NAMES[axis.axis].capitalize()
+    if product is None or lag is None:
+        return []
+    equal = 0.25 * lag.value**2
+    if product.low > equal:
+        damping = math.sqrt(equal / product.value)
+        return [f"{name} is of second order and oscillates: its damping ratio is {damping:.2f}."]
+    if product.high > equal:
+        half_ms = 500.0 * lag.value
+        return [f"{name} is of second order, with two time constants of about {half_ms:.0f} ms."]
+    return [
+        f"{name} is of second order: the lag is the sum of two time constants. Their product is"
+        f" {product.value:.3g} s^2 ({product.low:.3g} to {product.high:.3g})."
+    ]
 
 
 def _tell_residual(axis: "AxisModel") -> str:

@@ -105,10 +105,14 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     if refused is not None:
         return refused, []
     names = [run.name for run, motion in zip(runs, motions, strict=True) if len(motion.moved)]
-    delay_s = find_correlation_delay(motions)
+    correlation_delay_s, correlation_reason = find_correlation_delay(motions)
     waits_s = [stop.stop_s - stop.begin_s for motion in motions for stop in motion.stops]
     found = replace(
-        found, correlation_delay_s=delay_s, steps_in_all=steps, silent_stops_s=tuple(waits_s)
+        found,
+        correlation_delay_s=correlation_delay_s,
+        correlation_reason=correlation_reason,
+        steps_in_all=steps,
+        silent_stops_s=tuple(waits_s),
     )
     return found, _list_events(names, axis, fit)
 

@@ -85,8 +85,10 @@ class AxisModel:
         whiteness: Of what it leaves: the mean square of its changes by twice its mean square, 1
             for noise, near 0 for a curve; the noise of poses is taken out.
         outliers: Steps that do not count: further off than noise can be.
-        correlation_delay_s: The delay at which commands and motion correlate best [s]: a second
-            opinion, which knows of no lag.
+        correlation_delay_s: The delay at which commands and motion correlate best, and the range
+            of those that the correlation does not tell from it [s]: a second opinion, which knows
+            of no lag.
+        correlation_reason: Why the correlation names no delay; empty where it does.
         steps: Steps between poses that were used.
         steps_in_all: Steps between poses in which commands act.
         changes: How often the command changes.
@@ -108,7 +110,8 @@ class AxisModel:
     explained: float | None = None
     whiteness: float | None = None
     outliers: int = 0
-    correlation_delay_s: float | None = None
+    correlation_delay_s: Estimate | None = None
+    correlation_reason: str = ""
     steps: int = 0
     steps_in_all: int = 0
     changes: int = 0
