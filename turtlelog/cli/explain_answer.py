@@ -72,6 +72,9 @@ _DEAD_TIME: Final = "dead_time."
 
 _DRIVEN: Final = "No simulation stands for this log. The plant was driven with its commands."
 
+_NOTED: Final = "the recorded scenario"
+"""Evidence of what is known by the re-simulation of the recorded scenario."""
+
 _TEXT_WIDTH: Final = 95
 """As wide as the notes of tables."""
 
@@ -218,20 +221,32 @@ def _nest(places: dict[str, Any], found: "Identification", field: str) -> dict[s
 def format_identification(found: "Identification") -> str:
     """Return what was identified, with its evidence, and how the re-simulation compares."""
     rows: list[tuple[str, ...]] = []
+    hidden: dict[str, list[str]] = {note: [] for note in found.notes}
     for name, key, unit in _list_rows(found):
-        if key in found.findings:
-            finding = found.findings[key]
-            evidence = "see below" if finding.evidence in found.notes else finding.evidence
-            rows += _format_finding(name, replace(finding, evidence=evidence), unit)
+        finding = found.findings.get(key)
+        if finding is None:
+            continue
+        if finding.evidence not in hidden:
+            rows += _format_finding(name, finding, unit)
+        elif finding.value is None:
+            hidden[finding.evidence].append(name.strip())
+        else:
+            # The note that is its evidence stands below the table, once.
+            rows += _format_finding(name, replace(finding, evidence=_NOTED), unit)
     table = tl.compare.Table(
         title=f"Identified from the log of {found.name}",
         columns=tuple(
             tl.compare.Column(title=title) for title in ("", "value", "how sure", "evidence")
         ),
         rows=tuple(rows),
-        notes=tuple(_capitalise(note) for note in found.notes),
+        notes=tuple(_capitalise(note) + _name_unknown(names) for note, names in hidden.items()),
     )
     return f"{format_table(table)}\n{_format_resimulation(found)}"
+
+
+def _name_unknown(names: list[str]) -> str:
+    """Return which values a note is the reason of that there are none."""
+    return f" Therefore unknown: {', '.join(names)}." if names else ""
 
 
 def format_attribution(found: "Attribution") -> str:
@@ -239,9 +254,9 @@ def format_attribution(found: "Attribution") -> str:
     from turtlelog.explain.attribution import THIS_SEED, THIS_SEED_MEANS
 
     unit, sentences = found.unit, tl.explain.write_sentences(found)
-    parts = (*found.shares, *found.others)
+    parts = found.changing
     if all(one.share is None and one.alone is None for one in parts):
-        # No table of dashes: what there is to say stands in the sentences.
+        # No table of dashes or zeros: what there is to say stands in the sentences.
         wrapped = "\n".join(textwrap.fill(one, _TEXT_WIDTH) for one in sentences)
         return f"\nWhat caused {found.metric}\n\n{wrapped}"
     columns = [
@@ -251,13 +266,13 @@ def format_attribution(found: "Attribution") -> str:
         tl.compare.Column(title="without it means"),
     ]
     rows = [[one.mechanism, one.share, one.alone, one.meaning] for one in parts]
-    if found.seeds is not None:
+    if any(one.standard_error for one in parts):
         columns.insert(2, tl.compare.Column(title="standard error", unit=unit))
         for row, one in zip(rows, parts, strict=True):
             row.insert(2, one.standard_error)
-        if found.shares:
+        if found.shares and found.seeds is not None and found.seeds.varies:
             row = [THIS_SEED, found.this_seed, None, None, THIS_SEED_MEANS]
-            rows.insert(len(found.shares), row)
+            rows.insert(sum(one.share is not None for one in parts), row)
     table = tl.compare.Table(
         title=f"What caused {found.metric}",
         columns=tuple(columns),

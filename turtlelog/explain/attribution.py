@@ -17,6 +17,9 @@ _SHARE: Final = 0.01
 """Of a value that no tolerance and no clock bounds. A phase of the paper's runs has a hundred
 samples and more: about what one of them makes of an integral over it."""
 
+_ROUNDING: Final = 1e-12
+"""Of a value: sums of doubles in another order differ by less."""
+
 _HALF_A_COUNT: Final = 0.5
 """Counts change by one at least."""
 
@@ -212,6 +215,11 @@ class SeedRange:
     low: float
     high: float
 
+    @property
+    def varies(self) -> bool:
+        """Whether seeds differ in the value by more than rounding."""
+        return self.high - self.low > _ROUNDING * max(abs(self.low), abs(self.high))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attribution:
@@ -273,6 +281,17 @@ class Attribution:
         return tuple(name for name in self.mechanisms if name in names)
 
     @property
+    def changing(self) -> tuple[Share, ...]:
+        """Of the shares and others those that say something: a change, or what is different."""
+        return tuple(one for one in (*self.shares, *self.others) if self._changes(one))
+
+    def _changes(self, one: Share) -> bool:
+        least = _ROUNDING * abs(self.divided)
+        sizes = (one.share or 0.0, one.standard_error or 0.0)
+        moves = one.alone is not None and abs(one.alone - self.divided) > least
+        return bool(one.ending) or moves or any(abs(size) > least for size in sizes)
+
+    @property
     def this_seed(self) -> float | None:
         """What the run's own seed makes of it: as built less the mean over seeds."""
         if self.seeds is None or self.as_built is None:
@@ -301,14 +320,14 @@ class Attribution:
         heads = ["mechanism", f"share [{self.unit}]", f"without it alone [{self.unit}]", "means"]
         rows: list[list[object]] = [
             [one.mechanism, one.share, one.alone, one.ending or one.meaning]
-            for one in (*self.shares, *self.others)
+            for one in self.changing
         ]
         if self.seeds is not None:
             heads.insert(2, f"s.e. [{self.unit}]")
-            for row, one in zip(rows, (*self.shares, *self.others), strict=True):
+            for row, one in zip(rows, self.changing, strict=True):
                 row.insert(2, one.standard_error)
-            if self.shares:
+            if self.shares and self.seeds.varies:
                 row = [THIS_SEED, self.this_seed, None, None, THIS_SEED_MEANS]
-                rows.insert(len(self.shares), row)
+                rows.insert(sum(one.share is not None for one in self.changing), row)
         table = format_html(rows, heads=heads, title=f"What caused {self.metric}")
         return table + "".join(f"\n<p>{escape(text)}</p>" for text in write_sentences(self))

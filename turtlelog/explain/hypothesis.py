@@ -71,6 +71,8 @@ _NOT_DETERMINISTIC: Final = (
 _TIME_IS_UP: Final = "max_duration"
 """Stop reason of a run that no rule of its law ended; the recording alone tells it."""
 
+AROUND: Final = "a loop is identified from commands only around turtlesim"
+
 _UNSURE: Final = Missing(status=Status.UNDETERMINED, reason="not every step is explained")
 
 
@@ -154,13 +156,15 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
     motion = space_out(trace)
     dead_times = {name: require_noise(one) for name, one in find_dead_times(motion).items()}
     recorded = _check_if_allowed(run, trace, kind, trust_law=trust_law)
-    fits = None
-    if find_plant(run).name == TURTLESIM.name:  # only its motion tells of the loop around it
+    fits, plant = None, find_plant(run).name
+    around = reason if plant == TURTLESIM.name else f"its plant is {plant}: {AROUND}"
+    if plant == TURTLESIM.name:  # only its motion tells of the loop around it
         fits = _fit_loop(trace, recorded, [*dead_times.values()])
         if recorded.scenario is not None and fits.is_driven:
             recorded = RecordedScenario(reach=_NOT_DETERMINISTIC)
     findings = {
-        **{key: miss(reason) for key in (*LAW_KEYS, *LOOP_KEYS, "stop_reason", "lost_commands")},
+        **{key: miss(reason) for key in LAW_KEYS},
+        **{key: miss(around) for key in (*LOOP_KEYS, "lost_commands")},
         **{
             f"{DEAD_TIME}{name}": describe_dead_time(found, motion, run)
             for name, found in dead_times.items()
@@ -179,7 +183,10 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
         is_recorded=recorded.scenario is not None,
         law=kind,
         tried={} if fits is None else fits.ranges,
-        notes=(*describe_breaks(trace), *filter(None, (reason, recorded.reach))),
+        notes=(
+            *describe_breaks(trace),
+            *dict.fromkeys(filter(None, (reason, around, recorded.reach))),
+        ),
     )
 
 

@@ -12,6 +12,7 @@ from turtlelog.display import join_words
 from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.explain.gain_fit import CommandFit
 from turtlelog.explain.hypothesis import (
+    AROUND,
     LONGEST_S,
     check_recorded_scenario,
     describe_dead_time,
@@ -69,9 +70,6 @@ _UNEXPLAINED: Final = (
 )
 
 
-_AROUND: Final = "a loop is identified from commands only around turtlesim"
-
-
 def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     """Identify the scenario of a run from its samples alone: pose read, command published, time.
 
@@ -108,7 +106,7 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
             return identify_other_law(run, reason, trust_law=trust_law)
         recorded, plant = _identify_recorded(run), find_plant(run).name
         if recorded is None and plant != TURTLESIM.name:
-            return identify_other_law(run, f"its plant is {plant}: {_AROUND}", trust_law=trust_law)
+            return identify_other_law(run, f"its plant is {plant}: {AROUND}", trust_law=trust_law)
         return recorded or _prefer_recorded(run, _identify_samples(run))
 
 

@@ -151,6 +151,13 @@ LOOP_MECHANISMS: Final = (
 )
 """What lies between law and plant, whatever the law. Dead time and lag of a robot are its own."""
 
+RANDOM_EFFECTS: Final = frozenset(
+    one.name
+    for one in LOOP_MECHANISMS
+    if any(key in keys for keys in RANDOM_KEYS.values() for key in one.neutral)
+)
+"""Names of those that draw random numbers."""
+
 _CHANCES: Final = frozenset({"loss", "repeat", "late", "dropout"})
 """Streams of effects that are certain at a probability of 1: the seed then changes nothing."""
 

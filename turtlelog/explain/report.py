@@ -4,7 +4,15 @@ import math
 from typing import Final
 
 from turtlelog.display import join_words
-from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet, is_clear
+from turtlelog.explain.attribution import (
+    Attribution,
+    SeedRange,
+    Share,
+    Together,
+    ValueSet,
+    is_clear,
+)
+from turtlelog.explain.mechanisms import RANDOM_EFFECTS
 
 _NAMED: Final = 0.1
 """Of the sum of the shares' magnitudes: a mechanism with a larger share is named, and so is what
@@ -85,6 +93,8 @@ def _name_set(found: Attribution, case: ValueSet) -> str:
 def _write_cause(found: Attribution) -> str:
     if not found.mechanisms:
         return f"None of the effects is in this run: {join_words(found.effects)}."
+    if not found.acting and found.seeds is not None and [*found.mechanisms] == _list_idle(found):
+        return ""  # the sentence on seeds says so
     if not found.acting:
         return f"Without {join_words(found.mechanisms, 'or')} it is the same."
     largest = max(abs(share.share or 0.0) for share in found.shares)
@@ -152,15 +162,40 @@ def _write_seeds(found: Attribution) -> str:
     seeds = found.seeds
     if seeds is None:
         return ""
+    if not seeds.varies:
+        return _write_equal_seeds(found, seeds)
     of = f"{seeds.count} seeds"
     if seeds.used < seeds.count:
         of = f"{seeds.used} of {of} (with the others it has no value, or none without some effect)"
     mean = _format(found, seeds.mean, seeds.standard_error)
     low, high = _format(found, seeds.low), _format(found, seeds.high)
+    # Values that round alike have no range that these digits show.
+    within = f"lie between {low} and {high}"
+    if low == high:
+        within = f"span {_format(found, seeds.high - seeds.low)}"
     return (
         f"Each seed gives another value: over {of} the mean is {mean} (one standard error), and the"
-        f" central 95 % lie between {low} and {high}. The shares are of the mean."
+        f" central 95 % {within}. The shares are of the mean."
     )
+
+
+def _write_equal_seeds(found: Attribution, seeds: SeedRange) -> str:
+    """Return that no seed changes the value, and which random effect therefore does not."""
+    idle = _list_idle(found)
+    if seeds.used < seeds.count:
+        return f"The {seeds.used} of {seeds.count} seeds that give a value all give the same."
+    if not idle:
+        return f"All {seeds.count} seeds give the same value."
+    return (
+        f"The {idle[0]} does not change this metric."
+        if len(idle) == 1
+        else f"{_capitalise(join_words(idle))} do not change this metric."
+    )
+
+
+def _list_idle(found: Attribution) -> list[str]:
+    """Return the random effects that change the value in no combination."""
+    return [name for name in found.mechanisms if name in RANDOM_EFFECTS - {*found.acting}]
 
 
 def _write_unclear(found: Attribution) -> str:
@@ -177,7 +212,7 @@ def _write_unclear(found: Attribution) -> str:
 
 def _write_this_seed(found: Attribution) -> str:
     value = found.this_seed
-    if value is None:
+    if value is None or found.seeds is None or not found.seeds.varies:
         return ""
     size = _format(found, abs(value))
     does = "adds" if value >= 0.0 else "takes away"
@@ -232,7 +267,7 @@ def _write_alone(found: Attribution, other: Share) -> str:
 
 
 def _format(found: Attribution, value: float | None, standard_error: float | None = None) -> str:
-    spread = "" if standard_error is None else f" +- {standard_error:.2g}"
+    spread = f" +- {standard_error:.2g}" if standard_error else ""
     return f"{value or 0.0:.4g}{spread} {found.unit}".removesuffix(" 1")
 
 
