@@ -3,10 +3,13 @@ from typing import Any
 
 import pytest
 
+from tests.known import known
 from tests.log.runs import find_shared
+from turtlelog.cli.explain_answer import format_attribution, format_identification
 from turtlelog.explain import (
     Attribution,
     Grain,
+    SeedRange,
     Share,
     StartRange,
     Together,
@@ -14,10 +17,12 @@ from turtlelog.explain import (
     attribute_run,
     attribute_scenario,
     find_mechanisms,
+    identify_run,
     write_sentences,
 )
 from turtlelog.log import import_log
 from turtlelog.scenario import get_preset, override_scenario
+from turtlelog.simulate import simulate_run
 
 MECHANISMS = find_mechanisms(get_preset("paper-kp10"))
 
@@ -214,3 +219,59 @@ def test_starts_without_a_value_are_counted() -> None:
         "Over 17 starts that span one sample's turn (0.458 deg either way) it is between 0.9 m and"
         " 1.1 m; 3 of them have no value."
     )
+
+
+def describe_noise(*, share: float = 0.0, low: float = 1.0, high: float = 1.0) -> Attribution:
+    seeds = SeedRange(count=32, used=32, mean=1.0, standard_error=high - low, low=low, high=high)
+    noise = make_share(mechanism="noise", share=share, alone=1.0 - share, standard_error=high - low)
+    return describe(mechanisms=("noise",), shares=(noise,), seeds=seeds, without_all=1.0 - share)
+
+
+def test_noise_that_changes_nothing_takes_one_sentence_and_no_table() -> None:
+    found = describe_noise()
+    assert write_sentences(found) == (
+        "final.position_error is 1 m, in the log and re-simulated.",
+        "The noise does not change this metric.",
+    )
+    text = format_attribution(found)
+    assert "mechanism" not in text
+    assert "+-" not in text
+    assert "this seed" not in found._repr_html_()
+
+
+def test_noise_that_adds_the_same_with_every_seed_is_not_said_to_change_nothing() -> None:
+    sentences = write_sentences(describe_noise(share=0.5))
+    assert sentences[1] == "All 32 seeds give the same value."
+    assert sentences[2].startswith("Noise adds 0.5 m; without noise it would be 0.5 m")
+
+
+def test_seeds_without_a_value_are_not_said_to_change_nothing() -> None:
+    found = describe_noise()
+    few = replace(found, seeds=replace(known(found.seeds), used=30))
+    assert write_sentences(few)[1] == "The 30 of 32 seeds that give a value all give the same."
+
+
+@pytest.mark.parametrize(("apart", "varies"), [(0.9e-12, False), (1.1e-12, True)])
+def test_seeds_that_differ_by_rounding_are_alike(apart: float, *, varies: bool) -> None:
+    assert known(describe_noise(high=1.0 + apart).seeds).varies is varies
+
+
+def test_a_range_that_the_digits_do_not_show_is_told_as_its_width() -> None:
+    told = write_sentences(describe_noise(share=0.5, low=1.0, high=1.000003))[1]
+    assert "the central 95 % span 3e-06 m" in told
+
+
+def test_what_changes_nothing_has_no_row() -> None:
+    found = describe(queue=0.5, **take_out("float32", 1.0))
+    text = format_attribution(found)
+    assert "queue" in text
+    assert "poses of 64 bits" not in text
+    assert "no pause after the rotation" not in text
+
+
+def test_each_value_without_a_reason_of_its_own_stands_at_a_note() -> None:
+    scenario = override_scenario(get_preset("lagged"), {"law.kind": "open-loop"})
+    scenario = override_scenario(scenario, {"sensing.noise_position_m": 1e-3, "law.signal": "step"})
+    text = " ".join(format_identification(identify_run(simulate_run(scenario))).split())
+    assert "see below" not in text
+    assert "only around turtlesim. Therefore unknown: start backlog, lost commands," in text

@@ -35,6 +35,9 @@ _FLOOR: Final = 1e-7
 _MOST_STEPS: Final = 4.0
 """How far from the least squares a start is looked for, in steps of rounding."""
 
+_SOLVED: Final = 1e-9
+"""Tolerance of the solver, in steps of rounding."""
+
 _REFITS: Final = 3
 """Rounds in which the weights of position and heading settle."""
 
@@ -305,7 +308,8 @@ def bound_start(drive: Drive | None, trace: Trace) -> StartBounds | None:
     half_steps = 0.5 * np.abs(np.spacing(poses.astype(np.float32))).astype(np.float64)
     grains = 0.5 * np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
     coarse = grains > 2.0 * half_steps.max(axis=0)
-    half_steps = np.where(coarse, grains * (1.0 + OFF_GRID), half_steps)
+    # A coarse pose was rounded to 32 bits before, and is so again in the log.
+    half_steps = np.where(coarse, grains * (1.0 + OFF_GRID) + 2.0 * half_steps, half_steps)
     if (np.array(drive.noise) > 2.0 * half_steps.max(axis=0) + _FLOOR).any():
         return None
     return _solve_bounds(drive, half_steps)
@@ -322,7 +326,7 @@ def _solve_bounds(drive: Drive, half_steps: Values) -> StartBounds | None:
     rows = drive.left.reshape(-1)
     slopes = drive.slopes.reshape(-1, 3)
     half = half_steps.reshape(-1)
-    # In units of the steps themselves: a solver's tolerance is 1e-9.
+    # In units of the steps themselves, in which the solver's tolerance counts.
     unit = float(half.max())
     within = np.block([[slopes, half[:, None] / unit], [-slopes, half[:, None] / unit]])
     sides = np.concatenate([half + rows, half - rows]) / unit
@@ -334,8 +338,13 @@ def _solve_bounds(drive: Drive, half_steps: Values) -> StartBounds | None:
         cost = [sign * (axis == column) for column in range(3)] + [0.0]
         ends.append(_solve(cost, within, sides))
     start = np.array(drive.start)
-    low = [start[axis] + (ends[2 * axis] or middle)[axis] * unit for axis in range(3)]
-    high = [start[axis] + (ends[2 * axis + 1] or middle)[axis] * unit for axis in range(3)]
+    low, high = (
+        [
+            start[axis] + ((ends[2 * axis + end] or middle)[axis] + way * _SOLVED) * unit
+            for axis in range(3)
+        ]
+        for end, way in ((0, -1.0), (1, 1.0))
+    )
     best = [start[axis] + middle[axis] * unit for axis in range(3)]
     return StartBounds(middle=_as_pose(best), low=_as_pose(low), high=_as_pose(high))
 
