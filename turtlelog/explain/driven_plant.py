@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from turtlelog.angles import subtract_headings, wrap_angle
 from turtlelog.explain.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.resimulation import number_poses
-from turtlelog.explain.trace import OFF_GRID, Trace, Values
+from turtlelog.explain.trace import Trace, Values
 from turtlelog.explain.trace_breaks import list_breaks
 from turtlelog.laws import Decision, Goal, Pose
+from turtlelog.measure.dead_time import COARSE
+from turtlelog.measure.motion import FEWEST_DIFFERENT, OFF_GRID
 from turtlelog.paths import Path
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
 from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start, Target
@@ -29,7 +31,7 @@ _UNKNOWN_TICKS: Final = 20
 WHITE: Final = 0.5
 """How far from 1 the whiteness of noise may be: a wrong setting leaves a curve, below 0.1."""
 
-_FLOOR: Final = 1e-7
+FLOOR: Final = 1e-7
 """Below the rounding of a 32-bit pose of a few metres nothing is told [m, rad]."""
 
 _MOST_STEPS: Final = 4.0
@@ -125,6 +127,11 @@ class Drive:
     reach: tuple[float, float, float]
     left: Values
     slopes: Values
+
+    @property
+    def spans(self) -> Values:
+        """From the least to the largest of what is left of x, y [m] and heading [rad]."""
+        return np.asarray(np.ptp(self.left, axis=0))
 
     def compute_misfit(self, whiteness: Values) -> float:
         """Return the negative log-likelihood, up to a constant, for noise of that whiteness."""
@@ -233,14 +240,17 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
             after[stretch] = left[stretch] - slopes[stretch] @ found
             if number == 0:
                 offsets, spread = found, covariance
-        noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + _FLOOR
+        noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + FLOOR
     whiteness = _measure_whiteness(after, stretches)
     grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
     quantile = find_quantile(int(kept.sum()) - 2)
     reach = quantile * np.sqrt(np.diag(spread)) * widen_for_runs(whiteness)
     start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
     is_noise = np.abs(whiteness - 1.0) < WHITE
-    is_rounding = noise < np.maximum(grains, 2.0 * _FLOOR)
+    is_rounding = noise < np.maximum(grains, 2.0 * FLOOR)
+    # Coarse steps make the error of a wrong setting smaller than a step, but not its range.
+    steps = np.array(trace.coarse_steps)
+    is_rounding &= (steps == 0.0) | (np.ptp(after[kept], axis=0) <= COARSE * steps)
     return Drive(
         rows=int(kept.sum()),
         whiteness=whiteness,
@@ -310,9 +320,17 @@ def bound_start(drive: Drive | None, trace: Trace) -> StartBounds | None:
     coarse = grains > 2.0 * half_steps.max(axis=0)
     # A coarse pose was rounded to 32 bits before, and is so again in the log.
     half_steps = np.where(coarse, grains * (1.0 + OFF_GRID) + 2.0 * half_steps, half_steps)
-    if (np.array(drive.noise) > 2.0 * half_steps.max(axis=0) + _FLOOR).any():
+    if coarse.any() and _hides_step(trace):
+        return None
+    if (np.array(drive.noise) > 2.0 * half_steps.max(axis=0) + FLOOR).any():
         return None
     return _solve_bounds(drive, half_steps)
+
+
+def _hides_step(trace: Trace) -> bool:
+    """Return whether a coordinate has too few values to show in which step it is logged."""
+    columns = trace.xy_m[:, 0], trace.xy_m[:, 1], trace.heading_rad
+    return min(len(np.unique(column)) for column in columns) < FEWEST_DIFFERENT
 
 
 def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -4,7 +4,7 @@ Nothing here knows a law. A re-simulation of the recorded scenario either reprod
 stands for nothing; dead times, limits and queues come from poses, commands and the clock.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final
@@ -45,6 +45,7 @@ from turtlelog.explain.unseen import take_seconds
 from turtlelog.laws import LAWS
 from turtlelog.loops import PAUSE, RESERVED, ControlLoop
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
+from turtlelog.measure.dead_time import LARGEST_TICKS, shows_lag
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import CUT_SHORT, Run
 from turtlelog.scenario import (
@@ -159,7 +160,7 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
     fits, plant = None, find_plant(run).name
     around = reason if plant == TURTLESIM.name else f"its plant is {plant}: {AROUND}"
     if plant == TURTLESIM.name:  # only its motion tells of the loop around it
-        fits = _fit_loop(trace, recorded, [*dead_times.values()])
+        fits = reject_lag(_fit_loop(trace, recorded, [*dead_times.values()]), dead_times)
         if recorded.scenario is not None and fits.is_driven:
             recorded = RecordedScenario(reach=_NOT_DETERMINISTIC)
     findings = {
@@ -171,7 +172,7 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
         },
         **describe_goal(trace),
         **_describe_limits(run),
-        **({} if fits is None else _describe_fits(trace, fits)),
+        **({} if fits is None else _describe_fits(trace, fits, find_lag_slack(run, dead_times))),
         **({} if recorded.scenario is None else take_seconds(recorded.scenario)),
         "stop_reason": describe_stop(run, recorded),
     }
@@ -190,9 +191,9 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
     )
 
 
-def _describe_fits(trace: Trace, fits: Fits) -> dict[str, Finding]:
+def _describe_fits(trace: Trace, fits: Fits, lag_slack: int) -> dict[str, Finding]:
     precision = describe_start(trace, fits)["loop.pose_precision"]
-    return {**describe_loop(trace, fits), "loop.pose_precision": precision}
+    return {**describe_loop(trace, fits, lag_slack), "loop.pose_precision": precision}
 
 
 def _check_if_allowed(run: Run, trace: Trace, kind: str, *, trust_law: bool) -> RecordedScenario:
@@ -240,6 +241,25 @@ def require_noise(found: DeadTime | Missing) -> DeadTime | Missing:
     return Missing(status=Status.UNDETERMINED, reason=reason)
 
 
+def find_lag_slack(run: Run, dead_times: Mapping[str, DeadTime | Missing]) -> int:
+    """Return how many ticks of the dead times may be a lag of the robot instead.
+
+    The loop that shows it best decides, as commands of all loops wait alike. A recorded scenario
+    of turtlesim has no lag.
+    """
+    if run.scenario_is_complete:
+        return 0
+    known = [one.lag_slack for one in dead_times.values() if isinstance(one, DeadTime)]
+    return min(known, default=LARGEST_TICKS)
+
+
+def reject_lag(fits: Fits, dead_times: Mapping[str, DeadTime | Missing]) -> Fits:
+    """Return settings that explain no motion where the robot clearly has a lag."""
+    if fits.drive is None or not any(map(shows_lag, dead_times.values())):
+        return fits
+    return replace(fits, drive=replace(fits.drive, explains=False))
+
+
 def find_dead_times(run: Run) -> dict[str, DeadTime | Missing]:
     """Return the dead time of each loop; by phase where the law declares no loops."""
     loops = run.declaration.loops
@@ -271,11 +291,10 @@ def describe_dead_time(found: DeadTime | Missing, motion: Run, run: Run) -> Find
         changed += f"; {change.before} until {run.poses.time_ns[row] / 1e9:.2f} s"
     if found.is_exact:
         return find_exactly(found.ticks, f"explains all {found.rows} steps to rounding{changed}")
-    return fit_value(
-        found.ticks,
-        f"least squares; the next best leaves {found.margin:.3g} times",
-        (found.ticks, found.ticks),
-    )
+    evidence = f"least squares; the next best leaves {found.margin:.3g} times"
+    if found.lag_slack:
+        evidence += "; with a lag a shorter one fits as well"
+    return fit_value(found.ticks, evidence, (found.ticks - found.lag_slack, found.ticks))
 
 
 def _describe_limits(run: Run) -> dict[str, Finding]:

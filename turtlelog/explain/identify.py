@@ -17,7 +17,9 @@ from turtlelog.explain.hypothesis import (
     check_recorded_scenario,
     describe_dead_time,
     describe_stop,
+    find_lag_slack,
     identify_other_law,
+    reject_lag,
     require_noise,
 )
 from turtlelog.explain.identification import (
@@ -63,6 +65,9 @@ _SLOWEST_S: Final = 4.0
 """Between samples [s]: 250 ticks of turtlesim, some 25 times as slow as any loop that was seen. The
 fewer samples there are, the longer each of some hundred settings is simulated to tell it from the
 others."""
+
+_MOST_ALIKE: Final = 8
+"""Settings that fit alike and are simulated again for their dead times: a second's work."""
 
 _UNEXPLAINED: Final = (
     "an effect that no log tells by itself, such as loss, jitter or a push, or commands that the"
@@ -219,9 +224,11 @@ def _identify_samples(run: Run) -> Identification:
     except (ScenarioError, SimulationError) as err:
         return give_up(run.name, findings, f"it cannot be simulated again: {err}", breaks)
     findings |= describe_start(trace, fits)
-    findings |= describe_loop(trace, fits)
-    if fits.is_fitted and not fits.is_exact:
-        findings |= _describe_dead_times_again(dead_times, again)
+    fits = reject_lag(fits, dead_times)
+    slack = find_lag_slack(run, dead_times)
+    findings |= describe_loop(trace, fits, slack)
+    if fits.is_fitted and not (fits.is_exact or fits.is_partial):
+        findings |= _describe_dead_times_again(dead_times, fits, slack)
     if not (fits.is_exact or fits.is_close):
         findings |= _withhold_law(findings, turning, driving)
     if not (fits.is_exact or fits.is_close or fits.is_fitted):
@@ -244,22 +251,26 @@ def _identify_samples(run: Run) -> Identification:
 
 
 def _describe_dead_times_again(
-    dead_times: Mapping[str, DeadTime | Missing], again: Run
+    dead_times: Mapping[str, DeadTime | Missing], fits: Fits, lag_slack: int
 ) -> dict[str, Finding]:
     """Return the dead times that the settings found have, where noise hides the log's own."""
-    found = {}
+    found: dict[str, Finding] = {}
+    if len(fits.scenarios) > _MOST_ALIKE:
+        return found
+    runs = [simulate_run(scenario) for scenario in fits.scenarios]
     for loop, logged in dead_times.items():
         is_hidden = (
             not logged.is_exact
             if isinstance(logged, DeadTime)
             else (logged.status is Status.UNDETERMINED)
         )
-        dead_time = find_dead_time(again, loop)
-        if is_hidden and isinstance(dead_time, DeadTime):
+        again = [find_dead_time(run, loop) for run in runs] if is_hidden else []
+        ticks = [one.ticks for one in again if isinstance(one, DeadTime)]
+        if ticks and len(ticks) == len(runs):
             found[f"{DEAD_TIME}{loop}"] = fit_value(
-                dead_time.ticks,
+                ticks[0],
                 "of the settings that explain the motion",
-                (dead_time.ticks, dead_time.ticks),
+                (max(min(ticks) - lag_slack, 0), max(ticks)),
             )
     return found
 

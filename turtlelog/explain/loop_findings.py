@@ -1,5 +1,8 @@
 """The settings that a search found, as findings."""
 
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -8,6 +11,7 @@ from turtlelog.angles import subtract_headings
 from turtlelog.explain.gain_fit import find_quantile
 from turtlelog.explain.identification import (
     LOOP_KEYS,
+    Certainty,
     Finding,
     bound_value,
     find_exactly,
@@ -15,6 +19,7 @@ from turtlelog.explain.identification import (
     leave_open,
     miss,
 )
+from turtlelog.explain.loop_guesses import PAUSE_KEY
 from turtlelog.explain.resimulation import list_lost_commands, read_pause
 from turtlelog.explain.search import START_KEYS, Fits
 from turtlelog.explain.trace import Trace
@@ -25,13 +30,23 @@ _HELD_AND_BURST: Final = ("pause.held_turn_rate_rad_s", "pause.burst")
 _QUEUES: Final = ("loop.queue_policy", "loop.command_queue", "loop.pose_queue")
 """Settings whose one value was not read off the clock, but is the usual one."""
 
+_LIKE_A_LAG: Final = MappingProxyType(
+    {"loop.start_backlog": 1, "loop.transport_delay_ticks": 0, "law.pause_ticks": 0}
+)
+"""Settings that a lag of the robot can be taken for, with the least value of each."""
+
 _PERIOD: Final = "the usual distance of the poses answered"
 
 
-def describe_loop(trace: Trace, fits: Fits) -> dict[str, Finding]:
+def describe_loop(trace: Trace, fits: Fits, lag_slack: int = 0) -> dict[str, Finding]:
     """Return what lies between controller and plant, and the lost commands.
 
     Where nothing is exact and no noise explains it, what fits best is no finding.
+
+    Args:
+        trace: The samples.
+        fits: The settings that fit.
+        lag_slack: How many ticks of the dead times may be a lag of the robot instead.
     """
     keys = [key for key in LOOP_KEYS if key in fits.guesses[0]]
     poses = np.column_stack([trace.xy_m, trace.heading_rad])
@@ -40,6 +55,8 @@ def describe_loop(trace: Trace, fits: Fits) -> dict[str, Finding]:
         findings = {key: miss(reason, fits.guesses[0][key]) for key in keys}
         return {**findings, "lost_commands": miss(reason)}
     findings = {key: _describe_setting(trace, fits, key) for key in keys}
+    if lag_slack and not (fits.is_exact or fits.is_close):
+        findings |= _allow_lag(findings, lag_slack)
     for key in _QUEUES:
         if fits.is_driven and len(fits.ranges[key]) == 1:
             findings[key] = miss("no other value was tried", fits.guesses[0][key])
@@ -101,10 +118,8 @@ def _settle(values: list[Any], evidence: str) -> Finding:
 def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
     values, chosen = fits.list_values(key), fits.guesses[0][key]
     is_reproduced = fits.is_exact or fits.is_close
-    if not (is_reproduced or fits.is_fitted):
-        return miss(_write_none(fits, chosen), chosen)
-    if key in fits.hidden:
-        return miss("a deeper queue gives the same run", chosen)
+    if reason := _find_obstacle(fits, key, chosen):
+        return miss(reason, chosen)
     if len(values) > 1:
         how = "reproduces every sample" if is_reproduced else "leaves as little as the others"
         return leave_open(values, f"each {how}", chosen)
@@ -121,6 +136,34 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
         evidence = f"reproduces all {len(trace)} samples to rounding, none bit for bit"
     is_number = isinstance(chosen, int)
     return fit_value(chosen, evidence + also, (chosen, chosen) if is_number else None)
+
+
+def _find_obstacle(fits: Fits, key: str, chosen: Any) -> str:
+    """Return why a setting has no value; empty where it has one."""
+    is_reproduced = fits.is_exact or fits.is_close
+    if not (is_reproduced or fits.is_fitted):
+        return _write_none(fits, chosen)
+    if fits.is_partial and not is_reproduced:
+        return "the log is too long to try all settings that may explain it"
+    return "a deeper queue gives the same run" if key in fits.hidden else ""
+
+
+def _allow_lag(findings: Mapping[str, Finding], ticks: int) -> dict[str, Finding]:
+    """Widen the intervals of what a lag of the robot would be taken for.
+
+    No lag is longer than the dead time that it would stand for.
+    """
+    waits = [findings[key].used for key in _LIKE_A_LAG if key in findings and key != PAUSE_KEY]
+    ticks = min(ticks, sum(waits))
+    return {
+        key: replace(
+            findings[key],
+            interval=(max(findings[key].value - ticks, least), findings[key].value + ticks),
+            evidence=f"{findings[key].evidence}; up to {ticks} ticks may be a lag of the robot",
+        )
+        for key, least in _LIKE_A_LAG.items()
+        if key in findings and findings[key].certainty is Certainty.FITTED
+    }
 
 
 def _name_alike(key: str, chosen: Any) -> str:
@@ -197,7 +240,7 @@ def _describe_pose(fits: Fits, read: dict[str, Any]) -> dict[str, Finding]:
         reason = "no setting explains the motion; taken from the first pose read"
         return {key: miss(reason, value) for key, value in read.items()}
     if fits.drive.is_rounding:
-        reason = "no start makes every pose round as logged; taken from the first pose read"
+        reason = "the rounding of the poses does not bound it; taken from the first pose read"
         return {key: miss(reason, value) for key, value in read.items()}
     found = zip(read, fits.drive.start, fits.drive.reach, strict=True)
     return {

@@ -7,8 +7,10 @@ from math import ceil
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.explain.driven_plant import (
+    FLOOR,
     Drive,
     StartBounds,
     bound_start,
@@ -37,11 +39,14 @@ from turtlelog.explain.resimulation import (
 )
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
-from turtlelog.measure.dead_time import CERTAIN
+from turtlelog.measure.dead_time import CERTAIN, COARSE, LIKE_THE_BEST
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
 
 _MOST_TICKS: Final = 150_000
 """Ticks that are simulated where none is exact, some four seconds' worth."""
+
+_FEWEST_ROWS: Final = 150
+"""Rows over which settings are compared at least: a turn by half a circle at 1 rad/s has 200."""
 
 _MOST_SAMPLES: Final = 100_000
 """Samples simulated from which on rarer queues are no longer tried, some three seconds' worth."""
@@ -74,6 +79,7 @@ class Fits:
         tried: How many were simulated.
         ranges: The values of each key among the settings tried, in ascending order.
         is_driven: Whether the plant was driven with the log's commands, and no law was asked.
+        is_partial: Whether the log is too long to try all settings that may explain its motion.
         hidden: Keys whose value makes no difference in this run.
         bounds: Of the start, where what is left is the rounding of poses alone.
     """
@@ -87,6 +93,7 @@ class Fits:
     tried: int
     ranges: Mapping[str, tuple[Any, ...]]
     is_driven: bool = False
+    is_partial: bool = False
     hidden: frozenset[str] = frozenset()
     bounds: StartBounds | None = None
 
@@ -165,6 +172,7 @@ class _Search:
         self._near: Sequence[int | None] = near or pauses
         self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
         self._tried = self._simulated = 0
+        self._is_partial = False
         self._values: dict[str, set[Any]] = {}
         self.to_rounding = self.is_driven = False
         self._base: Scenario | None = None
@@ -292,6 +300,7 @@ class _Search:
             tried=self._tried,
             ranges=self._list_ranges(),
             is_driven=True,
+            is_partial=self._is_partial,
             hidden=self._find_hidden(agreeing),
         )
 
@@ -330,12 +339,18 @@ class _Search:
         self, guesses: Sequence[Guess], pauses: Sequence[int | None], *, rows: int | None
     ) -> list[tuple[Guess, Drive]]:
         """Return the settings that fit alike best, the best first."""
-        ticks = (len(self._rows) if rows is None else rows) * self._trace.period_ticks
-        ticks += pauses[0] or 0
-        tried = [
+        every = [
             set_pause(guess, pause)
             for pause, guess in product(pauses, [drop_pause(g) for g in guesses])
-        ][: max(int(_MOST_TICKS / max(ticks, 1)), 1)]
+        ]
+        if rows is not None:
+            # All are tried over the first rows rather than some of them over all.
+            enough = max(_MOST_TICKS // (len(every) * self._trace.period_ticks), _FEWEST_ROWS)
+            rows = min(rows, enough)
+        ticks = (len(self._rows) if rows is None else rows) * self._trace.period_ticks
+        ticks += pauses[0] or 0
+        tried = every[: max(int(_MOST_TICKS / max(ticks, 1)), 1)]
+        self._is_partial |= len(tried) < len(every)
         self._tried += len(tried)
         alike = self.is_driven
         found = [
@@ -349,7 +364,17 @@ class _Search:
         first = min(driven, key=lambda pair: sum(np.log(pair[1].noise)))[1]
         misfits = [drive.compute_misfit(first.whiteness) for _, drive in driven]
         order = np.argsort(misfits, kind="stable").tolist()
-        return [driven[row] for row in order if misfits[row] < min(misfits) + CERTAIN]
+        alike = self._list_within_steps([drive for _, drive in driven], order[0])
+        return [driven[row] for row in order if alike[row] or misfits[row] < min(misfits) + CERTAIN]
+
+    def _list_within_steps(self, drives: Sequence[Drive], best: int) -> NDArray[np.bool_]:
+        """Return which drives leave no more than the coarse steps of the poses make."""
+        steps = np.array(self._trace.coarse_steps)
+        spans = np.array([drive.spans for drive in drives])
+        if not steps.any():
+            return np.arange(len(drives)) == best
+        most = np.maximum(COARSE * steps, LIKE_THE_BEST * spans[best] + FLOOR)
+        return np.asarray((spans <= most).all(axis=1))
 
     def _build_nearest(self, guesses: Sequence[Guess], drive: Drive | None) -> Fits:
         start: dict[str, float] = {}
@@ -365,6 +390,7 @@ class _Search:
             is_exact=False,
             drive=drive,
             bounds=bound_start(drive, self._trace),
+            is_partial=self._is_partial,
             reproduced=counts[0],
             tried=self._tried,
             ranges=self._list_ranges(),

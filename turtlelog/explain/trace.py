@@ -8,17 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ExplainError
+from turtlelog.measure.motion import find_coarse_step, find_common_step, find_spacing
 from turtlelog.plants import find_plant
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
-
-_FEWEST_DIFFERENT: Final = 10
-"""Fewer different values may have a common step by chance."""
-
-OFF_GRID: Final = 0.02
-"""How far a 32-bit float may be off the multiple of a step that it was rounded from, in steps:
-4e-7 m of 1e-4 m, and a margin."""
 
 _FIRST_DIGITS: Final = 9
 """A goal that is only logged as position plus error is rounded to this many decimals."""
@@ -114,6 +108,12 @@ class Trace:
         return find_grain(self.heading_rad)
 
     @property
+    def coarse_steps(self) -> tuple[float, float, float]:
+        """Steps of x, y [m] and heading [rad] in which poses are logged; 0 where not coarse."""
+        x_m, y_m = (find_coarse_step(self.xy_m[:, axis]) for axis in (0, 1))
+        return x_m, y_m, find_coarse_step(self.heading_rad)
+
+    @property
     def answered_after_s(self) -> float:
         """Usual time from a pose to its answer [s], bursts left out; 0 where there is little else.
 
@@ -181,19 +181,7 @@ def find_grain(values: Values) -> float:
 
     0 where they have more bits and no common step.
     """
-    different = np.unique(values)
-    spacing = 0.0
-    if (values == values.astype(np.float32)).all():
-        spacing = float(np.spacing(np.float32(np.abs(values).max(initial=0.0))))
-    if len(different) < _FEWEST_DIFFERENT:
-        return spacing
-    steps = np.diff(different)
-    # From neighbours, which are few steps apart, to all: the step gets more exact on the way.
-    multiples = np.cumsum(np.rint(steps / steps.min()))
-    step = float((different[1:] - different[0]) @ multiples / (multiples @ multiples))
-    left = (different[1:] - different[0]) - step * multiples
-    is_common = bool((np.abs(left) < OFF_GRID * step).all()) and step > spacing
-    return step if is_common else spacing
+    return find_common_step(values) or find_spacing(values)
 
 
 def estimate_noise(values: Values, order: int = 2) -> float:

@@ -46,6 +46,24 @@ _SCREENED: Final = 64
 _FEW: Final = 8
 """Dead times that are looked at one by one: more are sooner looked at together."""
 
+_TELLING_STEPS: Final = 3
+"""Steps that each other dead time must fail to explain where the dead time seems to change: at a
+constant command all explain all, but for a step or two where it begins."""
+
+_LAG_OFFSETS: Final = np.array([-0.5, -0.25, 0.0, 0.25, 0.5, 1.0])
+"""Dead time and lag together are tried up to so many ticks off the best dead time alone [ticks]."""
+
+COARSE: Final = 1.25
+"""Steps of rounding that the right fit leaves at most: one, and what its offset is off."""
+
+LIKE_THE_BEST: Final = 1.1
+"""Where noise comes on top, by how much more than the best the right fit leaves at most."""
+
+_TINY: Final = 1e-300
+
+_EXPLAINS_BETTER: Final = "explains the motion better than"
+"""In the reason of a dead time that is none, as the robot has a lag."""
+
 _FEWEST_STEPS: Final = 12
 """The shortest stretch that counts as one of another dead time."""
 
@@ -81,6 +99,8 @@ class DeadTime:
         whiteness: Of what is left of the way where there is noise: the mean square of its changes
             by twice its mean square, 1 for noise, near 0 for a curve. 1 where every step is
             explained, or nothing but rounding is left.
+        least_ticks: The smallest dead time that explains the motion as well, with a lag beside it.
+            Noise hides which it is; `ticks` where the plant is known to have no lag.
     """
 
     ticks: int
@@ -90,6 +110,12 @@ class DeadTime:
     is_exact: bool
     changes: tuple[DeadTimeChange, ...] = ()
     whiteness: float = 1.0
+    least_ticks: int | None = None
+
+    @property
+    def lag_slack(self) -> int:
+        """How many of the ticks may be a lag instead."""
+        return 0 if self.least_ticks is None else self.ticks - self.least_ticks
 
 
 def find_dead_time(
@@ -131,7 +157,10 @@ def find_dead_time(
         return Missing(status=Status.TOO_SHORT, reason=f"nothing moves in {loop.name}")
     # Of a step of several ticks the first to move may have moved in some of them only.
     first = int(moves.argmax()) + (motion.step_ticks > 1)
-    found = (_find_only(motion, first) if is_short else None) or _choose(motion, first)
+    may_lag = not run.scenario_is_complete
+    found = (_find_only(motion, first) if is_short else None) or _choose(
+        motion, first, may_lag=may_lag
+    )
     if isinstance(found, Missing) or found.is_exact:
         return found
     reason = _find_doubt(run, loop)
@@ -190,7 +219,7 @@ def _find_fits(
     return (errors <= motion.rounding[rows]) | ~sure, sure
 
 
-def _choose(motion: LoopMotion, first: int) -> DeadTime | Missing:
+def _choose(motion: LoopMotion, first: int, *, may_lag: bool) -> DeadTime | Missing:
     """Judge every dead time by all steps, of which `first` is the first that moves."""
     predicted, sure = motion.predict(_CANDIDATES)
     errors = motion.moved - predicted
@@ -204,7 +233,7 @@ def _choose(motion: LoopMotion, first: int) -> DeadTime | Missing:
     stretches = [(0, int(exact[0]))] if len(exact) else _split_exactly(fits)
     if stretches:
         return _describe_exact(motion, errors, stretches, first)
-    return _fit_least_squares(motion, errors)
+    return _fit_least_squares(motion, errors, may_lag=may_lag)
 
 
 def _describe_alike(ticks: NDArray[np.int64]) -> str:
@@ -245,6 +274,9 @@ def _split_exactly(fits: NDArray[np.bool_]) -> list[tuple[int, int]]:
         best = np.flatnonzero(lengths == lengths.max())
         if lengths.max() < min(_FEWEST_STEPS, end):
             return []
+        others = np.delete(fits[:, end - int(lengths.max()) : end], best, axis=0)
+        if not stretches and (~others).sum(axis=1).min(initial=_FEWEST_STEPS) < _TELLING_STEPS:
+            return []
         # What fits alike is told by the nearer of the dead times on either side.
         near = stretches[0][1] if stretches else int(best[0])
         end -= int(lengths.max())
@@ -252,17 +284,15 @@ def _split_exactly(fits: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return stretches
 
 
-def _fit_least_squares(motion: LoopMotion, errors: Values) -> DeadTime | Missing:
+def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> DeadTime | Missing:
     """Fit the way, not its steps: the noise of poses does not add up along it."""
     way = np.cumsum(motion.moved)
     span = float(np.ptp(way))
     rows = np.flatnonzero(np.arange(len(way)) >= (np.abs(way) > _BEGUN * span).argmax())
     rows = rows[~_find_after_gaps(motion)[rows]]
-    with np.errstate(over="ignore", invalid="ignore"):
-        drift = np.cumsum(errors, axis=1)[:, rows]
-        left = _remove_offsets(drift, motion.tick[rows], motion.step_ticks)
-        size = np.nan_to_num(np.sqrt(np.mean(left**2, axis=1)), nan=np.inf)
+    left, size = _fit_way(motion, errors, rows)
     best, second = np.argsort(size, kind="stable")[:2].tolist()
+    alike = np.flatnonzero(is_within_steps(np.ptp(left, axis=1), best, motion.grain))
     margin = _compute_margin(size, best)
     if size[best] > _EXPLAINED * span:
         reason = f"no dead time up to {LARGEST_TICKS} ticks explains the motion"
@@ -270,6 +300,16 @@ def _fit_least_squares(motion: LoopMotion, errors: Values) -> DeadTime | Missing
     if len(rows) * np.log(margin) < CERTAIN:
         reason = f"dead times of {best} and {second} ticks fit alike"
         return Missing(status=Status.UNDETERMINED, reason=reason)
+    if len(alike) > 1:
+        listed = f"{alike[0]} to {alike[-1]} ticks"
+        reason = f"dead times of {listed} fit alike, as the poses are logged in coarse steps"
+        return Missing(status=Status.UNDETERMINED, reason=reason)
+    least = best
+    if may_lag:
+        lags = find_lags(motion, errors, rows, best, float(size[best]))
+        if lags.is_better:
+            return Missing(status=Status.UNDETERMINED, reason=lags.reason)
+        least = lags.least_ticks
     is_rounding = bool(size[best] <= motion.rounding.max())
     return DeadTime(
         ticks=best,
@@ -278,7 +318,96 @@ def _fit_least_squares(motion: LoopMotion, errors: Values) -> DeadTime | Missing
         rows=len(rows),
         is_exact=False,
         whiteness=1.0 if is_rounding else _measure_whiteness(left[best]),
+        least_ticks=least,
     )
+
+
+def is_within_steps(spans: Values, best: int, grain: float) -> NDArray[np.bool_]:
+    """Return which fits leave no more than the coarse steps of poses make, or than the best does.
+
+    What rounding leaves is no noise: neighbours share it, and its squares tell nothing.
+
+    Args:
+        spans: From the least to the largest that each fit leaves [rad or m].
+        best: Row of the best.
+        grain: Coarse step [rad or m]; 0: there is none, and the best stands alone.
+    """
+    if not grain:
+        return np.arange(len(spans)) == best
+    most = max(COARSE * grain, LIKE_THE_BEST * float(spans[best]))
+    return np.asarray(spans <= most)
+
+
+def _fit_way(motion: LoopMotion, errors: Values, rows: NDArray[np.int64]) -> tuple[Values, Values]:
+    """Return what errors of steps leave of the way, and its root mean square, one row for each."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        drift = np.cumsum(errors, axis=1)[:, rows]
+        left = _remove_offsets(drift, motion.tick[rows], motion.step_ticks)
+        return left, np.nan_to_num(np.sqrt(np.mean(left**2, axis=1)), nan=np.inf)
+
+
+def shows_lag(found: DeadTime | Missing) -> bool:
+    """Return whether there is no dead time because a lag explains the motion better."""
+    return isinstance(found, Missing) and _EXPLAINS_BETTER in found.reason
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LagFits:
+    """Whether a dead time with a lag explains a motion that a longer dead time alone fits best.
+
+    Attributes:
+        least_ticks: The smallest dead time that fits as well, with some lag.
+        is_better: Whether one of them clearly fits better.
+        reason: Why there is no dead time then, in one clause.
+    """
+
+    least_ticks: int
+    is_better: bool
+    reason: str
+
+
+def find_lags(
+    motion: LoopMotion, errors: Values, rows: NDArray[np.int64], best: int, size: float
+) -> LagFits:
+    """Return which shorter dead times explain a motion with a lag.
+
+    Args:
+        motion: Of a loop.
+        errors: What each dead time leaves of each step, shape (dead times, steps).
+        rows: Steps that count.
+        best: The dead time that fits best alone [ticks].
+        size: What that leaves [rad or m].
+    """
+    pairs = [
+        (ticks, lag)
+        for ticks in range(best + 1)
+        for lag in (best - ticks + _LAG_OFFSETS).tolist()
+        if lag > 0.0
+    ]
+    predicted = motion.moved - errors
+    lagged = np.array([_lag_steps(motion, predicted[ticks], lag) for ticks, lag in pairs])
+    sizes = _fit_way(motion, motion.moved - lagged, rows)[1]
+    gained = len(rows) * np.log(max(size, np.finfo(float).tiny) / np.maximum(sizes, _TINY))
+    alike = [
+        ticks for (ticks, _), one in zip(pairs, gained.tolist(), strict=True) if one > -CERTAIN
+    ]
+    return LagFits(
+        least_ticks=min([best, *alike]),
+        is_better=bool(gained.max() > CERTAIN),
+        reason=(f"with a lag a shorter dead time {_EXPLAINS_BETTER} {best} ticks without a lag"),
+    )
+
+
+def _lag_steps(motion: LoopMotion, predicted: Values, lag_ticks: float) -> Values:
+    """Return predicted steps as a first-order lag makes them, in closed form for held commands."""
+    from scipy.signal import lfilter
+
+    lag = lag_ticks / motion.step_ticks
+    kept = float(np.exp(-1.0 / lag))
+    now, before = 1.0 - lag * (1.0 - kept), lag * (1.0 - kept) - kept
+    bounds = np.flatnonzero(np.diff(motion.tick) > motion.step_ticks) + 1
+    parts = np.split(predicted, bounds)
+    return np.concatenate([lfilter([now, before], [1.0, -kept], part) for part in parts])
 
 
 def _measure_whiteness(left: Values) -> float:

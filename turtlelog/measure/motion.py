@@ -1,5 +1,6 @@
 """What each plant step moved, and which sample's command it could have integrated."""
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,7 +13,7 @@ from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import LAGGED, Plant, find_plant
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S
-from turtlelog.run import Run
+from turtlelog.run import PoseColumns, Run
 
 Values = NDArray[np.float64]
 
@@ -31,6 +32,13 @@ some of three steps."""
 _LOST_ROWS: Final = 1000
 """Rows that a gap of unknown length stands for: further than any dead time reaches."""
 
+FEWEST_DIFFERENT: Final = 10
+"""Fewer different values may have a common step by chance."""
+
+OFF_GRID: Final = 0.02
+"""How far a 32-bit float may be off the multiple of a step that it was rounded from, in steps:
+4e-7 m of 1e-4 m, and a margin."""
+
 _EXACT: Final = 2e-8
 """What double precision leaves of a step: turtlesim's pi has eight decimals [m, rad]."""
 
@@ -47,6 +55,8 @@ class LoopMotion:
         rounding: What the rounding of the two poses can make of it [rad or m], shape (n,).
         step_ticks: Ticks in a step: 1 where there is a pose per tick.
         tick_s: Length of a tick [s].
+        grain: How far a way may be off because poses are logged in coarse steps [rad or m]; 0
+            where they are not.
         sample_tick: Tick of the pose that each sample of the run read, shape (m,), rising.
         apart: Usual distance of these [ticks], at least 1.
         command: What the plant makes of each sample's command, in the end [rad/s or m/s],
@@ -59,6 +69,7 @@ class LoopMotion:
     rounding: Values
     step_ticks: int
     tick_s: float
+    grain: float
     sample_tick: NDArray[np.int64]
     apart: float
     command: Values
@@ -121,6 +132,7 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
         rounding=rounding[is_kept],
         step_ticks=step_ticks,
         tick_s=tick_s,
+        grain=_measure_grain(poses, moved, loop),
         sample_tick=sample_tick,
         apart=max(compute_median(np.diff(sample_tick)), 1.0) if len(sample_tick) > 1 else 1.0,
         command=command * read_gain(run, loop),
@@ -155,6 +167,48 @@ def read_lag_s(run: Run, loop: ControlLoop) -> float:
 def name_lag(loop: ControlLoop) -> str:
     """Return the key of that time constant in a scenario."""
     return f"{PLANT_KEYS[loop.command]}lag_s"
+
+
+def _measure_grain(poses: PoseColumns, moved: Values, loop: ControlLoop) -> float:
+    """Return by how much a way of coarse poses may be off: of a heading a step, of a place both.
+
+    A heading that is off makes a way longer than it is along that heading.
+    """
+    heading_rad = find_coarse_step(poses.heading_rad)
+    if loop.command == "turn_rate":
+        return heading_rad
+    place_m = max(find_coarse_step(poses.xy_m[:, 0]), find_coarse_step(poses.xy_m[:, 1]))
+    way_m = float(np.abs(moved).sum())
+    return math.sqrt(2.0) * place_m + way_m * (1.0 - math.cos(0.5 * heading_rad))
+
+
+def find_common_step(values: Values) -> float:
+    """Return the step above that of 32-bit floats that all values are multiples of; 0 for none."""
+    different = np.unique(values)
+    if len(different) < FEWEST_DIFFERENT:
+        return 0.0
+    steps = np.diff(different)
+    # From neighbours, which are few steps apart, to all: the step gets more exact on the way.
+    multiples = np.cumsum(np.rint(steps / steps.min()))
+    step = float((different[1:] - different[0]) @ multiples / (multiples @ multiples))
+    left = (different[1:] - different[0]) - step * multiples
+    is_common = bool((np.abs(left) < OFF_GRID * step).all())
+    return step if is_common and step > find_spacing(values) else 0.0
+
+
+def find_spacing(values: Values) -> float:
+    """Return the spacing of 32-bit floats at the largest value; 0 where values have more bits."""
+    if (values != values.astype(np.float32)).any():
+        return 0.0
+    return float(np.spacing(np.float32(np.abs(values).max(initial=0.0))))
+
+
+def find_coarse_step(values: Values) -> float:
+    """Return the common step of some values, or of few ones the least distance; 0 for none."""
+    different = np.unique(values)
+    if 1 < len(different) < FEWEST_DIFFERENT:
+        return float(np.diff(different).min())
+    return find_common_step(values)
 
 
 _UNITS: Final = {"turn_rate": "turn_rate_rad_s", "speed": "speed_m_s"}
