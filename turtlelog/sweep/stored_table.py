@@ -8,7 +8,8 @@ from typing import Any, Final
 
 from turtlelog.errors import LogError, SweepError
 from turtlelog.libraries import load_library
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.error_boundary import name_file
+from turtlelog.log.parquet_file import ParquetFile, list_cells
 from turtlelog.remote.urls import is_there
 from turtlelog.sweep.result_table import FORMAT, PREFIX, ROW, ColumnType, ResultColumn, ResultTable
 
@@ -32,9 +33,8 @@ def read_result_facts(path: str | Path) -> Mapping[str, str] | None:
         LogError: Where it is no Parquet file, is cut, or a newer turtlelog wrote it.
         LibraryError: Where pyarrow is not installed.
     """
-    parquet = load_library("pyarrow.parquet")
-    with _name_table(path), open_file(path) as stream:
-        return _read_facts(parquet.read_schema(stream).metadata)
+    with _name_table(path):
+        return _read_facts(ParquetFile(path).schema.metadata)
 
 
 def read_result_table(
@@ -56,9 +56,7 @@ def read_result_table(
 
 def list_values(column: ResultColumn) -> list[Any]:
     """Return cells of Arrow as values of Python."""
-    cells: Any = column.cells
-    found: list[Any] = cells.to_pylist()
-    return found
+    return list_cells(column.cells)
 
 
 def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
@@ -104,23 +102,20 @@ class StoredTable:
 
     def __init__(self, path: str | Path) -> None:
         """Read what the file says about itself; what goes wrong is as in `read_result_table`."""
-        parquet = load_library("pyarrow.parquet")
         self._path = path
-        with _name_table(path), open_file(path) as stream:
-            self._metadata = parquet.read_metadata(stream)
-            schema = self._metadata.schema.to_arrow_schema()
-            facts = dict(_read_facts(schema.metadata) or {})
+        with _name_table(path):
+            self._file = ParquetFile(path)
+            facts = dict(_read_facts(self._file.schema.metadata) or {})
         self.kind, self.version = facts.pop("kind", ""), facts.pop("version", "")
         facts.pop("format", None)
         self.facts: Mapping[str, str] = facts
-        self.names: Sequence[str] = schema.names
-        groups = range(self._metadata.num_row_groups)
-        self.group_rows = [self._metadata.row_group(group).num_rows for group in groups]
+        self.names: Sequence[str] = self._file.schema.names
+        self.group_rows = self._file.group_rows
 
     @property
     def row_count(self) -> int:
         """How many rows it has."""
-        return sum(self.group_rows)
+        return self._file.row_count
 
     def read(
         self, columns: Sequence[str] | None = None, group: int | None = None
@@ -134,11 +129,8 @@ class StoredTable:
         Raises:
             LogError: As `read_result_table` does.
         """
-        parquet, names = load_library("pyarrow.parquet"), None if columns is None else [*columns]
-        with _name_table(self._path), open_file(self._path) as stream:
-            file = parquet.ParquetFile(stream, metadata=self._metadata)
-            table = file.read(names) if group is None else file.read_row_group(group, names)
-            return list(_iterate_columns(table))
+        with _name_table(self._path):
+            return list(_iterate_columns(self._file.read(columns, group)))
 
     def load(self, columns: Sequence[str] | None = None) -> ResultTable:
         """Return the table with values of Python as cells.
@@ -199,7 +191,7 @@ class StoredTable:
     def count_values(self, name: str) -> int:
         """Return how many cells of a column have a value; none of them is read."""
         place, groups = self.names.index(name), range(len(self.group_rows))
-        chunks = (self._metadata.row_group(group).column(place) for group in groups)
+        chunks = (self._file.metadata.row_group(group).column(place) for group in groups)
         return sum(chunk.statistics.num_values for chunk in chunks)
 
 
@@ -233,7 +225,8 @@ _TYPES: Final[Mapping[str, ColumnType]] = {
 
 def _iterate_columns(table: Any) -> Iterator[ResultColumn]:
     pa = load_library("pyarrow")
-    stored = {"whole": pa.int64(), "real": pa.float64(), "truth": pa.bool_(), "text": pa.string()}
+    text = pa.dictionary(pa.int32(), pa.string())
+    stored = {"whole": pa.int64(), "real": pa.float64(), "truth": pa.bool_(), "text": text}
     for one, cells in zip(table.schema, table.columns, strict=True):
         kind = _TYPES.get(str(getattr(one.type, "value_type", one.type)))
         if kind is None or pa.types.is_nested(one.type):

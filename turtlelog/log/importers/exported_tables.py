@@ -14,9 +14,9 @@ from turtlelog.angles import wrap_angle
 from turtlelog.declaration_json import parse_declaration
 from turtlelog.errors import LogError, RunError
 from turtlelog.escapes import guard_cell
-from turtlelog.libraries import load_library
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers.table_text import read_header
+from turtlelog.log.parquet_file import ParquetFile, list_cells
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.remote.urls import make_path
 from turtlelog.run import (
@@ -198,16 +198,14 @@ def _release(cell: str) -> str:
 
 
 def _read_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
-    parquet = load_library("pyarrow.parquet")
-    with open_file(path) as stream:
-        table = parquet.read_table(stream)
+    table = ParquetFile(path).read()
     metadata = {key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()}
     prefix = "turtlelog."
     facts = {
         key.removeprefix(prefix): text for key, text in metadata.items() if key.startswith(prefix)
     }
     columns = {
-        name: np.array(table[name].to_pylist(), dtype=object)
+        name: np.array(list_cells(table[name]), dtype=object)
         if name in _TEXTS
         else table[name].to_numpy()
         for name in table.column_names

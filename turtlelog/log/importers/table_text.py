@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.errors import LogError
-from turtlelog.libraries import load_library
 from turtlelog.log.error_boundary import open_file
+from turtlelog.log.parquet_file import ParquetFile, list_cells
 
 TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 """The columns of a TUM trajectory, which has no header: time, position, quaternion."""
@@ -39,7 +39,7 @@ class PlainTable:
     """
 
     names: tuple[str, ...]
-    columns: tuple[Sequence[Any], ...]
+    columns: Sequence[Sequence[Any]]
     lines: Sequence[int]
     word: str
     has_header: bool = True
@@ -74,9 +74,7 @@ def read_header(path: Path) -> tuple[str, ...]:
         with open_file(path) as stream:
             head = stream.readline(_LONGEST_HEAD).decode("utf-8-sig", errors="replace")
         return tuple(head.strip().split(","))
-    parquet = load_library("pyarrow.parquet")
-    with open_file(path) as stream:
-        return tuple(parquet.read_schema(stream).names)
+    return tuple(ParquetFile(path).schema.names)
 
 
 def _parse_text(text: str) -> PlainTable:
@@ -190,31 +188,49 @@ def _list(names: Sequence[str]) -> str:
 
 
 def _read_parquet(path: Path) -> PlainTable:
-    parquet = load_library("pyarrow.parquet")
-    with open_file(path) as stream:
-        table = parquet.read_table(stream)
-    while any(str(kind).startswith("struct") for kind in table.schema.types):
-        table = table.flatten()
-    if not table.num_rows:
+    file = ParquetFile(path)
+    if not file.row_count:
         raise LogError("expected rows, found none")
-    columns = tuple(_unpack(table.column(number)) for number in range(table.num_columns))
-    names = tuple(map(str, table.column_names))
-    times = (str(kind).startswith("timestamp") for kind in table.schema.types)
+    columns = _StoredColumns(file)
     return PlainTable(
-        names=names,
+        names=tuple(columns.names),
         columns=columns,
-        lines=range(1, table.num_rows + 1),
+        lines=range(1, file.row_count + 1),
         word="row",
-        units={name: "ns" for name, is_time in zip(names, times, strict=True) if is_time},
+        units={leaf.path: "ns" for leaf in file.leaves if leaf.logical_type.type == "TIMESTAMP"},
     )
+
+
+class _StoredColumns(Sequence[Sequence[Any]]):
+    """The columns of a Parquet file, each read when it is asked for.
+
+    Attributes:
+        names: Of the columns, those within structs with dots.
+    """
+
+    def __init__(self, file: ParquetFile) -> None:
+        self._file, self.names = file, [leaf.path for leaf in file.leaves]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, place: Any) -> Any:
+        name = self.names[place]
+        table = self._file.read([name])
+        while any(str(kind).startswith("struct") for kind in table.schema.types):
+            table = table.flatten()
+        if table.num_columns != 1:
+            raise LogError(f"column {name}: expected one of that name, found {table.num_columns}")
+        return _unpack(table.column(0))
 
 
 def _unpack(column: Any) -> Sequence[Any]:
     """Return the cells of a column: numbers, times in ns, else texts; null is empty."""
-    values = column.to_numpy()
-    if values.dtype.kind == "M":
-        found: Sequence[Any] = values.astype("datetime64[ns]").astype(np.int64)
-        return found
-    if values.dtype.kind in "iuf":
-        return values  # type: ignore[no-any-return]
-    return ["" if cell is None else str(cell) for cell in column.to_pylist()]
+    if not str(column.type).startswith(("dictionary", "string", "large_string")):
+        values = column.to_numpy()
+        if values.dtype.kind == "M":
+            found: Sequence[Any] = values.astype("datetime64[ns]").astype(np.int64)
+            return found
+        if values.dtype.kind in "iuf":
+            return values  # type: ignore[no-any-return]
+    return ["" if cell is None else str(cell) for cell in list_cells(column)]

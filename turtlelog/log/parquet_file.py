@@ -1,0 +1,223 @@
+"""Parquet files -> Arrow tables: counted before they are read, and read without threads.
+
+pyarrow reads a stream of Python in threads of its own unless it is told not to. Such a thread may
+outlive the answer, and then ends the process with SIGABRT when Python exits.
+"""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+from turtlelog.errors import LogError
+from turtlelog.libraries import load_library
+from turtlelog.log.error_boundary import DamageError, open_file
+from turtlelog.log.parquet_counts import (
+    ChunkClaim,
+    PageClaim,
+    iterate_pages,
+    read_footer_claims,
+)
+
+SMALL_FILE: Final = 10**7
+"""Bytes below which a file is read with less than 256 MB of memory, and within 10 s."""
+
+MOST_ROWS: Final = 400_000
+"""Rows of a small file: beside libraries, 120 MB are left, and the commands take up to 300 bytes a
+row. At 50 poses a second these are two hours."""
+_ROW_BYTES: Final = 8
+"""Bytes of a larger file that justify a row more: x and y of 32 bits do not pack."""
+
+_CELLS_A_ROW: Final = 16
+"""Columns of numbers that are read at once, at the most rows; of fewer rows there may be more."""
+
+_TEXT_BYTES: Final = (24 * 2**20, 2)
+"""Bytes of texts that are read at once, and what more a byte of the file allows: dictionaries."""
+
+_PAGES: Final = (10_000, 1 / 1000)
+"""Pages likewise: writers put 20,000 values or 1 MB into one. Reading its header takes 30 us."""
+
+_PAGE_BYTES: Final = (2**16, 16)
+"""Bytes of a page of numbers, and those of each row; the longest numbers have 16."""
+
+_FOOTER_BYTES: Final = (2**21, 1 / 16)
+_FOOTER_PARTS: Final = (2**16, 1 / 128)
+"""Bytes and structs of the footer likewise. Each column of each group takes 740 bytes in Arrow, and
+100 or more in a file that other programs wrote."""
+
+_DEEPEST: Final = 32
+"""How far columns lie within structs and lists: those of ROS messages do 6 times."""
+
+_SHARES_PREFIXES: Final = 7
+"""The encoding DELTA_BYTE_ARRAY: a text of 1 MB takes 2 bytes where it repeats the one before."""
+
+
+class ParquetFile:
+    """A Parquet file, which is open only while it is read: it may be replaced meanwhile.
+
+    Attributes:
+        metadata: What Arrow reads in the footer.
+        schema: Arrow's.
+        group_rows: How many rows there are in each group.
+        row_count: How many rows there are.
+        leaves: Arrow's descriptions of the columns of values; the path of one within a struct has dots.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Read the footer.
+
+        Raises:
+            LogError: Without the file's name, where it is no Parquet file, or larger than it may be.
+            LibraryError: Where pyarrow is not installed.
+        """
+        self._path = path
+        parquet = load_library("pyarrow.parquet")
+        with open_file(path) as stream:
+            self._size = stream.seek(0, 2)
+            self._claims = read_footer_claims(
+                stream,
+                most_bytes=self._allow(_FOOTER_BYTES),
+                most_parts=self._allow(_FOOTER_PARTS),
+            )
+            if self._claims.depth > _DEEPEST:
+                raise LogError(
+                    f"columns lie {self._claims.depth} deep in each other; turtlelog reads up to"
+                    f" {_DEEPEST}. Write a table of flat columns"
+                )
+            stream.seek(0)
+            self.metadata = parquet.read_metadata(stream)
+        self.schema = self.metadata.schema.to_arrow_schema()
+        self.group_rows: Sequence[int] = self._claims.group_rows
+        self.row_count = self._claims.row_count
+        columns = self.metadata.schema
+        self.leaves = [columns.column(number) for number in range(len(columns))]
+        self._require_rows()
+
+    def read(self, names: Sequence[str] | None = None, group: int | None = None) -> Any:
+        """Return columns as a table of Arrow; texts are dictionaries.
+
+        Args:
+            names: Of columns, or of columns within structs with dots; None: all.
+            group: Of rows; None: all.
+
+        Raises:
+            LogError: Without the file's name, where they ask for more memory than they may.
+        """
+        places = [place for place in range(len(self.leaves)) if self._is_asked(place, names)]
+        groups = range(len(self.group_rows)) if group is None else [group]
+        parquet = load_library("pyarrow.parquet")
+        with open_file(self._path) as stream:
+            texts = self._require_bounded(stream, places, groups)
+            stream.seek(0)
+            file = parquet.ParquetFile(
+                stream, metadata=self.metadata, read_dictionary=texts, pre_buffer=False
+            )
+            asked = None if names is None else [*names]
+            return file.read_row_groups([*groups], asked, use_threads=False)
+
+    def _is_asked(self, place: int, names: Sequence[str] | None) -> bool:
+        path = self.leaves[place].path
+        return names is None or any(path == name or path.startswith(f"{name}.") for name in names)
+
+    def _allow(self, bound: tuple[int, float]) -> int:
+        base, share = bound
+        return base + int(share * self._size)
+
+    def _require_rows(self) -> None:
+        most = MOST_ROWS if self._size < SMALL_FILE else max(MOST_ROWS, self._size // _ROW_BYTES)
+        if not 0 <= self.row_count <= most or min(self.group_rows, default=0) < 0:
+            raise LogError(
+                f"the table claims {self.row_count:,} rows; {most:,} are the most for a file of"
+                f" {self._size:,} bytes. Cut the table into parts, or write it without compression"
+            )
+
+    def _require_bounded(
+        self, stream: BinaryIO, places: Sequence[int], groups: Sequence[int]
+    ) -> list[str]:
+        """Return the columns of texts that are read as dictionaries.
+
+        Raises:
+            LogError: Where the columns would take more memory than they may.
+        """
+        rows = sum(self.group_rows[group] for group in groups)
+        most_cells = _CELLS_A_ROW * max(MOST_ROWS, self._size // _ROW_BYTES)
+        if rows * len(places) > most_cells:
+            raise LogError(
+                f"the table has {len(places):,} columns of {rows:,} rows; {most_cells:,} cells are"
+                f" the most for a file of {self._size:,} bytes. Write fewer columns"
+            )
+        counts = _PageCounts(self._allow(_PAGES), self._allow(_TEXT_BYTES))
+        for place in places:
+            for group in groups:
+                chunk = self._find_chunk(group, place)
+                counts.count(iterate_pages(stream, chunk), self.leaves[place], chunk.values)
+        return [leaf.path for leaf in map(self.leaves.__getitem__, places) if _is_text(leaf)]
+
+    def _find_chunk(self, group: int, place: int) -> ChunkClaim:
+        chunks, leaf = self._claims.chunks[group], self.leaves[place]
+        if leaf.max_repetition_level:
+            raise LogError(f"column {leaf.path}: expected numbers or texts, found lists")
+        if place >= len(chunks) or chunks[place].values != self.group_rows[group]:
+            raise DamageError(f"column {leaf.path}: expected a value for each row, found others")
+        return chunks[place]
+
+
+class _PageCounts:
+    """What pages may still ask for."""
+
+    def __init__(self, pages: int, text_bytes: int) -> None:
+        self._pages, self._text_bytes = pages, text_bytes
+        self._most_pages, self._most_text_bytes = pages, text_bytes
+
+    def count(self, pages: Iterable[PageClaim], leaf: Any, rows: int) -> None:
+        """Count the pages of a column in a group.
+
+        Raises:
+            LogError: Where they ask for too much.
+        """
+        base, share = _PAGE_BYTES
+        is_text = _is_text(leaf)
+        if leaf.physical_type == "FIXED_LEN_BYTE_ARRAY":
+            self._text_bytes -= leaf.length * rows
+        for page in pages:
+            self._pages -= 1
+            if is_text:
+                repeats = page.values if page.encoding == _SHARES_PREFIXES else 1
+                self._text_bytes -= page.unpacked * repeats
+            elif page.unpacked > base + share * rows:
+                raise DamageError(
+                    f"expected a page of up to {base + share * rows:,} bytes for {rows:,} rows,"
+                    f" found {page.unpacked:,}"
+                )
+            self._require_left()
+
+    def _require_left(self) -> None:
+        if self._pages < 0:
+            raise LogError(
+                f"the columns have more than {self._most_pages:,} pages. Write larger pages"
+            )
+        if self._text_bytes < 0:
+            raise LogError(
+                f"the texts take more than {self._most_text_bytes:,} bytes. Write shorter texts, or"
+                " leave these columns out"
+            )
+
+
+def _is_text(leaf: Any) -> bool:
+    found: bool = leaf.physical_type == "BYTE_ARRAY"
+    return found
+
+
+def list_cells(cells: Any) -> list[Any]:
+    """Return an array of Arrow as values of Python; a text that repeats is there once."""
+    chunks = getattr(cells, "chunks", [cells])
+    return [cell for chunk in chunks for cell in _list_chunk(chunk)]
+
+
+def _list_chunk(cells: Any) -> list[Any]:
+    found: list[Any]
+    if not hasattr(cells, "dictionary"):
+        found = cells.to_pylist()
+        return found
+    used = cells.indices.unique().drop_null()
+    texts = dict(zip(used.to_pylist(), cells.dictionary.take(used).to_pylist(), strict=True))
+    return [texts.get(place) for place in cells.indices.to_pylist()]
