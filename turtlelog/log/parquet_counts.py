@@ -1,7 +1,7 @@
 """What a Parquet file claims, counted before Arrow takes memory for it: its footer and its pages.
 
-Both are structs in Thrift's compact protocol. A footer of 900 kB can name 300,000 columns, which take
-210 MB in Arrow; a page of 100 bytes can unpack to gigabytes, whatever the footer says about it.
+Both are structs in Thrift's compact protocol. A footer of 900 kB can name 300,000 columns, which
+take 210 MB in Arrow. A page of 100 bytes can unpack to gigabytes, whatever the footer says.
 """
 
 from collections.abc import Iterator, Mapping
@@ -31,7 +31,9 @@ _FOOTER: Final[_Wanted] = {
 }
 _PAGE: Final[_Wanted] = {
     **dict.fromkeys((2, 3)),  # bytes unpacked, packed
-    **{5: dict.fromkeys((1, 2)), 7: dict.fromkeys((1,)), 8: dict.fromkeys((1, 4))},
+    5: dict.fromkeys((1, 2)),  # values, encoding
+    7: dict.fromkeys((1, 2)),
+    8: dict.fromkeys((1, 4)),
 }
 
 _BOOLEANS, _BYTE, _DOUBLE, _BINARY, _LISTS, _MAP, _STRUCT = (1, 2), 3, 7, 8, (9, 10), 11, 12
@@ -212,7 +214,8 @@ class _Thrift:
         self._parts += 1
         if self._parts > self._most:
             raise DamageError(
-                f"expected a footer of up to {self._most:,} columns, groups and other parts, found more"
+                f"expected a footer of up to {self._most:,} columns, groups and other parts,"
+                " found more"
             )
         self._require_shallow(depth)
 

@@ -4,7 +4,7 @@ pyarrow reads a stream of Python in threads of its own unless it is told not to.
 outlive the answer, and then ends the process with SIGABRT when Python exits.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -49,6 +49,10 @@ _DEEPEST: Final = 32
 
 _SHARES_PREFIXES: Final = 7
 """The encoding DELTA_BYTE_ARRAY: a text of 1 MB takes 2 bytes where it repeats the one before."""
+_PLACES: Final = frozenset({2, 8})
+"""The encodings whose pages hold places in a dictionary, which may repeat one long text."""
+_NO_DICTIONARY: Final = frozenset({6, _SHARES_PREFIXES})
+"""The encodings that Arrow does not read into a dictionary."""
 
 
 class ParquetFile:
@@ -59,14 +63,14 @@ class ParquetFile:
         schema: Arrow's.
         group_rows: How many rows there are in each group.
         row_count: How many rows there are.
-        leaves: Arrow's descriptions of the columns of values; the path of one within a struct has dots.
+        leaves: Arrow's descriptions of the columns of values; paths within structs have dots.
     """
 
     def __init__(self, path: str | Path) -> None:
         """Read the footer.
 
         Raises:
-            LogError: Without the file's name, where it is no Parquet file, or larger than it may be.
+            LogError: Without the file's name, where it is no Parquet file, or claims too much.
             LibraryError: Where pyarrow is not installed.
         """
         self._path = path
@@ -114,6 +118,24 @@ class ParquetFile:
             asked = None if names is None else [*names]
             return file.read_row_groups([*groups], asked, use_threads=False)
 
+    def require_cells(self, columns: int, rows: int | None = None) -> None:
+        """Refuse to read more cells than may be in memory at once.
+
+        Args:
+            columns: How many are read.
+            rows: Of each; None: all.
+
+        Raises:
+            LogError: Without the file's name.
+        """
+        rows = self.row_count if rows is None else rows
+        most = _CELLS_A_ROW * max(MOST_ROWS, self._size // _ROW_BYTES)
+        if rows * columns > most:
+            raise LogError(
+                f"the table has {columns:,} columns of {rows:,} rows; {most:,} cells are the most"
+                f" for a file of {self._size:,} bytes. Write fewer columns"
+            )
+
     def _is_asked(self, place: int, names: Sequence[str] | None) -> bool:
         path = self.leaves[place].path
         return names is None or any(path == name or path.startswith(f"{name}.") for name in names)
@@ -138,19 +160,14 @@ class ParquetFile:
         Raises:
             LogError: Where the columns would take more memory than they may.
         """
-        rows = sum(self.group_rows[group] for group in groups)
-        most_cells = _CELLS_A_ROW * max(MOST_ROWS, self._size // _ROW_BYTES)
-        if rows * len(places) > most_cells:
-            raise LogError(
-                f"the table has {len(places):,} columns of {rows:,} rows; {most_cells:,} cells are"
-                f" the most for a file of {self._size:,} bytes. Write fewer columns"
-            )
+        self.require_cells(len(places), sum(self.group_rows[group] for group in groups))
         counts = _PageCounts(self._allow(_PAGES), self._allow(_TEXT_BYTES))
+        texts = []
         for place in places:
-            for group in groups:
-                chunk = self._find_chunk(group, place)
-                counts.count(iterate_pages(stream, chunk), self.leaves[place], chunk.values)
-        return [leaf.path for leaf in map(self.leaves.__getitem__, places) if _is_text(leaf)]
+            chunks = [self._find_chunk(group, place) for group in groups]
+            if counts.count(stream, chunks, self.leaves[place]):
+                texts.append(self.leaves[place].path)
+        return texts
 
     def _find_chunk(self, group: int, place: int) -> ChunkClaim:
         chunks, leaf = self._claims.chunks[group], self.leaves[place]
@@ -168,43 +185,54 @@ class _PageCounts:
         self._pages, self._text_bytes = pages, text_bytes
         self._most_pages, self._most_text_bytes = pages, text_bytes
 
-    def count(self, pages: Iterable[PageClaim], leaf: Any, rows: int) -> None:
-        """Count the pages of a column in a group.
+    def count(self, stream: BinaryIO, chunks: Sequence[ChunkClaim], leaf: Any) -> bool:
+        """Count the pages of a column, and return whether it is read as a dictionary of texts.
 
         Raises:
             LogError: Where they ask for too much.
         """
+        if leaf.physical_type == "BYTE_ARRAY":
+            return self._count_texts([page for one in chunks for page in self._list(stream, one)])
         base, share = _PAGE_BYTES
-        is_text = _is_text(leaf)
         if leaf.physical_type == "FIXED_LEN_BYTE_ARRAY":
-            self._text_bytes -= leaf.length * rows
-        for page in pages:
-            self._pages -= 1
-            if is_text:
-                repeats = page.values if page.encoding == _SHARES_PREFIXES else 1
-                self._text_bytes -= page.unpacked * repeats
-            elif page.unpacked > base + share * rows:
-                raise DamageError(
-                    f"expected a page of up to {base + share * rows:,} bytes for {rows:,} rows,"
-                    f" found {page.unpacked:,}"
-                )
-            self._require_left()
+            share += leaf.length
+            self._spend_text(sum(leaf.length * chunk.values for chunk in chunks))
+        for chunk in chunks:
+            most = base + share * chunk.values
+            for page in self._list(stream, chunk):
+                if page.unpacked > most:
+                    raise DamageError(
+                        f"column {leaf.path}: expected a page of up to {most:,} bytes, found"
+                        f" {page.unpacked:,}"
+                    )
+        return False
 
-    def _require_left(self) -> None:
-        if self._pages < 0:
-            raise LogError(
-                f"the columns have more than {self._most_pages:,} pages. Write larger pages"
-            )
+    def _list(self, stream: BinaryIO, chunk: ChunkClaim) -> Iterator[PageClaim]:
+        for page in iterate_pages(stream, chunk):
+            self._pages -= 1
+            if self._pages < 0:
+                raise LogError(
+                    f"the columns have more than {self._most_pages:,} pages. Write larger pages"
+                )
+            yield page
+
+    def _count_texts(self, pages: Sequence[PageClaim]) -> bool:
+        """Return whether texts are read as a dictionary, which does not repeat them."""
+        found = {page.encoding for page in pages}
+        is_dictionary = not found & _NO_DICTIONARY
+        values = max((page.values for page in pages), default=0)
+        for page in pages:
+            repeats = page.encoding == _SHARES_PREFIXES or (found & _PLACES and not is_dictionary)
+            self._spend_text(page.unpacked * (values if repeats else 1))
+        return is_dictionary
+
+    def _spend_text(self, size: int) -> None:
+        self._text_bytes -= size
         if self._text_bytes < 0:
             raise LogError(
-                f"the texts take more than {self._most_text_bytes:,} bytes. Write shorter texts, or"
-                " leave these columns out"
+                f"the texts may take more than {self._most_text_bytes:,} bytes. Write shorter texts"
+                " in a dictionary, or leave these columns out"
             )
-
-
-def _is_text(leaf: Any) -> bool:
-    found: bool = leaf.physical_type == "BYTE_ARRAY"
-    return found
 
 
 def list_cells(cells: Any) -> list[Any]:

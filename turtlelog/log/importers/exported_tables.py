@@ -46,6 +46,9 @@ _MARKS: Final[Mapping[str, frozenset[str]]] = {
 }
 """Columns that tell which table a file holds."""
 
+_CLASSES: Final[Mapping[str, Any]] = {"poses": PoseColumns, "commands": CommandColumns}
+"""What the tables become whose columns are known; samples have states of their law, too."""
+
 
 def find_table(columns: Sequence[str]) -> str | None:
     """Return which table of a run has these columns, None where it is none of ours."""
@@ -198,19 +201,30 @@ def _release(cell: str) -> str:
 
 
 def _read_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
-    table = ParquetFile(path).read()
-    metadata = {key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()}
+    file = ParquetFile(path)
+    metadata = {key.decode(): text.decode() for key, text in (file.schema.metadata or {}).items()}
     prefix = "turtlelog."
     facts = {
         key.removeprefix(prefix): text for key, text in metadata.items() if key.startswith(prefix)
     }
-    columns = {
-        name: np.array(list_cells(table[name]), dtype=object)
-        if name in _TEXTS
-        else table[name].to_numpy()
-        for name in table.column_names
-    }
-    return columns, facts
+    found = find_table(file.schema.names)
+    known = _list_known(found) if found in _CLASSES else {*file.schema.names}
+    file.require_cells(len(known))
+    return {name: _read_column(file, name) for name in file.schema.names if name in known}, facts
+
+
+def _read_column(file: ParquetFile, name: str) -> NDArray[Any]:
+    column = file.read([name])[name]
+    if name in _TEXTS:
+        return np.array(list_cells(column), dtype=object)
+    values: NDArray[Any] = column.to_numpy()
+    return values
+
+
+def _list_known(table: str) -> set[str]:
+    """Return the columns that a table of a run may have."""
+    names = _CLASSES[table].__dataclass_fields__
+    return {column for name in names for column in PAIRS.get(name, (name,))}
 
 
 def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path) -> Run:

@@ -133,13 +133,19 @@ def _order_rows(
 ) -> tuple[Times, dict[str, Values], dict[str, str]]:
     """Return the rows by time, each once, and notes on what that took."""
     late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
-    order = np.argsort(time_ns, kind="stable")
-    rows = np.column_stack([time_ns[order].view(np.float64), *(v[order] for v in values.values())])
-    bits = rows.view(np.int64)
-    kept = np.concatenate([[True], (bits[1:] != bits[:-1]).any(axis=1)])
-    notes = {"sorted_rows": str(late), "dropped_duplicates": str(int((~kept).sum()))}
-    ordered = {name: column[order][kept] for name, column in values.items()}
-    return time_ns[order][kept], ordered, notes
+    if late:
+        order = np.argsort(time_ns, kind="stable")
+        time_ns = time_ns[order]
+        values = {name: column[order] for name, column in values.items()}
+    twice = np.flatnonzero(time_ns[1:] == time_ns[:-1])
+    for column in values.values():
+        bits = column.view(np.int64)
+        twice = twice[bits[twice] == bits[twice + 1]]
+    notes = {"sorted_rows": str(late), "dropped_duplicates": str(len(twice))}
+    if len(twice):
+        time_ns = np.delete(time_ns, twice + 1)
+        values = {name: np.delete(column, twice + 1) for name, column in values.items()}
+    return time_ns, dict(values), notes
 
 
 def _build_commands(time_ns: Times, values: Mapping[str, Values]) -> CommandColumns:

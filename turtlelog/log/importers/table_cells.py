@@ -126,17 +126,17 @@ class Cells:
         """
         choice = self.chosen["t"]
         cells = self.table.columns[choice.column]
-        found: list[int | None]
         if isinstance(cells[0], str) and _DATE.match(cells[0]):
             self._guesses["t"] = "date"
-            found = [_read_date(cell) for cell in cells]
+            found = map(_read_date, cells)
         else:
             power = _POWERS[choice.unit or self._guess_time_unit(choice)]
-            found = [_read_time(cell, power) for cell in cells]
+            found = (_read_time(cell, power) for cell in cells)
+        times = np.empty(len(cells), dtype=np.int64)
         for row, time_ns in enumerate(found):
             if time_ns is None:
                 self.refuse("t", row, "a time")
-        times = np.array(found, dtype=np.int64)
+            times[row] = time_ns
         more = self.chosen.get("t_nanosec")
         return times if more is None else times + self._parse(more).astype(np.int64)
 
