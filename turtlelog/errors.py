@@ -8,6 +8,9 @@ from typing import Any, Final
 
 from turtlelog.escapes import escape_controls, hide_secrets
 
+_LONGEST: Final = 4000
+"""Letters of one message: a name in it may have megabytes."""
+
 _LISTED: Final = 14
 """Names in one message; of more, `...` stands for the rest."""
 
@@ -16,8 +19,12 @@ class TurtlelogError(Exception):
     """Root of every error that turtlelog raises on purpose."""
 
     def __str__(self) -> str:
-        """Return the message; names in it cannot break or steer a line, and URLs keep secrets."""
-        return escape_controls(hide_secrets(super().__str__()))
+        """Return the message; names cannot break, steer or flood a line, and URLs keep secrets."""
+        text = super().__str__()
+        shown = hide_secrets(text[: 2 * _LONGEST])
+        if len(text) > _LONGEST:
+            shown = f"{shown[:_LONGEST]}... ({len(text) - _LONGEST:,} letters more)"
+        return escape_controls(shown)
 
 
 def describe_error(err: BaseException) -> str:

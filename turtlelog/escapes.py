@@ -20,8 +20,8 @@ _INLINE: Final = re.compile(
     r"|(?<![^\W_])_|_(?![^\W_])"  # emphasis, which no underscore within a word begins
 )
 _BLOCK: Final = re.compile(r"^(\d{1,9}(?=[.)](?:\s|$))|(?=[-+=>#]))")
-_FORMULA: Final = re.compile(r"\s*'*\s*[=+\-@\uff0b\uff0d\uff1d\uff20]")
-_HARMLESS: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-")
+_FORMULA: Final = re.compile(r"\s*+(?:'++\s*+)?[=+\-@\uff0b\uff0d\uff1d\uff20]")
+_HARMLESS: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|-")
 
 _SCHEME: Final = r"[A-Za-z][A-Za-z0-9+._-]+"
 """At least two letters: `C:` is a drive. fsspec has schemes with `_`, as `async_wrapper`."""

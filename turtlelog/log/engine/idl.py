@@ -19,7 +19,8 @@ _TOKEN: Final = re.compile(
     r"""//[^\n]*|/\*.*?\*/|^[ \t]*\#[^\n]*|\s+  # comments, what a preprocessor reads, blanks
     |(?P<word>(?:::)?[A-Za-z_]\w*(?:::[A-Za-z_]\w*)*)
     |(?P<number>[+-]?\.?\d[\w.]*(?:(?<=[eE])[+-]\d+)?)
-    |(?P<text>L?"(?:[^"\\]|\\.)*"|L?'(?:[^'\\]|\\.)*')
+    |(?P<text>L?"(?:[^"\\]|\\.)*+"|L?'(?:[^'\\]|\\.)*+')
+    |(?P<open>/\*|L?["'])
     |(?P<sign><<|>>|[^\s\w])""",
     re.VERBOSE | re.DOTALL | re.MULTILINE | re.ASCII,
 )
@@ -278,7 +279,8 @@ def _list_tokens(name: str, text: str) -> Iterator[str]:
             raise LogError(f"schema {name}: expected shorter names, found {found[0][:40]!r}")
         if found.lastgroup is not None:
             yield found[0]
-        place = found.end()
+        # A comment or text without an end: to look for the ends of more takes the square.
+        place = len(text) if found.lastgroup == "open" else found.end()
 
 
 class _Printer:

@@ -21,19 +21,24 @@ METADATA_FILE: Final = "metadata.yaml"
 _LARGEST: Final = 2**24
 """Bytes of metadata.yaml; with 2,000 topics it takes 2 MB."""
 
+_MOST_ENTRIES: Final = 1000
+_MOST_FILES: Final = 100_000
+"""Entries right below the root, of which rosbag2 writes 12, and files: a day in parts of a second
+each. Ten million of them fit into a text of this size."""
+
 _ROOT: Final = "rosbag2_bagfile_information"
 
 _TEXTS: Final = ("storage_identifier", "compression_mode")
 _FILES: Final = "relative_file_paths"
 _DURATION: Final = "duration"
 
-_LINE: Final = re.compile(r"^(?P<indent> *)(?P<item>- +)?(?P<text>.*?)\s*$")
+_ITEM: Final = re.compile(r"- ++")
 _ENTRY: Final = re.compile(r"^(?P<key>[\w.]+):(?: +(?P<value>.*))?$")
 _QUOTED: Final = re.compile(
-    r"""^(?:"(?P<double>[^"\\]*)"|'(?P<single>(?:[^']|'')*)')(?:\s+#.*)?$"""
+    r"""^(?:"(?P<double>[^"\\]*)"|'(?P<single>[^']*+(?:''[^']*+)*+)')(?:\s+#.*)?$"""
 )
 _FLOW_ITEM: Final = re.compile(
-    r"""\s*(?:(?P<quoted>"[^"\\]*"|'(?:[^']|'')*')\s*|(?P<plain>[^\s,'"\[\]{}][^,'"\[\]{}]*))(?:,|$)"""
+    r"""\s*(?:(?P<quoted>"[^"\\]*"|'[^']*+(?:''[^']*+)*+')\s*|(?P<plain>[^\s,'"\[\]{}][^,'"\[\]{}]*))(?:,|$)"""
 )
 _FLOW_LIST: Final = re.compile(r"^\[(?P<items>[^\[\]]*)\](?:\s+#.*)?$")
 _FLOW_DURATION: Final = re.compile(r"^\{\s*nanoseconds:\s+(?P<value>[^\s{},]+)\s*\}")
@@ -113,6 +118,11 @@ def parse_bag_metadata(text: str) -> BagMetadata:
     files: list[str] = []
     under = ""
     for number, key, value in _iterate_entries(text, _ROOT):
+        if len(values) > _MOST_ENTRIES or len(files) > _MOST_FILES:
+            raise LogError(
+                f"line {number}: expected up to {_MOST_ENTRIES} entries and {_MOST_FILES:,} files,"
+                " found more"
+            )
         if key in values:
             raise LogError(f"line {number}: {key}: expected once, found again")
         if key == _FILES:
@@ -271,14 +281,27 @@ def _iterate_entries(text: str, root: str) -> Iterator[tuple[int, str, str]]:
 def _iterate_body(text: str, root: str) -> Iterator[tuple[int, int, bool, str]]:
     """Yield the lines below the root: number, indent, whether a list item begins, content."""
     is_inside = False
-    for number, line in enumerate(text.splitlines(), start=1):
-        found = _LINE.match(line)
-        if found is None or not found["text"] or found["text"].startswith(("#", "---")):
+    for number, line in _iterate_lines(text):
+        body = line.lstrip(" ")
+        item = _ITEM.match(body)
+        content = body if item is None else body[item.end() :]
+        if not content or content.startswith(("#", "---")):
             continue
-        if not found["indent"] and not found["item"]:
-            is_inside = _COMMENT.sub("", found["text"]).rstrip() == f"{root}:"
+        if item is None and body == line:
+            is_inside = _COMMENT.sub("", content).rstrip() == f"{root}:"
         elif is_inside:
-            yield number, len(found["indent"]), bool(found["item"]), found["text"]
+            yield number, len(line) - len(body), item is not None, content
+
+
+def _iterate_lines(text: str) -> Iterator[tuple[int, str]]:
+    """Yield the lines without blanks at their ends, and their numbers; one is in memory."""
+    start, number = 0, 1
+    while start < len(text):
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        if line := text[start:end].rstrip():
+            yield number, line
+        start, number = end + 1, number + 1
 
 
 def _unquote(number: int, key: str, value: str) -> str:

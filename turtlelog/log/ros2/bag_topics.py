@@ -64,14 +64,14 @@ _COMMAND_NAMES: Final = (
     re.compile(r"cmd_vel_(?:unstamped|stamped|out)"),
     # The smoother's is what came out of the planner, and goes through the collision monitor.
     re.compile(r"cmd_vel_smoothed"),
-    re.compile(r"cmd_vel.*|.*(?:cmd|command).*"),
+    re.compile(r"(?s:cmd_vel.*|.*(?:cmd|command).*)"),
 )
 """How topics of commands are called, the one that a base listens to first."""
 
 _POSE_NAMES: Final = (
     re.compile(r"odom|odometry|pose"),
     re.compile(r"amcl_pose|robot_pose|base_pose|odometry/filtered|(?:base|wheel)?_?odom_?combined"),
-    re.compile(r".*(?:odom|pose).*"),
+    re.compile(r"(?s:.*(?:odom|pose).*)"),
 )
 
 
@@ -203,7 +203,7 @@ def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
         if topic.count
         and not topic.reason
         and not _is_no_robot(topic.topic)
-        and (not _ROS_TYPE.fullmatch(topic.type) or _POSE_LIKE.search(topic.type))
+        and (not _ROS_TYPE.fullmatch(topic.type) or _POSE_LIKE.search(_take_last(topic.type)))
     ]
 
 
@@ -233,7 +233,8 @@ def _join_reasons(unread: Sequence[TopicInfo]) -> str:
 
 def _is_of_a_run(topic: TopicInfo) -> bool:
     """Return whether the last word of a type, as other encodings write it, is one that is read."""
-    return re.split(r"[/.:]", topic.type)[-1] in _RUN_WORDS or bool(_POSE_LIKE.search(topic.type))
+    last = re.split(r"[/.:]", topic.type)[-1]
+    return last in _RUN_WORDS or bool(_POSE_LIKE.search(last))
 
 
 def _drop_unread(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
@@ -247,7 +248,7 @@ _RUN_WORDS: Final = frozenset(
     kind.rpartition("/")[2] for kind in (*POSE_TYPES, *COMMAND_TYPES, PATH)
 )
 
-_POSE_LIKE: Final = re.compile(r"(?i)(?:pose|odom|locali[sz]ation)[^/]*$")
+_POSE_LIKE: Final = re.compile(r"(?i)pose|odom|locali[sz]ation")
 _NUMBER: Final = re.compile(r"\d+")
 _WHOLE: Final = re.compile(r"(?:global_)?(?:plan|path)|reference(?:_path)?")
 _LOCAL: Final = re.compile(r"local|transformed|received|trace|history|trail|driven")
