@@ -7,7 +7,7 @@ import stat
 import textwrap
 import time
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -42,6 +42,10 @@ _NO_PAIR: Final = (None, None)
 
 _LINE_LENGTH: Final = 80
 """Letters of a list that stands in one line: with its key about as wide as a terminal."""
+
+_BLANKS: Final = re.compile(r"\s*+")
+BLANKS_AND_COMMENTS: Final = re.compile(r"(?:\s++|#[^\n]*+)*+")
+"""What stands between lines of text; of lines that begin with #, too."""
 
 _NUMBERS: Final = re.compile(r"\[\n(?P<entries>(?: *[-+.\w]+,\n)+)(?P<indent> *)\]")
 _POINTS: Final = re.compile(r"\[\n(?P<entries>(?: *\[[-+.\w, ]+\],\n)+)(?P<indent> *)\]")
@@ -85,6 +89,27 @@ def _decode(data: bytes, most: int) -> str:
     if len(data) > most:
         raise OSError(errno.EFBIG, f"more than {most:,} bytes")
     return data.decode("utf-8-sig")
+
+
+def iterate_lines(text: str, *, comments: bool = True) -> Iterator[tuple[int, str]]:
+    """Yield the lines that are not empty, and their numbers from 1; one is in memory at a time.
+
+    Args:
+        text: Of any length.
+        comments: Yield also lines that begin with #.
+    """
+    skipped = _BLANKS if comments else BLANKS_AND_COMMENTS
+    start, number = 0, 1
+    while start < len(text):
+        begin = skipped.match(text, start).end()  # type: ignore[union-attr]  # of no blanks, too
+        if begin >= len(text):
+            return
+        number += text.count("\n", start, begin)
+        start = max(start, text.rfind("\n", start, begin) + 1)
+        end = text.find("\n", begin)
+        end = len(text) if end < 0 else end
+        yield number, text[start:end].removesuffix("\r")
+        start, number = end + 1, number + 1
 
 
 def parse_toml(text: str) -> dict[str, Any]:

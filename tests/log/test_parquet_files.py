@@ -62,7 +62,7 @@ def test_a_small_file_has_up_to_400_000_rows(rows: int, tmp_path: Path) -> None:
     if rows <= 400_000:
         assert ParquetFile(path).row_count == rows
         return
-    with pytest.raises(LogError, match=r"claims 400,001 rows; 400,000 are the most for a file of"):
+    with pytest.raises(LogError, match=r"has 400,001 rows; 400,000 are the most for a file of"):
         tl.read_run(path)
 
 

@@ -55,6 +55,19 @@ _NO_DICTIONARY: Final = frozenset({6, _SHARES_PREFIXES})
 """The encodings that Arrow does not read into a dictionary."""
 
 
+def count_most_rows(size: int) -> int:
+    """Return how many rows a table in a file of so many bytes may have."""
+    return MOST_ROWS if size < SMALL_FILE else max(MOST_ROWS, size // _ROW_BYTES)
+
+
+def describe_rows(found: str, most: int, size: int) -> str:
+    """Return why a table with too many rows is refused, and what to do."""
+    return (
+        f"the table has {found} rows; {most:,} are the most for a file of {size:,} bytes. Cut the"
+        " table into parts"
+    )
+
+
 class ParquetFile:
     """A Parquet file, which is open only while it is read: it may be replaced meanwhile.
 
@@ -145,12 +158,10 @@ class ParquetFile:
         return base + int(share * self._size)
 
     def _require_rows(self) -> None:
-        most = MOST_ROWS if self._size < SMALL_FILE else max(MOST_ROWS, self._size // _ROW_BYTES)
+        most = count_most_rows(self._size)
         if not 0 <= self.row_count <= most or min(self.group_rows, default=0) < 0:
-            raise LogError(
-                f"the table claims {self.row_count:,} rows; {most:,} are the most for a file of"
-                f" {self._size:,} bytes. Cut the table into parts, or write it without compression"
-            )
+            told = describe_rows(f"{self.row_count:,}", most, self._size)
+            raise LogError(f"{told}, or write it without compression")
 
     def _require_bounded(
         self, stream: BinaryIO, places: Sequence[int], groups: Sequence[int]

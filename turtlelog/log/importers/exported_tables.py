@@ -4,6 +4,7 @@ import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,8 +16,13 @@ from turtlelog.declaration_json import parse_declaration
 from turtlelog.errors import LogError, RunError
 from turtlelog.escapes import guard_cell
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.importers.table_text import read_header
-from turtlelog.log.parquet_file import ParquetFile, list_cells
+from turtlelog.log.importers.table_text import read_header, require_few_columns
+from turtlelog.log.parquet_file import (
+    ParquetFile,
+    count_most_rows,
+    describe_rows,
+    list_cells,
+)
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.remote.urls import make_path
 from turtlelog.run import (
@@ -35,6 +41,7 @@ from turtlelog.run.tables import Table
 TABLE_SUFFIXES: Final = (".csv", ".parquet")
 _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
 _TEXTS: Final = frozenset({"phase", "kind", "text"})
+_ROWS_AT_ONCE: Final = 4096
 _ROUNDED_RAD: Final = 2e-15
 """By how much sine, cosine and arctangent may turn a heading: 4 steps of 64-bit numbers at pi."""
 
@@ -172,15 +179,39 @@ def _is_same(written: NDArray[Any] | None, read: NDArray[Any] | None) -> bool:
 
 def _read_csv(path: Path) -> Table:
     with open_file(path) as stream, io.TextIOWrapper(stream, "utf-8-sig", newline="") as text:
-        head, *rows = [row for row in csv.reader(text) if row] or [[]]
-    for number, row in enumerate(rows, start=1):
-        if len(row) != len(head):
-            raise LogError(f"row {number}: expected {len(head)} cells, found {len(row)}")
-    columns = zip(*rows, strict=True) if rows else ((),) * len(head)
-    return {name: _parse(name, column) for name, column in zip(head, columns, strict=True)}
+        size = stream.seek(0, 2)
+        stream.seek(0)
+        rows = filter(None, csv.reader(text))
+        head, count = next(rows, []), 0
+        require_few_columns(len(head))
+        found = find_table(head)
+        known = _list_known(found) if found in _CLASSES else {*head}
+        # Arrays of parts of the rows: as texts the cells would take ten times as much.
+        parts: dict[str, list[NDArray[Any]]] = {name: [] for name in head if name in known}
+        while part := [*islice(rows, _ROWS_AT_ONCE)]:
+            _require_rows(part, count, len(head), size)
+            for name, cells in zip(head, zip(*part, strict=True), strict=True):
+                if name in known:
+                    parts[name].append(_parse(name, cells, count))
+            count += len(part)
+    nothing: tuple[str, ...] = ()
+    return {
+        name: np.concatenate(arrays) if arrays else _parse(name, nothing, 0)
+        for name, arrays in parts.items()
+    }
 
 
-def _parse(name: str, cells: Sequence[str]) -> NDArray[Any]:
+def _require_rows(part: Sequence[Sequence[str]], before: int, width: int, size: int) -> None:
+    most = count_most_rows(size)
+    for number, row in enumerate(part, start=before + 1):
+        if len(row) != width:
+            raise LogError(f"row {number}: expected {width} cells, found {len(row)}")
+        if number > most:
+            raise LogError(describe_rows(f"more than {most:,}", most, size))
+
+
+def _parse(name: str, cells: Sequence[str], first: int) -> NDArray[Any]:
+    """Return cells as an array; `first` is the number of the first one's row."""
     if name in _TEXTS:
         return np.array([_release(cell) for cell in cells], dtype=object)
     kind = np.int64 if name in _WHOLE else np.float64
@@ -190,7 +221,7 @@ def _parse(name: str, cells: Sequence[str]) -> NDArray[Any]:
             values[row] = kind(cell)
         except (ValueError, OverflowError) as err:
             word = "a whole number" if name in _WHOLE else "a number"
-            raise LogError(f"{name}[{row}]: expected {word}, found {cell[:40]!r}") from err
+            raise LogError(f"{name}[{first + row}]: expected {word}, found {cell[:40]!r}") from err
     return values
 
 

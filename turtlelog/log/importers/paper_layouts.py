@@ -2,14 +2,16 @@
 
 import csv
 import json
-from collections.abc import Mapping
-from io import StringIO
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from sys import intern
 from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.importers.paper_log import NUMBERS, PaperLog, build_columns, require_number
+from turtlelog.text_files import iterate_lines
 
 _PARAMETERS: Final = MappingProxyType(
     {
@@ -26,6 +28,9 @@ _PARAMETERS: Final = MappingProxyType(
 """Where the metadata holds a key of a scenario."""
 
 _PLACES: Final = MappingProxyType({name: f"data.{name}" for name in (*NUMBERS, "state")})
+
+_MOST_SIGNS: Final = 2**17
+"""Lists, objects and keys of a JSON text: thousands of times what a log has."""
 
 _HEADINGS: Final = MappingProxyType(
     {name: name for name in (*NUMBERS, "state")} | {"error_angle": "error_angle_rad"}
@@ -65,6 +70,13 @@ def parse_paper_json(text: str, path: Path) -> PaperLog:
 
 
 def _parse_json(text: str) -> object:
+    # An empty list of two letters takes 64 bytes in memory, a key of five 200.
+    for sign, noun in (("[", "lists"), ("{", "objects"), (":", "keys")):
+        if text.count(sign) > _MOST_SIGNS:
+            raise LogError(
+                f"the JSON text has more than {_MOST_SIGNS:,} {noun}; a log of the paper's layout"
+                " has 13 lists of numbers and some 30 keys. Convert it to CSV with a header"
+            )
     try:
         return json.loads(text, object_pairs_hook=_refuse_duplicates)
     except RecursionError as err:
@@ -76,8 +88,8 @@ def _parse_json(text: str) -> object:
 def _refuse_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) != len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in keys if keys.count(key) > 1)
+        counts = Counter(key for key, _ in pairs)
+        twice = next(key for key, count in counts.items() if count > 1)
         raise LogError(f"{twice}: expected one list of that name, found several")
     return table
 
@@ -124,19 +136,13 @@ def parse_paper_csv(text: str, path: Path) -> PaperLog:
     Raises:
         LogError: Where it is no CSV, or not of this layout.
     """
-    heading, *rows = _split(text)
+    rows = _iterate_rows(text)
+    heading = next(rows, [])
     for name in _HEADINGS.values():
         if heading.count(name) != 1:
             found = f"{heading.count(name)} in {','.join(heading)[:80]!r}"
             raise LogError(f"line 1: expected a column {name}, found {found}")
-    for number, row in enumerate(rows):
-        if len(row) != len(heading):
-            raise LogError(f"row {number}: expected {len(heading)} values, found {len(row)}")
-    lists: dict[str, list[object]] = {}
-    for name, column in _HEADINGS.items():
-        values = [row[heading.index(column)] for row in rows]
-        lists[name] = [*values] if name == "state" else [_parse(value) for value in values]
-    columns, states = build_columns(lists, _HEADINGS)
+    columns, states = build_columns(_read_lists(heading, rows), _HEADINGS)
     return PaperLog(
         name=path.stem,
         source=f"paper-csv: {path.name}",
@@ -146,9 +152,23 @@ def parse_paper_csv(text: str, path: Path) -> PaperLog:
     )
 
 
-def _split(text: str) -> list[list[str]]:
+def _read_lists(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> dict[str, list[object]]:
+    lists: dict[str, list[object]] = {name: [] for name in _HEADINGS}
+    places = [
+        (heading.index(column), name == "state", lists[name]) for name, column in _HEADINGS.items()
+    ]
+    for number, row in enumerate(rows):
+        if len(row) != len(heading):
+            raise LogError(f"row {number}: expected {len(heading)} values, found {len(row)}")
+        for place, is_state, values in places:
+            values.append(intern(row[place]) if is_state else _parse(row[place]))
+    return lists
+
+
+def _iterate_rows(text: str) -> Iterator[list[str]]:
     try:
-        return [row for row in csv.reader(StringIO(text, newline=""), strict=True) if row]
+        lines = (line for _, line in iterate_lines(text))
+        yield from filter(None, csv.reader(lines, strict=True))
     except csv.Error as err:
         raise LogError(f"expected CSV, found: {err}") from err
 

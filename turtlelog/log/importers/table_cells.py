@@ -49,6 +49,8 @@ class Cells:
     def __init__(self, table: PlainTable, chosen: Mapping[str, Choice]) -> None:
         self.table, self.chosen = table, chosen
         self._guesses: dict[str, str] = {}
+        found = table.columns.read([choice.column for choice in chosen.values()])
+        self._cells = dict(zip(chosen, found, strict=True))
         self.time_ns = self._read_times()
 
     def read(self, field: str) -> Values | None:
@@ -88,12 +90,12 @@ class Cells:
     def refuse(self, field: str, row: int, expected: str = "a number") -> NoReturn:
         """Raise the error of a cell that is wrong."""
         table, choice = self.table, self.chosen[field]
-        found = repr(str(table.columns[choice.column][row])[:40])
-        place = f"{table.word} {table.lines[row]}, column {choice.name}"
+        found = repr(str(self._cells[field][row])[:40])
+        place = f"{table.word} {table.columns.lines[row]}, column {choice.name}"
         raise LogError(f"{place}: expected {expected}, found {found}")
 
     def _parse(self, choice: Choice) -> Values:
-        cells = self.table.columns[choice.column]
+        cells = self._cells[choice.field]
         if isinstance(cells, np.ndarray):
             numbers = cells.astype(np.float64)
         else:
@@ -125,7 +127,7 @@ class Cells:
             LogError: Where one is no time, or their unit cannot be known.
         """
         choice = self.chosen["t"]
-        cells = self.table.columns[choice.column]
+        cells = self._cells[choice.field]
         if isinstance(cells[0], str) and _DATE.match(cells[0]):
             self._guesses["t"] = "date"
             found = map(_read_date, cells)

@@ -103,6 +103,11 @@ _WANTED: Final = frozenset(
 """Words of columns that hold something else than where the robot is and what it does."""
 
 
+_LONGEST_NAME: Final = 512
+"""Letters of a name that may say what its column holds; a topic of ROS before it takes 255. To find
+a unit in a longer name takes the square of its length."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
     """A column of a table, and what it holds.
@@ -197,7 +202,7 @@ def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
     """
     ranked: dict[int, list[Choice]] = {}
     for place, name in enumerate(names):
-        if place in taken:
+        if place in taken or len(name) > _LONGEST_NAME:
             continue
         base, unit = _split_name(field, name)
         rank = _rank(field, base)
@@ -218,7 +223,8 @@ def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
 
 def _find_stamp(names: Sequence[str]) -> tuple[int, ...]:
     """Return the places of seconds and nanoseconds that are one time, nothing without such."""
-    places = {_simplify(name): place for place, name in enumerate(names)}
+    short = ((place, name) for place, name in enumerate(names) if len(name) <= _LONGEST_NAME)
+    places = {_simplify(name): place for place, name in short}
     for base, place in places.items():
         match = re.fullmatch(r"(|(?:.*_)?stamp_)(?:nanosec|nsec)(s?)", base)
         seconds = None if match is None else places.get(f"{match[1]}sec{match[2]}")

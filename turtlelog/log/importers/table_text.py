@@ -1,28 +1,51 @@
 """A plain table, text or Parquet -> named columns of cells."""
 
 import csv
-import io
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import open_file
-from turtlelog.log.parquet_file import ParquetFile, list_cells
+from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
+from turtlelog.text_files import BLANKS_AND_COMMENTS, iterate_lines
 
 TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 """The columns of a TUM trajectory, which has no header: time, position, quaternion."""
 
 _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|", re.I)
 _LONGEST_HEAD: Final = 64 * 1024
-"""Bytes of a first line that may name columns: 250 states of 60 letters, and the rest, fit in."""
+"""Bytes of a first line, or of the comments above it, that may name columns: 250 states of 60
+letters, and the rest, fit in."""
+
+MOST_COLUMNS: Final = 10_000
+"""Columns of a table: turtlelog's own have 30, plant models hundreds. Names are looked through once
+for each quantity, which takes 1 s."""
+
+_MOST_KNOWN: Final = 2**14
+"""Texts of cells that stand in memory once: all numbers of three digits with a point."""
 
 _BLANK: Final = " "
 """Stands for any number of spaces and tabs between cells."""
+
+
+class TableColumns(Protocol):
+    """What reads columns of a table.
+
+    Attributes:
+        lines: Number of each row in its file, from 1, once columns were read.
+    """
+
+    lines: Sequence[int]
+
+    def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
+        """Return the cells of the columns at some places."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,16 +54,14 @@ class PlainTable:
 
     Attributes:
         names: Of the columns, as the header writes them.
-        columns: Cells of each column, from the first row on: texts, or numbers of Parquet.
-        lines: Number of each row in its file, from 1.
-        word: What that number counts: `line` or `row`.
+        columns: What reads their cells, from the first row on: texts, or numbers of Parquet.
+        word: What the number of a row counts: `line` or `row`.
         has_header: Whether the file names its columns; a TUM trajectory does not.
         units: Of columns whose kind tells it: times of Parquet are in ns, those of TUM in s.
     """
 
     names: tuple[str, ...]
-    columns: Sequence[Sequence[Any]]
-    lines: Sequence[int]
+    columns: "TableColumns"
     word: str
     has_header: bool = True
     units: Mapping[str, str] = field(default_factory=dict)
@@ -61,7 +82,7 @@ def read_plain_table(path: Path) -> PlainTable:
     except UnicodeDecodeError as err:
         found = f"0x{err.object[err.start]:02x}"
         raise LogError(f"byte {err.start}: expected UTF-8 text, found {found}") from err
-    return _parse_text(text)
+    return _parse_text(text, len(data))
 
 
 def read_header(path: Path) -> tuple[str, ...]:
@@ -77,45 +98,49 @@ def read_header(path: Path) -> tuple[str, ...]:
     return tuple(ParquetFile(path).schema.names)
 
 
-def _parse_text(text: str) -> PlainTable:
-    comments, first = _find_first_row(text)
+def _parse_text(text: str, size: int) -> PlainTable:
+    comments, first, has_more = _find_first_row(text)
     if not first:
         raise LogError("expected a table, found no rows")
     delimiter = _find_delimiter(first)
-    lines, rows = _split(text, delimiter)
-    header, count = _split_line(first, delimiter), len(rows[0])
-    if not all(map(_is_number, header)):
-        lines, rows, has_header = lines[1:], rows[1:], True
-    else:
-        has_header, header = _find_names(comments, delimiter, count)
-    if not rows:
+    require_few_columns(len(first.split(None if delimiter == _BLANK else delimiter, MOST_COLUMNS)))
+    header = _split_line(first, delimiter)
+    has_header = True
+    is_first = all(map(_is_number, header))
+    if is_first:
+        has_header, header = _find_names(comments, delimiter, len(header))
+    elif not has_more:
         raise LogError(f"expected rows below the header {_list(header)}, found none")
-    for line, row in zip(lines, rows, strict=True):
-        if len(row) != len(header):
-            raise LogError(f"line {line}: expected {len(header)} cells, found {len(row)}")
-    if delimiter != ",":
-        rows = [[_replace_comma(cell) for cell in row] for row in rows]
-    columns = tuple(zip(*rows, strict=True))
     return PlainTable(
         names=tuple(header),
-        columns=columns,
-        lines=lines,
+        columns=_TextColumns(text, delimiter, len(header), size, is_first=is_first),
         word="line",
         has_header=has_header,
         units={} if has_header else {"timestamp": "s", "tx": "m", "ty": "m", "tz": "m"},
     )
 
 
-def _find_first_row(text: str) -> tuple[list[str], str]:
-    """Return the comments before the first row, and that row's line."""
-    comments: list[str] = []
-    for line in io.StringIO(text):
-        stripped = line.strip()
-        if stripped.startswith("#"):
-            comments.append(stripped.lstrip("#").strip())
-        elif stripped:
-            return comments, stripped
-    return comments, ""
+def require_few_columns(columns: int) -> None:
+    """Refuse a table of more columns than are looked through.
+
+    Raises:
+        LogError: In one clause.
+    """
+    if columns > MOST_COLUMNS:
+        raise LogError(
+            f"the table has more than {MOST_COLUMNS:,} columns. Write fewer columns: a drive needs"
+            " time, x, y, heading and the commands"
+        )
+
+
+def _find_first_row(text: str) -> tuple[list[str], str, bool]:
+    """Return the last comments before the first row, that row, and whether there are more rows."""
+    rows = iterate_lines(text, comments=False)
+    _, first = next(rows, (0, ""))
+    begin = BLANKS_AND_COMMENTS.match(text).end()  # type: ignore[union-attr]  # of none, too
+    above = text[max(0, begin - _LONGEST_HEAD) : begin].split("\n")
+    comments = [line.strip().lstrip("#").strip() for line in above]
+    return comments, first.strip(), next(rows, None) is not None
 
 
 def _find_delimiter(line: str) -> str:
@@ -129,6 +154,11 @@ def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bo
     """Return the names of columns without a header: of a comment above them, or those of TUM."""
     for comment in reversed(comments):
         for candidate in dict.fromkeys((delimiter, _find_delimiter(comment))):
+            if (
+                len(comment.split(None if candidate == _BLANK else candidate, MOST_COLUMNS))
+                > MOST_COLUMNS
+            ):
+                continue
             names = _split_line(comment, candidate)
             if len(names) == count and not any(map(_is_number, names)):
                 return True, names
@@ -140,36 +170,89 @@ def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bo
     )
 
 
-def _split(text: str, delimiter: str) -> tuple[list[int], list[list[str]]]:
-    """Return the rows and the number of each one's line; comments and empty lines are left out."""
-    kept = [
-        (number, line)
-        for number, line in enumerate(io.StringIO(text), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    lines = [number for number, _ in kept]
+class _TextColumns:
+    """The columns of a table of text.
+
+    Attributes:
+        lines: Number of each row's line, once columns were read.
+    """
+
+    def __init__(self, text: str, delimiter: str, count: int, size: int, *, is_first: bool) -> None:
+        """Take a text whose lines have so many cells.
+
+        Args:
+            text: The whole file.
+            delimiter: Between cells.
+            count: How many columns there are.
+            size: Of the file [bytes].
+            is_first: Whether the first row has values, and no names.
+        """
+        self._text, self._delimiter, self._count = text, delimiter, count
+        self._size, self._is_first = size, is_first
+        self.lines: Sequence[int] = ()
+
+    def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
+        """Return the cells of some columns.
+
+        Raises:
+            LogError: Where a line is no row, or there are more rows than a file of this size has.
+        """
+        found: list[list[str]] = [[] for _ in places]
+        lines, most, known = array("q"), count_most_rows(self._size), dict[str, str]()
+        pairs = [*zip(places, found, strict=True)]
+        for line, row in self._iterate_rows():
+            if len(row) != self._count:
+                raise LogError(f"line {line}: expected {self._count} cells, found {len(row)}")
+            if len(lines) == most:
+                raise LogError(describe_rows(f"more than {most:,}", most, self._size))
+            lines.append(line)
+            for place, cells in pairs:
+                cell = row[place].strip()
+                if self._delimiter != ",":
+                    cell = _replace_comma(cell)
+                # Numbers of few digits repeat.
+                cells.append(known.get(cell, cell))
+                if len(known) < _MOST_KNOWN:
+                    known[cell] = cell
+        self.lines = lines
+        return [*found]
+
+    def _iterate_rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Yield the rows below the header, and the number of each one's line."""
+        rows = _split_lines(iterate_lines(self._text, comments=False), self._delimiter)
+        if not self._is_first:
+            next(rows)
+        yield from rows
+
+
+def _split_lines(
+    kept: Iterable[tuple[int, str]], delimiter: str
+) -> Iterator[tuple[int, list[str]]]:
     if delimiter == _BLANK:
-        rows = [_split_line(kept[0][1], delimiter), *(line.split() for _, line in kept[1:])]
-        return lines, rows
-    return lines, _read_csv((line for _, line in kept), lines, delimiter)
+        for number, line in kept:
+            yield number, line.split()
+        return
+    numbers: list[int] = []
 
+    def feed() -> Iterator[str]:
+        for number, line in kept:
+            numbers.append(number)
+            yield line
 
-def _read_csv(kept: Iterable[str], lines: Sequence[int], delimiter: str) -> list[list[str]]:
-    rows: list[list[str]] = []
+    reader = csv.reader(feed(), delimiter=delimiter, skipinitialspace=True, strict=True)
     try:
-        for row in csv.reader(kept, delimiter=delimiter, skipinitialspace=True, strict=True):
-            rows.append([cell.strip() for cell in row])
+        for row in reader:
+            if len(numbers) != 1:
+                raise LogError("expected one row per line, found a quoted cell over several")
+            yield numbers.pop(), row
     except csv.Error as err:
-        raise LogError(f"line {lines[len(rows)]}: expected cells, found: {err}") from err
-    if len(rows) != len(lines):
-        raise LogError("expected one row per line, found a quoted cell over several")
-    return rows
+        raise LogError(f"line {numbers[0]}: expected cells, found: {err}") from err
 
 
 def _split_line(line: str, delimiter: str) -> list[str]:
     if delimiter != _BLANK:
-        (row,) = _read_csv([line], [1], delimiter)
-        return row
+        ((_, row),) = _split_lines([(1, line)], delimiter)
+        return [cell.strip() for cell in row]
     # A unit may stand apart from its name: `yaw [deg]`.
     return re.findall(r"\S+(?:[ \t]+(?:\[[^\]\s]*\]|\([^)\s]*\)))?", line)
 
@@ -191,31 +274,37 @@ def _read_parquet(path: Path) -> PlainTable:
     file = ParquetFile(path)
     if not file.row_count:
         raise LogError("expected rows, found none")
+    require_few_columns(len(file.leaves))
     columns = _StoredColumns(file)
     return PlainTable(
         names=tuple(columns.names),
         columns=columns,
-        lines=range(1, file.row_count + 1),
         word="row",
         units={leaf.path: "ns" for leaf in file.leaves if leaf.logical_type.type == "TIMESTAMP"},
     )
 
 
-class _StoredColumns(Sequence[Sequence[Any]]):
-    """The columns of a Parquet file, each read when it is asked for.
+class _StoredColumns:
+    """The columns of a Parquet file.
 
     Attributes:
         names: Of the columns, those within structs with dots.
+        lines: Number of each row.
     """
 
     def __init__(self, file: ParquetFile) -> None:
         self._file, self.names = file, [leaf.path for leaf in file.leaves]
+        self.lines: Sequence[int] = range(1, file.row_count + 1)
 
-    def __len__(self) -> int:
-        return len(self.names)
+    def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
+        """Return the cells of some columns.
 
-    def __getitem__(self, place: Any) -> Any:
-        name = self.names[place]
+        Raises:
+            LogError: Where one would take too much memory, holds lists, or has a name twice.
+        """
+        return [self._read_one(self.names[place]) for place in places]
+
+    def _read_one(self, name: str) -> Sequence[Any]:
         table = self._file.read([name])
         while any(str(kind).startswith("struct") for kind in table.schema.types):
             table = table.flatten()

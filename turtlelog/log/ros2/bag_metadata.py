@@ -15,6 +15,7 @@ from typing import Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.text_files import iterate_lines
 
 METADATA_FILE: Final = "metadata.yaml"
 
@@ -281,7 +282,8 @@ def _iterate_entries(text: str, root: str) -> Iterator[tuple[int, str, str]]:
 def _iterate_body(text: str, root: str) -> Iterator[tuple[int, int, bool, str]]:
     """Yield the lines below the root: number, indent, whether a list item begins, content."""
     is_inside = False
-    for number, line in _iterate_lines(text):
+    for number, whole in iterate_lines(text):
+        line = whole.rstrip()
         body = line.lstrip(" ")
         item = _ITEM.match(body)
         content = body if item is None else body[item.end() :]
@@ -291,17 +293,6 @@ def _iterate_body(text: str, root: str) -> Iterator[tuple[int, int, bool, str]]:
             is_inside = _COMMENT.sub("", content).rstrip() == f"{root}:"
         elif is_inside:
             yield number, len(line) - len(body), item is not None, content
-
-
-def _iterate_lines(text: str) -> Iterator[tuple[int, str]]:
-    """Yield the lines without blanks at their ends, and their numbers; one is in memory."""
-    start, number = 0, 1
-    while start < len(text):
-        end = text.find("\n", start)
-        end = len(text) if end < 0 else end
-        if line := text[start:end].rstrip():
-            yield number, line
-        start, number = end + 1, number + 1
 
 
 def _unquote(number: int, key: str, value: str) -> str:
