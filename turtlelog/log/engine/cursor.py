@@ -54,6 +54,10 @@ def decode_messages(
     return columns
 
 
+_MOST_KNOWN: Final = 256
+"""Texts of one field that stand in memory once; those of states and frames are few."""
+
+
 class _Cursor:
     """A place in every message, moved over one field at a time.
 
@@ -130,12 +134,19 @@ class _Cursor:
         starts, self.places = self.places, self.places + lengths
         texts = np.empty(len(starts), dtype=object)
         data, row = self._data, 0
+        known: dict[bytes, str] = {}  # names of frames repeat, and take 50 bytes each
         try:
             for row, (start, end) in enumerate(
                 zip(starts.tolist(), self.places.tolist(), strict=True)
             ):
                 # The closing zero is counted; some middlewares leave it out.
-                texts[row] = data[start:end].removesuffix(b"\x00").decode()
+                text = data[start:end].removesuffix(b"\x00")
+                found = known.get(text)
+                if found is None:
+                    found = text.decode()
+                    if len(known) < _MOST_KNOWN:
+                        known[text] = found
+                texts[row] = found
         except UnicodeDecodeError as err:
             number = self._numbers[row]
             raise LogError(

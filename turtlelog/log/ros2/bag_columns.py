@@ -14,6 +14,8 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar import compute_heading, compute_tilt
 from turtlelog.log.ros2.stamps import Stamps, read_stamps
 
+_ROWS_AT_ONCE: Final = 65_536
+
 Fields = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]
 
@@ -140,10 +142,16 @@ def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
 
     The heading is that of the robot's forward axis, seen from above, however it leans.
     """
-    x, y, z, w = (_widen(fields[f"{orientation}{name}"]) for name in "xyzw")
+    parts = [fields[f"{orientation}{name}"] for name in "xyzw"]
     name = orientation.removesuffix(".")
-    # The default of the message is all zeros in ROS 1 and in programs that never set it.
-    empty = x**2 + y**2 + z**2 + w**2 == 0.0
+    yaw_rad, tilt_rad = np.empty(len(parts[0])), np.empty(len(parts[0]))
+    empty = np.zeros(len(yaw_rad), dtype=np.bool_)
+    for first in range(0, len(yaw_rad), _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        x, y, z, w = (_widen(part[rows]) for part in parts)
+        # The default of the message is all zeros in ROS 1 and in programs that never set it.
+        empty[rows] = x**2 + y**2 + z**2 + w**2 == 0.0
+        yaw_rad[rows], tilt_rad[rows] = compute_heading(x, y, z, w), compute_tilt(x, y, z, w)
     if len(empty) > 1 and empty.all():
         raise LogError(
             f"{name}: expected rotations, found all zeros in each of {len(empty)} messages:"
@@ -151,14 +159,13 @@ def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
         )
     if len(empty) and empty.all():
         raise LogError(f"message 0: {name}: expected a rotation, found all zeros")
-    yaw_rad = compute_heading(x, y, z, w)
     # Of a program that sets them from its second message on, or of a camera that lost its robot.
     yaw_rad[empty] = np.nan
-    return {"heading": yaw_rad, "tilt": compute_tilt(x, y, z, w)}
+    return {"heading": yaw_rad, "tilt": tilt_rad}
 
 
 def _widen(values: NDArray[Any]) -> Values:
-    return values.astype(np.float64)
+    return np.ascontiguousarray(values, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -190,12 +197,25 @@ class OrderedRows:
         time_ns: NDArray[np.int64] | None = None,
     ) -> "OrderedRows":
         """Return some of the rows, in any order, and where it is given at times of their own."""
+        if rows.dtype == np.int64 and len(rows) == len(self.time_ns) and is_whole(rows):
+            return self if time_ns is None else replace(self, time_ns=time_ns)
         return replace(
             self,
             time_ns=self.time_ns[rows] if time_ns is None else time_ns,
             columns={name: column[rows] for name, column in self.columns.items()},
             stamp_ns=None if self.stamp_ns is None else self.stamp_ns[rows],
         )
+
+
+def is_whole(rows: NDArray[np.int64]) -> bool:
+    """Return whether numbers of rows are those of all rows in their order."""
+    return all(
+        np.array_equal(
+            rows[first : first + _ROWS_AT_ONCE],
+            np.arange(first, min(first + _ROWS_AT_ONCE, len(rows))),
+        )
+        for first in range(0, len(rows), _ROWS_AT_ONCE)
+    )
 
 
 def order_rows(
@@ -207,31 +227,41 @@ def order_rows(
         found: The messages of each file.
         tables: The columns that are wanted of them.
     """
-    time_ns = np.concatenate([columns.log_time_ns for columns in found])
-    columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-    # Two equal commands of one burst are no duplicates; their numbers differ.
-    stamps = [
-        np.concatenate([columns.publish_time_ns for columns in found]),
-        np.concatenate([columns.sequence for columns in found]),
-    ]
+    time_ns = _join([columns.log_time_ns for columns in found])
     found_stamps = [read_stamps(columns) for columns in found]
     known = [of_file for of_file in found_stamps if of_file is not None]
-    stamp_ns = np.concatenate(known) if len(known) == len(found) else None
-    stamps += [] if stamp_ns is None else [stamp_ns]
     late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
-    order = np.argsort(time_ns, kind="stable")
-    contents = [column[order] for column in (*stamps, *columns.values())]
-    kept = order[~_find_duplicates(time_ns[order], contents)]
-    duplicates = len(order) - len(kept)
     rows = OrderedRows(
-        time_ns=time_ns, columns=columns, late=late, duplicates=duplicates, stamp_ns=stamp_ns
+        time_ns=time_ns,
+        columns={name: _join([table[name] for table in tables]) for name in tables[0]},
+        late=late,
+        duplicates=0,
+        stamp_ns=_join(known) if len(known) == len(found) else None,
     )
-    return rows.take(kept)
+    # Two equal commands of one burst are no duplicates; their numbers differ.
+    others = [
+        _join([columns.publish_time_ns for columns in found]),
+        _join([columns.sequence for columns in found]),
+    ]
+    if late:
+        order = np.argsort(time_ns, kind="stable")
+        rows, others = rows.take(order), [column[order] for column in others]
+    others += [] if rows.stamp_ns is None else [rows.stamp_ns]
+    twice = _find_duplicates(rows.time_ns, [*others, *rows.columns.values()])
+    duplicates = int(twice.sum())
+    return replace(rows.take(~twice), duplicates=duplicates) if duplicates else rows
+
+
+def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return arrays as one; a single one is not copied."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedRows, int]:
     """Return the rows whose columns of some names are finite numbers, and how many were not."""
-    kept = np.logical_and.reduce([np.isfinite(rows.columns[name]) for name in names])
+    kept = np.ones(len(rows.time_ns), dtype=np.bool_)
+    for name in names:
+        kept &= np.isfinite(rows.columns[name])
     if kept.all():
         return rows, 0
     return rows.take(kept), int((~kept).sum())
@@ -259,14 +289,14 @@ def describe_leaps(xy_m: Values) -> str | None:
     rows = len(xy_m) - _LEAP_ROWS
     if rows < _LEAP_ROWS:
         return None
-    far_m = [
-        np.hypot(*(xy_m[later : later + rows] - xy_m[:rows]).T)
-        for later in range(1, _LEAP_ROWS + 1)
-    ]
-    leaps = (far_m[0] > _LEAP_M) & (np.min(far_m[1:], axis=0) < _LEAP_BACK * far_m[0])
+    far_m = np.hypot(*(xy_m[1 : 1 + rows] - xy_m[:rows]).T)
+    least_m = np.full(rows, np.inf)
+    for later in range(2, _LEAP_ROWS + 1):
+        np.minimum(least_m, np.hypot(*(xy_m[later : later + rows] - xy_m[:rows]).T), out=least_m)
+    leaps = (far_m > _LEAP_M) & (least_m < _LEAP_BACK * far_m)
     if leaps.mean() <= _LEAP_SHARE:
         return None
-    size_m = float(np.median(far_m[0][leaps]))
+    size_m = float(np.median(far_m[leaps]))
     return (
         f"poses leap to and fro by {size_m:.3g} m, {describe_count(int(leaps.sum()), 'time')}: two"
         " programs seem to publish them, and no motion can be told"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.engine.opening import strip_suffixes
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo
 from turtlelog.log.planar import describe_plane
@@ -38,7 +39,7 @@ from turtlelog.log.ros2.bag_columns import (
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.ros2.bag_poses import Found, PoseSource, find_poses, note_pick
+from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_references import Track, add_references
 from turtlelog.log.ros2.bag_samples import add_samples
 from turtlelog.log.ros2.bag_topics import Pick, choose_command_topic, describe_unread_topics
@@ -54,6 +55,9 @@ NOT_UNDERSTOOD: Final = "not_understood"
 _NEVER_IN_BAGS: Final = (
     *("samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"),
 )
+
+Held = list[dict[str, TopicColumns]]
+"""Messages by topic, for each file, until their rows are in order."""
 
 _SENSED: Final = (SENSED.name, SENSED.schema)
 
@@ -84,7 +88,8 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
-        found = [*source.found, *bag.read(names)]
+        found: Held = [dict(of_file) for of_file in (*source.found, *bag.read(names))]
+        source = replace(source, found=())
         run, track = _build_run(bag.path, found, source, commands, choice.time)
         run = add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
@@ -150,7 +155,7 @@ def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:
 
 
 def _build_run(
-    path: Path, found: Found, source: PoseSource, command_pick: Pick | None, time: TimeSource
+    path: Path, found: Held, source: PoseSource, command_pick: Pick | None, time: TimeSource
 ) -> tuple[Run, Track]:
     """Return the run, and where the robot was by the recorder's clock."""
     poses = _order(found, source.topic, extract_poses)
@@ -249,7 +254,7 @@ def _note_dropped(poses: int, commands: int, unturned: int) -> dict[str, str]:
     return {"dropped_nan": text} if counts else {}
 
 
-def _match_sensed(found: Found, time_ns: NDArray[np.int64], moved: int) -> Values | None:
+def _match_sensed(found: Held, time_ns: NDArray[np.int64], moved: int) -> Values | None:
     """Return x, y and heading as sensed, beside the poses of the same times; NaN without one.
 
     None where there are none, or their times do not tell whose they are: those of a wall clock.
@@ -268,9 +273,9 @@ def _match_sensed(found: Found, time_ns: NDArray[np.int64], moved: int) -> Value
 
 
 def _order(
-    found: Found, choice: TopicInfo, extract: Callable[[str, Fields], dict[str, Values]]
+    found: Held, choice: TopicInfo, extract: Callable[[str, Fields], dict[str, Values]]
 ) -> OrderedRows:
-    """Return the rows of a topic from all files."""
+    """Return the rows of a topic from all files, whose messages are not held any longer."""
     messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]
     tables = []
     for columns in messages:
@@ -285,7 +290,10 @@ def _order(
                 f"topic {choice.topic}: expected {choice.type} with a field {err.args[0]},"
                 f" found {', '.join(columns.fields)}"
             ) from err
-    return order_rows(messages, tables)
+    del messages
+    return order_rows(
+        [of_file.pop(choice.topic) for of_file in found if choice.topic in of_file], tables
+    )
 
 
 def _build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
