@@ -10,7 +10,7 @@ from pathlib import Path
 
 from benchmarks.bench_engine import write_file
 from benchmarks.large_files import write_large_file
-from benchmarks.long_runs import write_long_recording
+from benchmarks.long_runs import write_long_bag, write_long_recording
 from benchmarks.table import Cost, Row, run_alone, run_apart
 
 SAMPLES = 1_500_000
@@ -53,6 +53,21 @@ said["info"] = min(times)
 """
 
 
+METRICS = """
+import turtlelog as tl
+def read():
+    return tl.measure_run(tl.read_run(arguments.pop(0)))
+read()  # a short one brings all that is imported on the way
+before = read_peak()
+read()
+said["peak"] = read_peak() - before
+"""
+
+POSES = 1_000_000
+POSE_BYTES = 150
+"""Memory that `metrics` may take for a pose of a bag without samples [bytes]."""
+
+
 def measure(share: float = 1.0) -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -66,6 +81,7 @@ def measure(share: float = 1.0) -> Iterator[Row]:
         yield Row(job=job, value=said["peak"], unit="MB", bound=columns, aim=1.7)
         yield Row(job="peak of explaining them", value=said["both"], unit="MB", bound=columns)
         yield Row(job=f"explain {samples:,} samples", value=said["explain"])
+        yield measure_bag(folder, round(POSES * share))
         small, large = folder / "small.mcap", folder / "large.mcap"
         write_file(small, round(CHUNKS_OF * share))
         messages = write_large_file(large, small, round(LARGE * share))
@@ -77,6 +93,18 @@ def measure(share: float = 1.0) -> Iterator[Row]:
             job=f"peak of streaming {size}", value=said["peak"], unit="MB", aim=300, aim_of="value"
         )
         yield Row(job=f"info of {size}", value=said["info"], aim=0.2, aim_of="value")
+
+
+def measure_bag(folder: Path, poses: int) -> Row:
+    """Return what the metrics of a long bag without samples take for each pose."""
+    short, long = folder / "short_bag.mcap", folder / "long_bag.mcap"
+    write_long_bag(short, 1000)
+    write_long_bag(long, poses)
+    said = run_apart(METRICS, str(short), str(long))
+    long.unlink()
+    job = f"metrics of {poses:,} poses of a bag, a pose"
+    value = said["peak"] * 1e6 / poses
+    return Row(job=job, value=value, unit="B", aim=POSE_BYTES, aim_of="value")
 
 
 if __name__ == "__main__":

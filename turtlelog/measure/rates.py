@@ -126,8 +126,8 @@ def _difference_poses(run: Run, axis: Axis) -> Rates:
         means[wrong] = (means[wrong - 1] + means[wrong + 1]) / 2.0
     return Rates(
         is_reported=False,
-        time_s=np.delete(middle_s, wrong),
-        values=np.delete(means, wrong),
+        time_s=np.delete(middle_s, wrong) if len(wrong) else middle_s,
+        values=np.delete(means, wrong) if len(wrong) else means,
         edges_s=edges_s,
         means=means,
         outliers=len(wrong),

@@ -173,6 +173,8 @@ def _build_run(
         frame=source.frame,
         tree=source.tree,
     )
+    # Views: a second copy of x and y would take 16 bytes a pose.
+    poses = replace(poses, columns={**poses.columns, **dict(zip("xy", track.xy_m.T, strict=True))})
     leaps = describe_leaps(track.xy_m)
     times = time_rows(poses.stamps, None if commands is None else commands.stamps, time)
     poses = poses.take(times.poses.rows, times.poses.time_ns)

@@ -1,10 +1,11 @@
 """Metrics of how a robot moved, of poses alone: how far, how fast, how smoothly, and at rest."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import degrees
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
@@ -76,6 +77,8 @@ small robots creep, and over the noise of poses, of which 1 mm and 2 mrad make a
 _REST_S: Final = 0.5
 """Over how long that is looked at [s]: 5 mm and 0.6 deg, so that noise of poses is no motion."""
 
+_STEPS_AT_ONCE: Final = 65_536
+
 
 def _find_rest(context: RunContext) -> tuple[float, float] | None:
     """Return how long the robot is at rest, and how long it was looked at [s]; None for one pose.
@@ -88,19 +91,43 @@ def _find_rest(context: RunContext) -> tuple[float, float] | None:
         return None
     rows = thin_poses(poses.time_ns)
     time_s, heading_rad = context.pose_time_s[rows], np.unwrap(poses.heading_rad)[rows]
-    columns = (*poses.xy_m[rows].T, heading_rad)
-    starts_s, ends_s = time_s[:-1], time_s[1:]
-    is_at_rest = np.zeros(len(starts_s), dtype=bool)
+    is_at_rest = np.zeros(len(time_s) - 1, dtype=bool)
+    for first in range(0, len(is_at_rest), _STEPS_AT_ONCE):
+        steps = slice(first, min(first + _STEPS_AT_ONCE, len(is_at_rest)))
+        begin, end = time_s[steps.start] - _REST_S, time_s[steps.stop] + _REST_S
+        low, high = np.searchsorted(time_s, (begin, end)).tolist()
+        near = slice(max(low - 1, 0), high + 1)
+        columns = *poses.xy_m[rows[near]].T, heading_rad[near]
+        starts_s, ends_s = time_s[:-1][steps], time_s[1:][steps]
+        is_at_rest[steps] = _find_slow(starts_s, ends_s, time_s, near, columns)
+    steps_s = time_s[1:] - time_s[:-1]
+    return float(steps_s[is_at_rest].sum()), float(time_s[-1] - time_s[0])
+
+
+def _find_slow(
+    starts_s: Values, ends_s: Values, time_s: Values, near: slice, columns: Sequence[Values]
+) -> NDArray[np.bool_]:
+    """Return in which of some steps the robot moves by less than at rest.
+
+    Args:
+        starts_s: When each begins [s].
+        ends_s: When each ends [s].
+        time_s: Of all poses [s].
+        near: Which poses are half a second around them, and one more on either side.
+        columns: x, y [m] and heading [rad] of these.
+    """
+    found = np.zeros(len(starts_s), dtype=bool)
     for first_s, last_s in (
         (np.minimum(starts_s, ends_s - _REST_S), ends_s),
         (starts_s, np.maximum(ends_s, starts_s + _REST_S)),
     ):
         first_s, last_s = np.maximum(first_s, time_s[0]), np.minimum(last_s, time_s[-1])
-        moved = [np.interp(last_s, time_s, at) - np.interp(first_s, time_s, at) for at in columns]
+        near_s = time_s[near]
+        moved = [np.interp(last_s, near_s, at) - np.interp(first_s, near_s, at) for at in columns]
         length_s = last_s - first_s
         is_slow = np.hypot(moved[0], moved[1]) <= _AT_REST_M_S * length_s
-        is_at_rest |= is_slow & (np.abs(moved[2]) <= _AT_REST_RAD_S * length_s)
-    return float((ends_s - starts_s)[is_at_rest].sum()), float(time_s[-1] - time_s[0])
+        found |= is_slow & (np.abs(moved[2]) <= _AT_REST_RAD_S * length_s)
+    return found
 
 
 @run_metric(
