@@ -49,7 +49,7 @@ class Row:
     Attributes:
         job: What is done.
         value: What it costs turtlelog.
-        unit: s, of processor time, or MB.
+        unit: s, of processor time, MB, or B.
         peer: Another way to the same end, which may be better, or a yardstick.
         bound: A part of the job that no way can leave out; on one machine none costs less.
         aim: The most that is wanted; None where nothing was promised.
@@ -58,7 +58,7 @@ class Row:
 
     job: str
     value: float
-    unit: Literal["s", "MB"] = "s"
+    unit: Literal["s", "MB", "B"] = "s"
     peer: Cost | None = None
     bound: Cost | None = None
     aim: float | None = None

@@ -184,8 +184,7 @@ def _read_csv(path: Path) -> Table:
         rows = filter(None, csv.reader(text))
         head, count = next(rows, []), 0
         require_few_columns(len(head))
-        found = find_table(head)
-        known = _list_known(found) if found in _CLASSES else {*head}
+        known = _list_known(find_table(head), head)
         # Arrays of parts of the rows: as texts the cells would take ten times as much.
         parts: dict[str, list[NDArray[Any]]] = {name: [] for name in head if name in known}
         while part := [*islice(rows, _ROWS_AT_ONCE)]:
@@ -238,8 +237,7 @@ def _read_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
     facts = {
         key.removeprefix(prefix): text for key, text in metadata.items() if key.startswith(prefix)
     }
-    found = find_table(file.schema.names)
-    known = _list_known(found) if found in _CLASSES else {*file.schema.names}
+    known = _list_known(find_table(file.schema.names), file.schema.names)
     file.require_cells(len(known))
     return {name: _read_column(file, name) for name in file.schema.names if name in known}, facts
 
@@ -252,8 +250,10 @@ def _read_column(file: ParquetFile, name: str) -> NDArray[Any]:
     return values
 
 
-def _list_known(table: str) -> set[str]:
-    """Return the columns that a table of a run may have."""
+def _list_known(table: str | None, columns: Sequence[str]) -> set[str]:
+    """Return the columns that are read of a table, of those that it has."""
+    if table not in _CLASSES:
+        return {*columns}
     names = _CLASSES[table].__dataclass_fields__
     return {column for name in names for column in PAIRS.get(name, (name,))}
 

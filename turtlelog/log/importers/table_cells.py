@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal, InvalidOperation
 from typing import Any, Final, NoReturn
@@ -130,7 +130,7 @@ class Cells:
         cells = self._cells[choice.field]
         if isinstance(cells[0], str) and _DATE.match(cells[0]):
             self._guesses["t"] = "date"
-            found = map(_read_date, cells)
+            found: Iterable[int | None] = map(_read_date, cells)
         else:
             power = _POWERS[choice.unit or self._guess_time_unit(choice)]
             found = (_read_time(cell, power) for cell in cells)

@@ -197,7 +197,7 @@ class OrderedRows:
         time_ns: NDArray[np.int64] | None = None,
     ) -> "OrderedRows":
         """Return some of the rows, in any order, and where it is given at times of their own."""
-        if rows.dtype == np.int64 and len(rows) == len(self.time_ns) and is_whole(rows):
+        if rows.dtype != np.bool_ and len(rows) == len(self.time_ns) and _is_whole(rows):
             return self if time_ns is None else replace(self, time_ns=time_ns)
         return replace(
             self,
@@ -207,7 +207,7 @@ class OrderedRows:
         )
 
 
-def is_whole(rows: NDArray[np.int64]) -> bool:
+def _is_whole(rows: NDArray[Any]) -> bool:
     """Return whether numbers of rows are those of all rows in their order."""
     return all(
         np.array_equal(

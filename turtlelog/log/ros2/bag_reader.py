@@ -89,7 +89,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         if source.topic.topic == POSE.name:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
         found: Held = [dict(of_file) for of_file in (*source.found, *bag.read(names))]
-        source = replace(source, found=())
+        source = replace(source, found=[])
         run, track = _build_run(bag.path, found, source, commands, choice.time)
         run = add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
