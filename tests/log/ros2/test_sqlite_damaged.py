@@ -63,7 +63,7 @@ NULLS = (
         ),
         (
             (*NULLS, "UPDATE messages SET topic_id = NULL WHERE id = 2"),
-            "messages: row 2: expected a row in topics of topic_id None, found none",
+            "messages: row 2: topic_id: expected a whole number, found null",
         ),
         (
             ("UPDATE messages SET data = x'0001000000' WHERE id = 2",),

@@ -108,9 +108,11 @@ class Allowance:
             LogError: As `spend`.
         """
         if isinstance(described, Schema):
-            self.spend(SCHEMA_BYTES, len(described.data))
+            texts = described.data, described.name, described.encoding
+            self.spend(SCHEMA_BYTES, sum(map(len, texts)))
         else:
             entries, size = described.metadata, _CHANNEL + len(described.topic)
+            size += len(described.message_encoding)
             if entries:
                 size += _ENTRY * len(entries) + sum(map(len, entries.values()))
             self.spend(CHANNEL_BYTES, size)

@@ -19,10 +19,6 @@ _BATCH: Final = 4096  # rows
 _BATCH_BYTES: Final = 2**22
 _LEAST, _MOST = -(2**63), 2**63 - 1  # numbers of rows
 
-_QUERY: Final = (
-    "SELECT rowid, topic_id, timestamp, data FROM messages WHERE rowid > ? ORDER BY rowid"
-)
-
 
 def walk_damaged(source: SqliteSource, path: Path) -> Iterator[Section | Loss]:
     """Yield the messages of a bag as sections of records, and what could not be read.
@@ -85,6 +81,7 @@ def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
             yield f"messages from {since} to {until}: {describe_sqlite_error(error)}"
             last = None if after is None else after - 1
         else:
+            yield f"messages behind row {last}: {describe_sqlite_error(error)}"
             return
 
 
@@ -93,7 +90,7 @@ def _walk_sound(
 ) -> Generator[Row, None, tuple[int, sqlite3.Error | None]]:
     """Yield rows behind one until something is wrong; return the last row's number, and what."""
     try:
-        for row in source.execute(_QUERY, last):
+        for row in source.execute(_build_query(source), last):
             if row[0] <= last:
                 return last, sqlite3.DatabaseError("rows out of order")
             last = row[0]
@@ -103,10 +100,18 @@ def _walk_sound(
     return last, None
 
 
+def _build_query(source: SqliteSource) -> str:
+    number = source.row_number
+    return (
+        f"SELECT {number}, topic_id, timestamp, data FROM messages NOT INDEXED"
+        f" WHERE {number} > ? ORDER BY {number}"
+    )
+
+
 def _read_row(source: SqliteSource, after: int) -> Row | None:
     """Return the first row behind another, () behind the last; None where it cannot be read."""
     try:
-        found: Row | None = source.execute(f"{_QUERY} LIMIT 1", after).fetchone()
+        found: Row | None = source.execute(f"{_build_query(source)} LIMIT 1", after).fetchone()
     except sqlite3.Error:
         return None
     return () if found is None else found

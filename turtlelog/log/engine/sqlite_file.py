@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.sqlite_pages import check_pages
 from turtlelog.log.error_boundary import DamageError, open_file
 
 if TYPE_CHECKING:
@@ -23,17 +24,20 @@ _PAGES: Final = slice(28, 32)
 _COUNTED_AT: Final = slice(92, 96)
 """Where in the header stand the size of a page, how many there are, and at which change."""
 
+_LEAST_LIMIT, _MOST_LIMIT = 2**16, 2**31 - 1  # bytes of a value; our own queries fit
+
 _SIDES: Final = ("-wal", "-journal")
 _JOURNAL_MAGIC: Final = bytes.fromhex("d9d505f920a163d7")
 """Ends a journal that names another file, which SQLite would delete."""
 
 
 @contextmanager
-def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[sqlite3.Connection]":
-    """Open a SQLite file to read; where it was not closed, a copy of it in a temporary folder.
+def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.Connection, int]]":
+    """Open a SQLite file to read, with its size [bytes]; nothing is written beside it.
 
     A `-wal` beside the file holds rows that were committed, a `-journal` what to take back of those
-    that were not; SQLite would write beside the file to use them.
+    that were not; SQLite would write beside the file to use them. Then a copy in a temporary folder
+    is opened. What the pages claim is held against their size before SQLite reads the first table.
 
     Args:
         path: The file.
@@ -46,36 +50,66 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[sqlite3.Connec
 
     path = path.resolve()
     with ExitStack() as closing:
-        place, mode = path, "mode=ro&immutable=1"
+        place = path
         sides = [path.with_name(path.name + side) for side in _SIDES]
-        if present := [side for side in sides if side.exists() and side.stat().st_size]:
-            folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
-            place, mode = folder / "bag.db3", "mode=rw"
-            _copy_with_sides(path, place, present)
-        size, claimed, page = measure_pages(place)
-        is_short = size % page or (size < claimed and not present)
-        if is_short and not is_damaged:
-            expected = f"{claimed} bytes" if claimed > size else f"pages of {page} bytes"
-            raise DamageError(
-                f"expected a SQLite file of {expected}, found {size} bytes: cut short;"
-                " turtlelog recover reads what is left"
-            )
-        if size % page:  # SQLite would take zeros for what the last page lacks
-            if place == path:
+        try:
+            if present := [side for side in sides if side.exists() and side.stat().st_size]:
                 folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
                 place = folder / "bag.db3"
-                shutil.copyfile(path, place)
-            os.truncate(place, size - size % page)
-        try:
-            connection = sqlite3.connect(
-                f"{place.as_uri()}?{mode}", uri=True, isolation_level=None, check_same_thread=False
-            )
+                _copy_with_sides(path, place, present)
+                _take_sides_in(place, is_damaged=is_damaged)
+            size, claimed, page = measure_pages(place)
+            is_short = size % page or size < claimed
+            if is_short and not is_damaged:
+                expected = f"{claimed} bytes" if claimed > size else f"pages of {page} bytes"
+                raise DamageError(
+                    f"expected a SQLite file of {expected}, found {size} bytes: cut short;"
+                    " turtlelog recover reads what is left"
+                )
+            if size % page:  # SQLite would take zeros for what the last page lacks
+                if place == path:
+                    folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
+                    place = folder / "bag.db3"
+                    shutil.copyfile(path, place)
+                os.truncate(place, size - size % page)
+            check_pages(place, page, is_damaged=is_damaged)
+            connection = _connect(place, "mode=ro&immutable=1", is_damaged=is_damaged)
             closing.callback(connection.close)
-            if is_damaged:  # its header may promise more pages than there are
-                connection.execute("PRAGMA writable_schema = ON")
-            yield connection
+            longest = min(max(size, _LEAST_LIMIT), _MOST_LIMIT)
+            connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, longest)
+            yield connection, size
         except sqlite3.Error as err:
             raise DamageError(describe_sqlite_error(err)) from err
+
+
+def _connect(place: Path, mode: str, *, is_damaged: bool) -> "sqlite3.Connection":
+    import sqlite3
+
+    connection = sqlite3.connect(
+        f"{place.as_uri()}?{mode}", uri=True, isolation_level=None, check_same_thread=False
+    )
+    if is_damaged:  # its header may promise more pages than there are
+        connection.execute("PRAGMA writable_schema = ON")
+    return connection
+
+
+def _take_sides_in(place: Path, *, is_damaged: bool) -> None:
+    """Have SQLite bring a copy up to date with what is beside it, without reading a table.
+
+    Raises:
+        DamageError: Where the file becomes larger than all that it was made of.
+    """
+    most = sum(found.stat().st_size for found in place.parent.iterdir())
+    connection = _connect(place, "mode=rw", is_damaged=is_damaged)
+    try:
+        connection.execute("BEGIN IMMEDIATE")
+        connection.execute("COMMIT")
+    finally:
+        connection.close()
+    if place.stat().st_size > most:
+        raise DamageError(
+            f"expected a SQLite file of up to {most} bytes, found a journal that claims more"
+        )
 
 
 def measure_pages(path: Path) -> tuple[int, int, int]:

@@ -23,7 +23,7 @@ from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.parsing import COUNTED_HEAD, HEADING, MESSAGE_HEAD
 from turtlelog.log.engine.sqlite_file import open_connection
-from turtlelog.log.engine.sqlite_tables import describe_topics, list_columns
+from turtlelog.log.engine.sqlite_tables import describe_topics, list_tables
 from turtlelog.log.error_boundary import DamageError
 
 if TYPE_CHECKING:
@@ -89,7 +89,8 @@ class SqliteSource:
         catalogue: Its topics as channels, their types as schemas.
         is_indexed: Always: the catalogue is complete before the first message is read.
         statistics: None; `count_messages` counts.
-        size: Of all its pages [bytes].
+        size: Of the file [bytes].
+        row_number: The name of the numbers of the rows of `messages`.
     """
 
     is_indexed = True
@@ -97,18 +98,19 @@ class SqliteSource:
     summary_start = 0
     index_length = 0
 
-    def __init__(self, connection: "sqlite3.Connection") -> None:
+    def __init__(self, connection: "sqlite3.Connection", size: int) -> None:
         self._connection = connection
         connection.execute("PRAGMA query_only = ON")
         connection.execute("PRAGMA trusted_schema = OFF")
         connection.execute("PRAGMA cell_size_check = ON")
-        self.size = _read_number(connection, "page_count") * _read_number(connection, "page_size")
+        self.size = size
         self._steps_left = 0
         connection.set_progress_handler(self._count_steps, _STEPS)
-        columns = list_columns(self.execute)
+        tables = list_tables(self.execute)
         connection.set_authorizer(_authorize)
         self.catalogue = Catalogue(allowance := Allowance(self.size))
-        self._numbers = describe_topics(self.execute, columns, self.catalogue, allowance)
+        self._numbers = describe_topics(self.execute, tables, self.catalogue, allowance)
+        self.row_number = tables["messages"].row_number
 
     def execute(self, query: str, *values: object) -> "sqlite3.Cursor":
         """Run a query; it may take a number of steps that the size of the file bounds."""
@@ -123,20 +125,22 @@ class SqliteSource:
         """
         counts, times = Counter[int](), list[int]()
         query = (
-            "SELECT topic_id, count(*), count(timestamp), min(timestamp), max(timestamp)"
-            " FROM messages GROUP BY topic_id"
+            "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages NOT INDEXED"
+            " WHERE typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer'"
+            " GROUP BY topic_id"
         )
-        for topic_id, messages, timed, start_ns, end_ns in self.execute(query):
+        for topic_id, messages, start_ns, end_ns in self.execute(query):
             number = self._numbers.get(topic_id)
             if number is None:
                 raise DamageError(
                     f"messages: topic_id {topic_id}: expected a row in topics, found only"
                     f" messages: {messages}"
                 )
-            if timed != messages or not (isinstance(start_ns, int) and isinstance(end_ns, int)):
-                raise self._find_fault()
             counts[number] = messages
             times += start_ns, end_ns
+        [(rows,)] = self.execute("SELECT count(*) FROM messages NOT INDEXED")
+        if rows != counts.total():
+            raise self._find_fault()
         return counts, (min(times), max(times)) if times else None
 
     def map_blocks(
@@ -152,10 +156,11 @@ class SqliteSource:
             for topic_id, number in self._numbers.items()
             if channels is None or number in channels
         ]
-        query, values = "SELECT topic_id, timestamp, data FROM messages", list[object]()
+        query = "SELECT topic_id, timestamp, data FROM messages NOT INDEXED"
+        values = list[object]()
         conditions = []
         if len(wanted) < len(self._numbers):
-            # The plus keeps SQLite from reading by an index, and sorting all that it finds.
+            # The plus keeps SQLite from making a number of a text.
             conditions.append(f"+topic_id IN ({','.join(map(str, wanted))})")
         if start_ns > 0:
             conditions.append("+timestamp >= ?")
@@ -165,7 +170,7 @@ class SqliteSource:
             values.append(end_ns)
         if conditions:
             query += f" WHERE {' AND '.join(conditions)}"
-        cursor = self.execute(f"{query} ORDER BY rowid", *values)
+        cursor = self.execute(f"{query} ORDER BY {self.row_number}", *values)
         yield from map(work, self._iterate_blocks(cursor))
 
     def _iterate_blocks(self, cursor: "sqlite3.Cursor") -> Iterator[Block]:
@@ -213,33 +218,41 @@ class SqliteSource:
     def find_fault_of(self, row: Row) -> str | None:
         """Return what is wrong with a topic, a time and data; None where they are sound."""
         topic_id, timestamp, data = row
+        if not isinstance(topic_id, int):
+            return f"topic_id: expected a whole number, found {_name_kind(topic_id)}"
         if topic_id not in self._numbers:
             return f"expected a row in topics of topic_id {topic_id}, found none"
         if not isinstance(timestamp, int) or timestamp < 0:
-            return f"timestamp: expected nanoseconds from 0 on, found {timestamp!r:.40}"
+            found = timestamp if isinstance(timestamp, int) else _name_kind(timestamp)
+            return f"timestamp: expected nanoseconds from 0 on, found {found}"
         if not isinstance(data, bytes):
-            return f"data: expected a blob, found {data!r:.40}"
+            return f"data: expected a blob, found {_name_kind(data)}"
         return None
 
     def _find_fault(self) -> DamageError:
         """Return what is wrong with the first row of `messages` that is not sound."""
         query = (
-            "SELECT rowid, topic_id, typeof(timestamp), timestamp, typeof(data) FROM messages"
-            " WHERE typeof(timestamp) != 'integer' OR timestamp < 0 OR typeof(data) != 'blob'"
-            " OR topic_id NOT IN (SELECT id FROM topics) OR topic_id IS NULL ORDER BY rowid LIMIT 1"
+            f"SELECT {self.row_number}, typeof(timestamp), typeof(data), typeof(topic_id),"
+            " CASE typeof(timestamp) WHEN 'integer' THEN timestamp END,"
+            " CASE typeof(topic_id) WHEN 'integer' THEN topic_id END FROM messages NOT INDEXED"
+            " WHERE typeof(timestamp) != 'integer' OR typeof(data) != 'blob'"
+            " OR typeof(topic_id) != 'integer' OR timestamp < 0"
+            f" OR topic_id NOT IN (SELECT id FROM topics) ORDER BY {self.row_number} LIMIT 1"
         )
         found = self.execute(query).fetchone()
         if found is None:
             return DamageError(
                 "messages: expected rows with a topic, a time and data, found others"
             )
-        row, topic_id, kind, timestamp, held = found
+        row, kind, held, named, timestamp, topic_id = found
         place = f"messages: row {row}"
         if kind != "integer" or timestamp < 0:
             value = timestamp if kind == "integer" else kind
             return DamageError(f"{place}: timestamp: expected nanoseconds from 0 on, found {value}")
         if held != "blob":
             return DamageError(f"{place}: data: expected a blob, found {held}")
+        if named != "integer":
+            return DamageError(f"{place}: topic_id: expected a whole number, found {named}")
         return DamageError(f"{place}: expected a row in topics of topic_id {topic_id}, found none")
 
     def _count_steps(self) -> bool:
@@ -254,12 +267,14 @@ def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSourc
     Raises:
         LogError: One clause, where it cannot be read or is no bag.
     """
-    with open_connection(path, is_damaged=is_damaged) as connection:
-        yield SqliteSource(connection)
+    with open_connection(path, is_damaged=is_damaged) as (connection, size):
+        yield SqliteSource(connection, size)
 
 
-def _read_number(connection: "sqlite3.Connection", pragma: str) -> int:
-    return int(connection.execute(f"PRAGMA {pragma}").fetchone()[0])
+def _name_kind(value: object) -> str:
+    """Return what SQLite calls a value's type."""
+    names = {bytes: "blob", float: "real", int: "integer", str: "text"}
+    return names.get(type(value), "null")
 
 
 def _authorize(

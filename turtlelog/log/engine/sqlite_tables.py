@@ -1,15 +1,15 @@
 """The tables of a bag in SQLite: held against what rosbag2 writes, its topics as channels."""
 
-from collections.abc import Callable, Collection, Mapping
-from itertools import count
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.limits import DESCRIPTIONS, Allowance
+from turtlelog.log.engine.limits import DESCRIPTIONS, SCHEMA_BYTES, Allowance
 
 if TYPE_CHECKING:
     from sqlite3 import Cursor
@@ -21,6 +21,8 @@ _TOPIC_NOTES: Final = {
 }
 """Columns that only some versions of rosbag2 write, and their names in an MCAP channel."""
 
+_ROW_NUMBERS: Final = ("rowid", "_rowid_", "oid")
+
 _MESSAGE_COLUMNS: Final = ("topic_id", "timestamp", "data")
 _DEFINITION_COLUMNS: Final = ("topic_type", "encoding", "encoded_message_definition")
 
@@ -31,8 +33,21 @@ Execute = Callable[..., "Cursor"]
 """Runs a query with its values, within a bounded number of steps."""
 
 
-def list_columns(execute: Execute) -> dict[str, list[str]]:
-    """Return the columns of the tables of a bag.
+@dataclass(frozen=True, slots=True)
+class BagTable:
+    """A table of a bag.
+
+    Attributes:
+        columns: Those that hold values, by the names that the file gives them.
+        row_number: The name of the numbers of its rows: one that is no column's.
+    """
+
+    columns: Sequence[str]
+    row_number: str
+
+
+def list_tables(execute: Execute) -> dict[str, BagTable]:
+    """Return the tables of a bag by their names.
 
     Raises:
         LogError: Where one that is needed is missing, or is no plain table.
@@ -47,16 +62,16 @@ def list_columns(execute: Execute) -> dict[str, list[str]]:
         if table not in kinds:
             found = ", ".join(kinds)[:200] or "no tables"
             raise LogError(f"expected a bag with tables topics and messages, found {found}")
-    columns = {}
+    tables = {}
     for table, names in (needed | {"message_definitions": _DEFINITION_COLUMNS}).items():
         if table in kinds:
             if kinds[table] != "table":
                 raise LogError(f"{table}: expected a table, found {kinds[table]}")
-            columns[table] = _list_table(execute, table, names)
-    return columns
+            tables[table] = _describe_table(execute, table, names)
+    return tables
 
 
-def _list_table(execute: Execute, table: str, needed: Collection[str]) -> list[str]:
+def _describe_table(execute: Execute, table: str, needed: Collection[str]) -> BagTable:
     found = [
         (name, hidden) for _, name, _, _, _, _, hidden in execute(f"PRAGMA table_xinfo({table})")
     ]
@@ -65,12 +80,23 @@ def _list_table(execute: Execute, table: str, needed: Collection[str]) -> list[s
         if name not in columns:
             others = ", ".join(f"{other} computed" if hidden else other for other, hidden in found)
             raise LogError(f"{table}: expected a column {name}, found {others[:200]}")
-    return columns
+    import sqlite3  # files of MCAP spare it
+
+    # A column of such a name hides the number.
+    taken = {name.lower() for name, _ in found}
+    free = [name for name in _ROW_NUMBERS if name not in taken]
+    if not free:
+        raise LogError(f"{table}: expected rows with numbers, found columns of all their names")
+    try:
+        execute(f"SELECT {free[0]} FROM {table} NOT INDEXED LIMIT 0")
+    except sqlite3.OperationalError as err:
+        raise LogError(f"{table}: expected rows with numbers, found none: {err}") from err
+    return BagTable(columns, free[0])
 
 
 def describe_topics(
     execute: Execute,
-    columns: Mapping[str, Collection[str]],
+    tables: Mapping[str, BagTable],
     catalogue: Catalogue,
     allowance: Allowance,
 ) -> dict[int, int]:
@@ -78,7 +104,7 @@ def describe_topics(
 
     Args:
         execute: Runs a query.
-        columns: As `list_columns` returns them.
+        tables: As `list_tables` returns them.
         catalogue: Takes channels, and the types as schemas.
         allowance: Of which each topic is spent.
 
@@ -86,19 +112,18 @@ def describe_topics(
         LogError: Where a row of `topics` or `message_definitions` is wrong, or there are too many.
     """
     numbers: dict[int, int] = {}
-    definitions = _read_definitions(execute) if "message_definitions" in columns else {}
-    notes = [name for name in _TOPIC_NOTES if name in columns["topics"]]
-    query = f"SELECT {', '.join((*_TOPIC_COLUMNS, *notes))} FROM topics ORDER BY rowid"
+    described = tables.get("message_definitions")
+    definitions = _read_definitions(execute, described, allowance) if described else {}
+    topics = tables["topics"]
+    notes = [name for name in _TOPIC_NOTES if name in topics.columns]
     schemas: dict[str, int] = {}
-    for row in execute(query):
+    for row in _select(execute, "topics", topics, (*_TOPIC_COLUMNS, *notes)):
         allowance.spend(DESCRIPTIONS)
         topic_id, name, kind, encoding, *texts = row
         if not isinstance(topic_id, int):
-            raise LogError(f"topics: {name}: id: expected a whole number, found {topic_id!r:.60}")
-        for column, value in zip(_TOPIC_COLUMNS[1:], (name, kind, encoding), strict=True):
-            if not isinstance(value, str):
-                found = "NULL" if value is None else repr(value)[:60]
-                raise LogError(f"topics: row {topic_id}: {column}: expected text, found {found}")
+            found = repr(topic_id)[:60]
+            raise LogError(f"topics: {str(name)[:60]}: id: expected a whole number, found {found}")
+        _require_texts(f"topics: row {topic_id}", _TOPIC_COLUMNS[1:], (name, kind, encoding))
         if len(numbers) == _MOST_CHANNELS:
             raise LogError(f"topics: expected up to {_MOST_CHANNELS}, found more")
         if kind not in schemas:
@@ -120,15 +145,34 @@ def describe_topics(
     return numbers
 
 
-def _read_definitions(execute: Execute) -> dict[str, tuple[str, str]]:
+def _read_definitions(
+    execute: Execute, table: BagTable, allowance: Allowance
+) -> dict[str, tuple[str, str]]:
     """Return encoding and text of the types that the file defines itself."""
-    query = f"SELECT {', '.join(_DEFINITION_COLUMNS)} FROM message_definitions ORDER BY rowid"
     definitions: dict[str, tuple[str, str]] = {}
-    for number, row in zip(count(1), execute(query), strict=False):
-        if not all(isinstance(value, str) for value in row):
-            raise LogError(f"message_definitions: row {number}: expected texts, found {row!r:.60}")
+    rows = _select(execute, "message_definitions", table, _DEFINITION_COLUMNS)
+    for number, row in enumerate(rows, start=1):
+        allowance.spend(DESCRIPTIONS)
+        _require_texts(f"message_definitions: row {number}", _DEFINITION_COLUMNS, row)
+        allowance.spend(SCHEMA_BYTES, sum(map(len, row)))
         kind, encoding, text = row
         # rosbag2 writes the encoding `unknown`, and no text, where it finds no definition.
         if text and encoding != "unknown":
             definitions.setdefault(kind, (encoding, text))
     return definitions
+
+
+def _select(
+    execute: Execute, name: str, table: BagTable, columns: Sequence[str]
+) -> Iterator[tuple[Any, ...]]:
+    return execute(
+        f"SELECT {', '.join(columns)} FROM {name} NOT INDEXED ORDER BY {table.row_number}"
+    )
+
+
+def _require_texts(place: str, columns: Sequence[str], values: Sequence[object]) -> None:
+    for column, value in zip(columns, values, strict=True):
+        if not isinstance(value, str):
+            shown = value[:60] if isinstance(value, bytes) else value
+            found = "NULL" if value is None else repr(shown)[:60]
+            raise LogError(f"{place}: {column}: expected text, found {found}")

@@ -1,0 +1,275 @@
+"""The pages of a SQLite file, counted before SQLite reads them.
+
+A row claims how long it is, and which pages hold what its own has no room for. An honest file has
+each page in one tree, and no more bytes of rows than bytes. Otherwise rows share their pages: a
+megabyte that thousands of rows lead to is copied thousands of times, which SQLite does not count.
+
+https://www.sqlite.org/fileformat2.html has the format. Numbers are read as SQLite reads them, so
+that it meets no row that was not counted: places in a page wrap, lengths have 32 bits.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.log.error_boundary import DamageError
+
+_TABLE_LEAF, _TABLE_INTERIOR, _INDEX_LEAF, _INDEX_INTERIOR = 13, 5, 10, 2
+_ROWS: Final = (_TABLE_LEAF, _INDEX_LEAF, _INDEX_INTERIOR)
+_PARENTS: Final = (_TABLE_INTERIOR, _INDEX_INTERIOR)
+
+_FILE_HEAD: Final = 100
+_RESERVED: Final = 20
+_PAGE_SIZES: Final = frozenset(2**power for power in range(9, 17))
+_LEAST_USABLE: Final = 480  # bytes of a page
+_PARENT_HEAD: Final = 12
+_LEAF_HEAD: Final = 8
+_COUNT: Final = 3
+_RIGHT: Final = 8
+"""Where in the head of a page stand the number of its cells and the last page below it."""
+
+_LEAST_CELL: Final = 6  # bytes, with what leads to it
+_LONGEST_VARINT: Final = 9
+_DEEPEST: Final = 20  # SQLite goes no further
+_READ_BYTES: Final = 2**20
+
+MOST_DEFINED: Final = 2**16
+"""Bytes that define tables; a bag has 2,000. SQLite keeps them parsed, 100 times as large."""
+
+_MOST_TABLES: Final = 2**10
+_DAMAGED_SHARE: Final = 64
+"""A damaged row may claim any length: so many as large as the file are let through to recover."""
+
+_INTEGERS: Final = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
+"""Bytes of a whole number in a row, by its kind; NULL, 0 and 1 take none."""
+
+_ONE: Final = 9
+_REAL: Final = 8  # bytes
+
+
+def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
+    """Hold what the rows of a SQLite file claim against its size.
+
+    Args:
+        path: The file, with nothing beside it that changes it.
+        page_size: Of a page [bytes].
+        is_damaged: Pass over pages that are none, and some rows that claim too much; the
+            definitions of tables must be sound in any case.
+
+    Raises:
+        LogError: Where pages stand in two trees, or rows claim more bytes than there are.
+    """
+    with path.open("rb") as stream:
+        usable = page_size - stream.read(_FILE_HEAD)[_RESERVED]
+        if page_size not in _PAGE_SIZES or usable < _LEAST_USABLE:
+            found = f"{usable} of {page_size}"
+            raise DamageError(f"expected pages of 512 to 65536 bytes, found {found} to use")
+        pages = _Pages(stream, page_size, usable)
+        roots = pages.list_roots()
+        pages.most_bytes *= _DAMAGED_SHARE if is_damaged else 1
+        pages.is_damaged = is_damaged
+        for root in roots:
+            pages.count_tree(root)
+
+
+@dataclass(frozen=True, slots=True)
+class _Batch:
+    """Some pages of a tree: their bytes one after another, and where each one's head is."""
+
+    data: NDArray[np.uint8]
+    heads: NDArray[np.int64]
+    page_size: int
+
+    def find_cells(self, kinds: tuple[int, ...], head: int) -> NDArray[np.int64]:
+        """Return where the cells of the pages of some kinds are."""
+        heads = self.heads[np.isin(self.data[self.heads], kinds)]
+        counts = _read_number(self.data, heads + _COUNT, 2)
+        counts[counts > (self.page_size - _LEAF_HEAD) // _LEAST_CELL] = 0  # refused by SQLite
+        first = np.repeat(heads + head - 2 * (np.cumsum(counts) - counts), counts)
+        places = _read_number(self.data, first + 2 * np.arange(len(first)), 2)
+        starts = np.repeat(heads - heads % self.page_size, counts)
+        return starts + places % self.page_size
+
+    def list_children(self) -> NDArray[np.int64]:
+        """Return the numbers of the pages below."""
+        heads = self.heads[np.isin(self.data[self.heads], _PARENTS)]
+        cells = self.find_cells(_PARENTS, _PARENT_HEAD)
+        return _read_number(self.data, np.concatenate([cells, heads + _RIGHT]), 4)
+
+    def find_rows(self) -> NDArray[np.int64]:
+        """Return where rows begin, with their lengths."""
+        leaves = self.find_cells((_TABLE_LEAF, _INDEX_LEAF), _LEAF_HEAD)
+        return np.concatenate([leaves, self.find_cells((_INDEX_INTERIOR,), _PARENT_HEAD) + 4])
+
+    def read_varints(self, places: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return numbers of up to nine bytes, of which 32 bits count."""
+        values = self.data[places].astype(np.int64)
+        more = np.flatnonzero(values > 0x7F)
+        values &= 0x7F
+        for byte in range(1, _LONGEST_VARINT):
+            if not len(more):
+                break
+            found = self.data[places[more] + byte].astype(np.int64)
+            values[more] = (values[more] << 7 | found & 0x7F) & 0xFFFFFFFF
+            more = more[found > 0x7F]
+        return values
+
+
+class _Pages:
+    """The pages of a file.
+
+    Attributes:
+        most_bytes: What all rows together may claim.
+        is_damaged: Whether pages that stand twice are passed over.
+    """
+
+    def __init__(self, stream: BinaryIO, page_size: int, usable: int) -> None:
+        self._stream, self._size, self._usable = stream, page_size, usable
+        self.file_size = stream.seek(0, 2)
+        self._count = self.file_size // page_size
+        self._seen = np.zeros(self._count + 1, np.bool_)
+        self._bytes = 0
+        self.most_bytes = self.file_size
+        self.is_damaged = False
+
+    def list_roots(self) -> list[int]:
+        """Return the first page of every tree that the table of tables names.
+
+        Raises:
+            DamageError: Where that is damaged, or far larger than that of a bag.
+        """
+        roots, defined, tables = [], 0, 0
+        for batch in self._walk(1):
+            rows = batch.find_rows()
+            lengths = batch.read_varints(rows)
+            defined, tables = defined + int(lengths.sum()), tables + len(rows)
+            if defined > MOST_DEFINED or tables > _MOST_TABLES:
+                raise DamageError(
+                    f"expected up to {MOST_DEFINED} bytes that define up to {_MOST_TABLES} tables,"
+                    " found more: this is no bag"
+                )
+            for place, length in zip(rows.tolist(), lengths.tolist(), strict=True):
+                cell = batch.data[place : place + self._size].tobytes()
+                roots.append(_find_root(self._read_payload(cell, length)))
+        return [root for root in roots if root]
+
+    def _read_payload(self, cell: bytes, length: int) -> bytes:
+        """Return the bytes of a row, as far as they are there."""
+        _, at = _read_varint(cell, 0)
+        _, at = _read_varint(cell, at)
+        local = self._count_local(length)
+        data, following = cell[at : at + local], cell[at + local : at + local + 4]
+        while len(data) < length and (number := int.from_bytes(following, "big")):
+            self._stream.seek((number - 1) * self._size)
+            page = self._stream.read(self._size)[: self._usable]
+            if len(page) <= len(following):
+                break
+            data, following = data + page[4:], page[:4]
+        return data[:length]
+
+    def _count_local(self, length: int) -> int:
+        """Return how much of a row stands in its own page."""
+        if length <= self._usable - 35:
+            return length
+        least = (self._usable - 12) * 32 // 255 - 23
+        more = least + (length - least) % (self._usable - 4)
+        return more if more <= self._usable - 35 else least
+
+    def count_tree(self, root: int) -> None:
+        """Add what the rows of a tree claim.
+
+        Raises:
+            LogError: Where that is too much.
+        """
+        for batch in self._walk(root):
+            lengths = batch.read_varints(batch.find_rows())
+            if self.is_damaged:
+                lengths = np.minimum(lengths, self.file_size)
+            self._bytes += int(lengths.sum())
+            if self._bytes > self.most_bytes:
+                fix = "" if self.is_damaged else "; turtlelog recover reads what is left"
+                raise DamageError(
+                    f"expected rows of up to {self.file_size} bytes in all, the size of the file,"
+                    f" found more: rows share their pages, or claim a wrong length{fix}"
+                )
+
+    def _walk(self, root: int) -> Iterator[_Batch]:
+        """Yield the pages of a tree, level by level."""
+        level = np.array([root], np.int64)
+        for _ in range(_DEEPEST):
+            below = [np.empty(0, np.int64)]
+            for batch in self._read(self._visit(level)):
+                yield batch
+                below.append(batch.list_children())
+            level = np.concatenate(below)
+
+    def _visit(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return pages in their order; those that are not there are left to SQLite to find."""
+        numbers = np.sort(numbers[(numbers > 0) & (numbers <= self._count)])
+        is_again = self._seen[numbers]
+        is_again[1:] |= numbers[1:] == numbers[:-1]
+        if is_again.any() and not self.is_damaged:
+            number = numbers[is_again][0]
+            raise DamageError(
+                f"page {number}: expected each page in one table once, found it twice: pages lead"
+                " in circles, or are shared; turtlelog recover reads what is left"
+            )
+        self._seen[numbers] = True
+        return numbers[~is_again]
+
+    def _read(self, numbers: NDArray[np.int64]) -> Iterator[_Batch]:
+        for some in np.split(numbers, np.arange(0, len(numbers), _READ_BYTES // self._size)[1:]):
+            if not len(some):
+                continue
+            data = bytearray()
+            for run in np.split(some, np.flatnonzero(np.diff(some) != 1) + 1):
+                self._stream.seek((int(run[0]) - 1) * self._size)
+                data += self._stream.read(len(run) * self._size)
+            heads = np.arange(len(some)) * self._size
+            heads[some == 1] += _FILE_HEAD
+            data += bytes(_FILE_HEAD + _PARENT_HEAD)  # what leads to cells may be past the end
+            yield _Batch(np.frombuffer(data, np.uint8), heads, self._size)
+
+
+def _read_number(
+    data: NDArray[np.uint8], places: NDArray[np.int64], size: int
+) -> NDArray[np.int64]:
+    found = np.zeros(len(places), np.int64)
+    for byte in range(size):
+        found = found << 8 | data[places + byte]
+    return found
+
+
+def _find_root(row: bytes) -> int:
+    """Return the page that a row of the table of tables names; 0 for a view or a trigger.
+
+    Raises:
+        DamageError: Where it is no number.
+    """
+    place, at = _read_varint(row, 0)
+    kinds = list[int]()
+    for _ in range(4):
+        kind, at = _read_varint(row, at)
+        kinds.append(kind)
+    place += sum(map(_measure_value, kinds[:3]))
+    count = _measure_value(kinds[3])
+    if kinds[3] not in _INTEGERS or place + count > len(row):
+        raise DamageError("expected a sound SQLite file, found a damaged table of tables")
+    return int.from_bytes(row[place : place + count], "big", signed=True) + (kinds[3] == _ONE)
+
+
+def _measure_value(kind: int) -> int:
+    return (kind - 12) // 2 if kind >= 12 else _INTEGERS.get(kind, _REAL)
+
+
+def _read_varint(data: bytes, at: int) -> tuple[int, int]:
+    value = 0
+    for byte in data[at : at + _LONGEST_VARINT]:
+        value, at = value << 7 | byte & 0x7F, at + 1
+        if byte < 0x80:
+            break
+    return value & 0xFFFFFFFF, at
