@@ -186,3 +186,26 @@ def pack_varint(value: int) -> bytes:
     while value := value >> 7:
         parts.append(value & 0x7F | 0x80)
     return bytes(reversed(parts))
+
+
+def make_wal(content: bytes, page_size: int) -> bytes:
+    """Return a file of SQLite as the log beside another, which it replaces."""
+    head = struct.pack(">6I", 0x377F0683, 3_007_000, page_size, 0, 1, 1)
+    sums = _sum_words(head, (0, 0))
+    log = [head, struct.pack(">2I", *sums)]
+    pages = [content[at : at + page_size] for at in range(0, len(content), page_size)]
+    pages[0] = pages[0][:18] + b"\2\2" + pages[0][20:]
+    for number, page in enumerate(pages, start=1):
+        frame = struct.pack(">2I", number, len(pages) if number == len(pages) else 0)
+        sums = _sum_words(page, _sum_words(frame, sums))
+        log += [frame, struct.pack(">4I", 1, 1, *sums), page]
+    return b"".join(log)
+
+
+def _sum_words(data: bytes, sums: tuple[int, int]) -> tuple[int, int]:
+    first, second = sums
+    words = struct.unpack(f">{len(data) // 4}I", data)
+    for even, odd in zip(words[::2], words[1::2], strict=True):
+        first = (first + even + second) & 0xFFFFFFFF
+        second = (second + odd + first) & 0xFFFFFFFF
+    return first, second

@@ -1,6 +1,5 @@
 """What is in a file: from its summary where that tells, else its messages are counted."""
 
-import os
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -16,7 +15,7 @@ from turtlelog.display import describe_count
 from turtlelog.escapes import escape_controls
 from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
 from turtlelog.log.engine.channels import Catalogue, describe_unread
-from turtlelog.log.engine.limits import Allowance
+from turtlelog.log.engine.limits import Allowance, measure_stored
 from turtlelog.log.engine.opening import open_storage, strip_suffixes
 from turtlelog.log.engine.parsing import gather_heads
 from turtlelog.log.engine.source import Source
@@ -277,7 +276,7 @@ def _survey_sqlite(source: SqliteSource) -> Survey:
 
 
 def _survey_damaged(stream: BinaryIO) -> Survey:
-    allowance = Allowance(stream.seek(0, os.SEEK_END))
+    allowance = Allowance(measure_stored(stream))
     survey = Survey(catalogue=Catalogue(allowance), is_finished=False)
     _walk(stream, survey, allowance, survey.damages)
     return survey

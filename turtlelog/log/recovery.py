@@ -17,13 +17,13 @@ from turtlelog.escapes import escape_controls
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.container import LIBRARY
 from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
-from turtlelog.log.engine.opening import Damaged, open_damaged
+from turtlelog.log.engine.opening import Damaged, open_damaged, open_place
 from turtlelog.log.engine.parsing import take_apart
 from turtlelog.log.engine.sqlite_damage import walk_damaged
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.summary import FileSummary, salvage_summary
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.error_boundary import name_file
 from turtlelog.log.exporters import describe_bag
 from turtlelog.log.recording.recovery_note import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
@@ -136,7 +136,7 @@ def _recover_file(source: Path, target: Path) -> RecoveryReport:
             found = closing.enter_context(open_damaged(source))
             if not isinstance(target, RemotePath) and target.exists() and source.samefile(target):
                 raise LogError(f"expected another file to write to, found the same: {target}")
-            summary = None if found.bag else _salvage_summary(found.place)
+            summary = None if found.bag else _salvage_summary(found)
         with replace_when_complete(target) as temporary, temporary.open("wb") as output:
             if found.bag:
                 report = _recover_sqlite(source, found, output)
@@ -145,8 +145,8 @@ def _recover_file(source: Path, target: Path) -> RecoveryReport:
     return report
 
 
-def _salvage_summary(place: Path) -> FileSummary | None:
-    with open_file(place) as stream:
+def _salvage_summary(found: Damaged) -> FileSummary | None:
+    with open_place(found) as stream:
         return salvage_summary(stream)
 
 
@@ -157,7 +157,7 @@ def _recover_mcap(
     known = ((), ()) if summary is None else (summary.schemas, summary.channels)
 
     def copy() -> _Copied:
-        copied = _copy_records(_walk(source, found.place), size, output, *known)
+        copied = _copy_records(_walk(source, found), found.stored_size, output, *known)
         if copied.data_end is not None and summary is None:
             reason = "expected a sound summary, found none"
             copied.summary = Loss(start=copied.data_end, end=size, reason=reason)
@@ -181,7 +181,7 @@ def _recover_sqlite(source: Path, found: Damaged, output: BinaryIO) -> RecoveryR
     catalogue = found.bag.catalogue
     known = tuple(catalogue.schemas.values()), tuple(catalogue.channels.values())
     walk = _walk_sqlite(source, found.bag, found.place)
-    copied = _copy_records(walk, found.place.stat().st_size, output, *known)
+    copied = _copy_records(walk, found.stored_size, output, *known)
     if found.fault is not None:
         size = found.place.stat().st_size
         copied.lose(Loss(start=size, end=size, reason=found.fault))
@@ -246,13 +246,13 @@ class _Copied:
 
 def _copy_records(
     walk: Iterator[Section | Loss],
-    size: int,
+    stored_size: int,
     output: BinaryIO,
     schemas: tuple[Schema, ...],
     channels: tuple[Channel, ...],
 ) -> _Copied:
     """Copy what a walk over a file of some size finds, with what is known of it beforehand."""
-    allowance = Allowance(size)
+    allowance = Allowance(stored_size)
     rewriter = Rewriter(output, Numbering(schemas, channels, allowance), allowance)
     copied = _Copied(rewriter=rewriter)
     for found in walk:
@@ -282,9 +282,9 @@ def _take_section(rewriter: Rewriter, section: Section, allowance: Allowance) ->
     return rewriter.take_stretch(stretch, section.start, is_checked=section.is_checked)
 
 
-def _walk(source: Path, place: Path) -> Iterator[Section | Loss]:
+def _walk(source: Path, found: Damaged) -> Iterator[Section | Loss]:
     # Errors of writing what comes are not this file's.
-    with name_file(source, expected="an MCAP file"), open_file(place) as stream:
+    with name_file(source, expected="an MCAP file"), open_place(found) as stream:
         yield from walk_sections(stream)
 
 

@@ -66,21 +66,21 @@ class Numbering:
 
     def add_schema(self, schema: Schema) -> None:
         """Let an id mean a schema from here on."""
-        self.first_schemas.setdefault(schema.id, schema)
         key = (schema.id, schema.name, schema.encoding, schema.data)
         if key not in self._known_schemas:
             self._allowance.spend_description(schema)
             number = self._taken_schemas.choose(schema.id)
             is_same = number == schema.id
             self._known_schemas[key] = schema if is_same else replace(schema, id=number)
+        self.first_schemas.setdefault(schema.id, schema)
         self.schemas[schema.id] = self._known_schemas[key]
 
     def add_channel(self, channel: Channel) -> None:
         """Let an id mean a channel from here on."""
-        self.first_channels.setdefault(channel.id, channel)
         if channel.schema_id and channel.schema_id not in self.schemas:
             self._awaited.add(channel.schema_id)
         self.channels[channel.id] = self._number(channel)
+        self.first_channels.setdefault(channel.id, channel)
 
     def is_news(self, channel: Channel) -> bool:
         """Return whether an id that has a meaning would get another."""

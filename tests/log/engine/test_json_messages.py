@@ -14,7 +14,7 @@ from turtlelog.errors import LogError
 from turtlelog.log import TopicColumns, iter_columns, read_columns, read_info
 from turtlelog.log.engine import json_messages
 from turtlelog.log.engine.message_types import LONGEST_TEXT
-from turtlelog.log.engine.topic_columns import read_flat_columns
+from turtlelog.log.engine.topic_columns import read_some_columns
 
 NUMBER: dict[str, Any] = {"type": "number"}
 POSE = {
@@ -128,7 +128,7 @@ def test_whole_numbers_beyond_64_bits_become_floats(tmp_path: Path) -> None:
 def test_arrays_are_left_out_where_flat_columns_are_asked_for(tmp_path: Path) -> None:
     path = write_json(tmp_path / "a.mcap", [make_pose(ranges=[1])])
     assert {*read_columns(path)["/pose"].fields} - {
-        *read_flat_columns(path, ["/pose"])["/pose"].fields
+        *read_some_columns(path, ["/pose"], is_flat=True)["/pose"].fields
     } == {"ranges"}
 
 

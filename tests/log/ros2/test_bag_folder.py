@@ -175,7 +175,7 @@ def test_a_lone_compressed_file_is_read(suffix: str, tmp_path: Path) -> None:
 def test_a_file_that_unpacks_to_far_more_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    small = {**limits._BASES, limits.UNPACKED: (2**20, 64)}
+    small = {**limits._BASES, limits.UNPACKED_FILE: (2**20, 64)}
     monkeypatch.setattr(limits, "_BASES", small)
     file = tmp_path / "a.db3.zstd"
     file.write_bytes(zstandard.compress(bytes(2**24)))

@@ -15,12 +15,13 @@ from benchmarks.hostile_sqlite import (
     Choose,
     Database,
     make_page,
+    make_wal,
     repeat_cell,
 )
 from tests.log.ros2.bags import change, make_poses, write_sqlite
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_info, recover_recording
-from turtlelog.log.engine import limits
+from turtlelog.log.engine import limits, sqlite_damage
 
 TOPIC = (None, "/turtle1/pose", "turtlesim/msg/Pose", "cdr", "")
 LONG = "a" * 50_000
@@ -96,7 +97,7 @@ def test_rows_that_share_one_chain_of_pages_are_refused(
 def test_recover_stops_at_the_size_of_the_file(tmp_path: Path) -> None:
     file = write(share("data", 40), tmp_path)
     report = recover_recording(file, tmp_path / "out.mcap")
-    assert report.recovered == {"/turtle1/pose": 2}
+    assert report.recovered == {"/turtle1/pose": 1}
     assert report.lost[-1].reason == "expected messages of the size of the file"
 
 
@@ -241,3 +242,41 @@ def test_rows_out_of_order_are_told(tmp_path: Path) -> None:
 def replace_key(cell: Cell) -> Cell:
     """Return a short row with its number written anew."""
     return Cell(cell.key, cell.data[:1] + struct.pack("B", cell.key) + cell.data[2:])
+
+
+def test_no_more_rows_are_named_than_anybody_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sqlite_damage, "_MOST_NAMED", 5)
+    rows = Database().make_rows(lambda row: (None, 1 if row < 3 else 9, row, POSE), 9)
+    file = write(make_bag(messages=rows), tmp_path)
+    reasons = [loss.reason for loss in recover_recording(file, tmp_path / "out.mcap").lost]
+    assert len(reasons) == 6
+    assert reasons[-1] == "messages: 2 rows more that are no messages"
+
+
+def write_wal(file: Path, bag: Database, page_size: int = 4096) -> Path:
+    """Write the pages of a bag as a log beside a sound file."""
+    content = bytearray(make_bag().finish())
+    content[18:20] = b"\2\2"
+    file.write_bytes(content)
+    file.with_name("a.db3-wal").write_bytes(make_wal(bag.finish(), page_size))
+    return file
+
+
+def test_what_stands_beside_a_file_counts(tmp_path: Path) -> None:
+    file = write_wal(tmp_path / "a.db3", make_bag(messages=Database().make_rows(choose_pose, 30)))
+    assert len(read_columns(file)["/turtle1/pose"]) == 30
+    bag = Database()
+    bag.add_table("topics", TOPICS, bag.make_rows(lambda _: TOPIC, 1))
+    bag.add_table("messages", MESSAGES, bag.share_chain(SHARED["data"][1], 500))
+    with pytest.raises(LogError, match=r"a\.db3: expected rows of up to \d+ bytes in all"):
+        read_info(write_wal(file, bag))
+
+
+def test_a_journal_does_not_make_a_file_larger(tmp_path: Path) -> None:
+    file = write(make_bag(), tmp_path)
+    head = bytes.fromhex("d9d505f920a163d7") + struct.pack(">5I", 0, 1, 2**20, 512, 4096)
+    file.with_name("a.db3-journal").write_bytes(head.ljust(512, b"\0") + bytes(4096))
+    with pytest.raises(LogError, match=r"a\.db3: expected a SQLite file of up to \d+ bytes, found"):
+        read_info(file)

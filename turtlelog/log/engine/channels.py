@@ -14,6 +14,7 @@ from turtlelog.log.engine.known_definitions import find_definition
 from turtlelog.log.engine.limits import FIELDS, Allowance
 from turtlelog.log.engine.message_types import (
     LONGEST_TEXT,
+    TEXT,
     Field,
     Layout,
     MessageType,
@@ -34,6 +35,11 @@ _ADVICE: Final = MappingProxyType({"ros1": "convert the .bag file with rosbags-c
 """What to do about messages in an encoding that is not read; of others `_USUAL_ADVICE`."""
 
 _USUAL_ADVICE: Final = "record the topic in one of these"
+
+
+_HEAD: Final = 20  # bytes of two times and a number
+_NUMBER, _TEXT, _SEQUENCE = 8, 72, 200  # bytes; texts and sequences are objects
+_NUMBERS: Final = frozenset({"boolean", "integer", "number"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,6 +65,13 @@ class TopicPlan:
     def describe_reason(self) -> str:
         """Return the topic with the reason why it cannot be understood, as errors name it."""
         return describe_unread(self.topic, self.reason)
+
+    @property
+    def row_size(self) -> int:
+        """What a message takes in memory, more where it has long texts or sequences [bytes]."""
+        if self.json is not None:
+            return _HEAD + sum(_NUMBER if field.kind in _NUMBERS else _TEXT for field in self.json)
+        return _HEAD + (_measure(self.fields) if self.layout is None else self.layout.size)
 
     @property
     def meaning(self) -> object:
@@ -237,6 +250,18 @@ def _describe_encoding(encoding: str) -> str:
         return f"its messages name no encoding, and turtlelog reads {read}; {_USUAL_ADVICE}"
     advice = _ADVICE.get(encoding, _USUAL_ADVICE)
     return f"its messages are in the encoding {encoding}, and turtlelog reads {read}; {advice}"
+
+
+def _measure(fields: tuple[Field, ...]) -> int:
+    return sum(_measure_field(field) * (field.length or 1) for field in fields)
+
+
+def _measure_field(field: Field) -> int:
+    if field.is_sequence:
+        return _SEQUENCE
+    if isinstance(field.kind, str):
+        return _TEXT if field.kind == TEXT else _NUMBER
+    return _measure(field.kind)
 
 
 def _parse(schema: Schema, allowance: Allowance) -> MessageType | tuple[JsonField, ...]:

@@ -9,7 +9,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.limits import LARGEST_CHUNK, Allowance
+from turtlelog.log.engine.limits import LARGEST_CHUNK, Allowance, measure_stored
 
 MCAP0_MAGIC: Final = b"\x89MCAP0\r\n"
 """How a file begins and ends; here, because mcap.writer costs 20 ms to load."""
@@ -128,7 +128,7 @@ class FileWindow:
         self._start, self._data = 0, b""
         self.size = stream.seek(0, 2)
         self._spare = self.size
-        self.allowance = Allowance(self.size)
+        self.allowance = Allowance(measure_stored(stream))
         self._is_held = self.size <= _HELD
         if self._is_held:
             stream.seek(0)

@@ -8,13 +8,14 @@ a larger one may take more. Each limit is some ten times what recordings need.
 from collections.abc import Mapping
 from threading import Lock
 from types import MappingProxyType
-from typing import Final
+from typing import BinaryIO, Final
 
 from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError
 
 UNPACKED: Final = "bytes in chunks"
+UNPACKED_FILE: Final = "bytes of a file that is compressed as a whole"
 RECORDS: Final = "records"
 DESCRIPTIONS: Final = "schemas and channels"
 SCHEMA_BYTES: Final = "bytes of schemas"
@@ -23,6 +24,7 @@ FIELDS: Final = "fields of types"
 NOTES: Final = "metadata records and attachments"
 DAMAGES: Final = "damaged places"
 CHUNK_CHANNELS: Final = "channels in chunks"
+COLUMNS: Final = "bytes of columns"
 CHANGES: Final = "channels that change their meaning"
 
 LARGEST_CHUNK: Final = 2**30
@@ -43,6 +45,8 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
     {
         # A robot that stands still packs to a fortieth, an empty map to a thousandth.
         UNPACKED: (2**30, 64),
+        # Written to a disk before it is read.
+        UNPACKED_FILE: (2**28, 64),
         # The times of a message take two bytes at least, however well they pack.
         RECORDS: (2**22, 0.5),
         # Some writers repeat all that they have in every chunk.
@@ -65,6 +69,12 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
 )
 """By kind: what a file may hold, and what more by byte of the file."""
 
+# What a run is made of takes five times as much. The columns of recordings take up to three bytes a
+# byte, and those of a robot that stands still 25: one that does for hours fits into few bytes.
+_COLUMNS: Final = 40_000_000
+_SMALL: Final = 10_000_000
+_COLUMNS_SHARE: Final = 16  # of what is beyond
+
 _CHANNEL: Final = 500  # bytes in memory beside its letters
 _ENTRY: Final = 200  # the same of an entry of its table
 
@@ -80,6 +90,7 @@ class Allowance:
         self.largest_chunk = min(LARGEST_CHUNK, max(_CHUNK, _CHUNK_SHARE * file_size))
         self._file_size = file_size
         self._most = {kind: base + int(share * file_size) for kind, (base, share) in _BASES.items()}
+        self._most[COLUMNS] = _COLUMNS + _COLUMNS_SHARE * max(0, file_size - _SMALL)
         self._left = dict(self._most)
         self._spending = Lock()
 
@@ -116,3 +127,14 @@ class Allowance:
             if entries:
                 size += _ENTRY * len(entries) + sum(map(len, entries.values()))
             self.spend(CHANNEL_BYTES, size)
+
+
+def measure_stored(stream: BinaryIO) -> int:
+    """Return how large the file of a stream is, and of one that was unpacked how large it was."""
+    stored: int | None = getattr(stream, "stored_size", None)
+    if stored is not None:
+        return stored
+    place = stream.tell()
+    size = stream.seek(0, 2)
+    stream.seek(place)
+    return size

@@ -1,5 +1,6 @@
 """A file -> what reads it, told by its first bytes: MCAP or SQLite, plain or compressed."""
 
+import io
 import shlex
 import shutil
 import tempfile
@@ -14,7 +15,7 @@ import zstandard
 from turtlelog.errors import LogError
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
 from turtlelog.log.engine.framing import find_wrong_start
-from turtlelog.log.engine.limits import UNPACKED, Allowance
+from turtlelog.log.engine.limits import UNPACKED_FILE, Allowance, measure_stored
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.engine.sqlite_source import SqliteSource, open_sqlite
@@ -46,8 +47,9 @@ def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
     path = make_path(path)
     with name_file(path, expected=_describe_expected(path)), _open_content(path) as (stream, place):
         if _read_head(stream) == SQLITE_MAGIC:
+            stored_size = measure_stored(stream)
             stream.close()
-            with open_sqlite(place) as source:
+            with open_sqlite(place, stored_size) as source:
                 yield source
         else:
             _require_start(path, stream)
@@ -77,6 +79,18 @@ def strip_suffixes(path: Path) -> str:
     return path.name[: -len(suffix)] if suffix and len(suffix) < len(path.name) else path.stem
 
 
+class _Unpacked(io.BufferedReader):
+    """A file that was unpacked.
+
+    Attributes:
+        stored_size: What it took before [bytes]: so much it may ask for.
+    """
+
+    def __init__(self, place: Path, stored_size: int) -> None:
+        super().__init__(io.FileIO(place))
+        self.stored_size = stored_size
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Damaged:
     """A file to recover.
@@ -85,9 +99,11 @@ class Damaged:
         place: Where it is, unpacked.
         bag: Its tables, where it is in SQLite.
         fault: What is wrong with its compression.
+        stored_size: What it takes, before it is unpacked [bytes].
     """
 
     place: Path
+    stored_size: int
     bag: SqliteSource | None
     fault: str | None
 
@@ -102,11 +118,21 @@ def open_damaged(path: Path) -> Iterator[Damaged]:
     faults: list[str] = []
     with ExitStack() as closing:
         stream, place = closing.enter_context(_open_content(path, faults))
-        bag = None
+        bag, stored_size = None, measure_stored(stream)
         if _read_head(stream) == SQLITE_MAGIC:
             stream.close()
-            bag = closing.enter_context(open_sqlite(place, is_damaged=True))
-        yield Damaged(place=place, bag=bag, fault=faults[0] if faults else None)
+            bag = closing.enter_context(open_sqlite(place, stored_size, is_damaged=True))
+        fault = faults[0] if faults else None
+        yield Damaged(place=place, bag=bag, fault=fault, stored_size=stored_size)
+
+
+@contextmanager
+def open_place(found: Damaged) -> Iterator[BinaryIO]:
+    """Open a file to recover once more, where it is unpacked."""
+    is_remote = isinstance(found.place, RemotePath)
+    place = found.place
+    with open_file(place) if is_remote else _Unpacked(place, found.stored_size) as stream:
+        yield stream
 
 
 @contextmanager
@@ -132,14 +158,14 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
             stream = closing.enter_context(place.open("rb"))
         if head.startswith(ZSTD_MAGIC):
             folder = closing.enter_context(tempfile.TemporaryDirectory(prefix="turtlelog-"))
-            place = Path(folder) / "unpacked"
+            place, stored_size = Path(folder) / "unpacked", measure_stored(stream)
             try:
                 _unpack_file(stream, place)
             except DamageError as err:
                 if faults is None or not place.stat().st_size:
                     raise
                 faults.append(str(err))
-            stream = closing.enter_context(place.open("rb"))
+            stream = closing.enter_context(_Unpacked(place, stored_size))
         head = _read_head(stream)
         if head.startswith(ROS1_MAGIC):
             target = shlex.quote(str(path.with_suffix("")))
@@ -179,7 +205,7 @@ def _unpack_file(stream: BinaryIO, place: Path) -> None:
     """
     size = stream.seek(0, 2)
     stream.seek(0)
-    most = left = Allowance(size).count_left(UNPACKED)
+    most = left = Allowance(size).count_left(UNPACKED_FILE)
     unpacker = zstandard.ZstdDecompressor().decompressobj()
     with place.open("wb") as output:
         while packed := stream.read(_STEP):

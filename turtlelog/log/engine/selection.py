@@ -28,6 +28,7 @@ class Selection:
             checked.
         is_flat: Whether fields must be numbers and texts, not sequences of texts or messages: those
             take some hundred times the memory of their bytes.
+        is_counted: Whether rows may take only as much as the size of the file lets expect.
         kept: By topic: the only columns that its rows keep, log time among them; of others all.
     """
 
@@ -36,6 +37,7 @@ class Selection:
     end_ns: int = EVER
     is_lenient: bool = False
     is_flat: bool = False
+    is_counted: bool = False
     kept: Mapping[str, Collection[str]] = field(default_factory=dict)
 
     @property

@@ -29,7 +29,7 @@ from turtlelog.log.engine.decode import (
     unpack_messages,
 )
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.limits import Allowance
+from turtlelog.log.engine.limits import COLUMNS, Allowance, measure_stored
 from turtlelog.log.engine.parsing import read_record
 from turtlelog.log.engine.selection import EVER, Selection
 from turtlelog.log.engine.sqlite_source import SqliteSource
@@ -70,7 +70,7 @@ class Source:
         self._stream = stream
         self.ends: Ends = read_ends(stream)
         self.size = stream.seek(0, os.SEEK_END)
-        self.allowance = Allowance(self.size)
+        self.allowance = Allowance(measure_stored(stream))
         summary = parse_summary(self.ends.summary, self.ends.summary_start, self.allowance)
         self.catalogue = Catalogue(self.allowance)
         self.catalogue.add((*summary.schemas, *summary.channels), self.ends.summary_start)
@@ -257,6 +257,8 @@ def read_piece(
         if plan is None or not len(starts):
             continue
         unpacked, starts = unpack_messages(block, starts, catalogue.allowance, topic)
+        if selection.is_counted:
+            catalogue.allowance.spend(COLUMNS, len(starts) * plan.row_size)
         if topic in wholes and block.before is not None:
             first = block.before.get(topic, 0)
             if fill_rows(plan, unpacked, starts, wholes[topic], first):

@@ -17,6 +17,7 @@ from turtlelog.log.engine.walk import Loss, Section
 
 _BATCH: Final = 4096  # rows
 _BATCH_BYTES: Final = 2**22
+_MOST_NAMED: Final = 10_000  # rows that are no messages, each with the reason
 _LEAST, _MOST = -(2**63), 2**63 - 1  # numbers of rows
 
 
@@ -28,28 +29,48 @@ def walk_damaged(source: SqliteSource, path: Path) -> Iterator[Section | Loss]:
         path: The file, for its size.
     """
     size, claimed, _ = measure_pages(path)
-    rows, held, left = SqliteRows(), 0, source.size
-    for found in _walk_rows(source):
+    yield from _group_rows(source, size)
+    if size < claimed:
+        reason = f"expected a file of {claimed} bytes, found its end: cut short"
+        yield Loss(start=size, end=claimed, reason=reason)
+
+
+def _group_rows(source: SqliteSource, size: int) -> Iterator[Section | Loss]:
+    """Yield what is found in sections of some thousand rows."""
+    rows, held = SqliteRows(), 0
+    for found in _judge_rows(source):
         if isinstance(found, str):
             yield Loss(start=0, end=size, reason=found)
             continue
-        number, *values = found
-        if (fault := source.find_fault_of(tuple(values))) is not None:
-            yield Loss(start=0, end=size, reason=f"messages: row {number}: {fault}")
-            continue
-        left -= rows.take([tuple(values)])
+        rows.take([found])
         held += 1
-        if left < 0:
-            yield Loss(start=0, end=size, reason="expected messages of the size of the file")
-            break
         if held == _BATCH or rows.size > _BATCH_BYTES:
             yield _make_section(source, rows)
             rows, held = SqliteRows(), 0
     if held:
         yield _make_section(source, rows)
-    if size < claimed:
-        reason = f"expected a file of {claimed} bytes, found its end: cut short"
-        yield Loss(start=size, end=claimed, reason=reason)
+
+
+def _judge_rows(source: SqliteSource) -> Iterator[Row | str]:
+    """Yield the rows that are messages; of others, and where there are none, why."""
+    faults, left = 0, source.size
+    for found in _walk_rows(source):
+        if isinstance(found, str):
+            yield found
+            continue
+        number, *values = found
+        left -= sum(len(value) for value in values if isinstance(value, str | bytes))
+        if left < 0:
+            yield "expected messages of the size of the file"
+            break
+        fault = source.find_fault_of(tuple(values))
+        faults += fault is not None
+        if fault is None:
+            yield tuple(values)
+        elif faults <= _MOST_NAMED:
+            yield f"messages: row {number}: {fault}"
+    if faults > _MOST_NAMED:
+        yield f"messages: {faults - _MOST_NAMED} rows more that are no messages"
 
 
 def _make_section(source: SqliteSource, rows: SqliteRows) -> Section:

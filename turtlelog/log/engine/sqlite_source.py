@@ -98,7 +98,7 @@ class SqliteSource:
     summary_start = 0
     index_length = 0
 
-    def __init__(self, connection: "sqlite3.Connection", size: int) -> None:
+    def __init__(self, connection: "sqlite3.Connection", size: int, stored_size: int) -> None:
         self._connection = connection
         connection.execute("PRAGMA query_only = ON")
         connection.execute("PRAGMA trusted_schema = OFF")
@@ -108,7 +108,7 @@ class SqliteSource:
         connection.set_progress_handler(self._count_steps, _STEPS)
         tables = list_tables(self.execute)
         connection.set_authorizer(_authorize)
-        self.catalogue = Catalogue(allowance := Allowance(self.size))
+        self.catalogue = Catalogue(allowance := Allowance(stored_size))
         self._numbers = describe_topics(self.execute, tables, self.catalogue, allowance)
         self.row_number = tables["messages"].row_number
 
@@ -261,14 +261,21 @@ class SqliteSource:
 
 
 @contextmanager
-def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSource]:
+def open_sqlite(
+    path: Path, stored_size: int, *, is_damaged: bool = False
+) -> Iterator[SqliteSource]:
     """Open a bag in SQLite, as `open_connection` opens its file.
+
+    Args:
+        path: The file.
+        stored_size: What it takes, or took before it was unpacked [bytes].
+        is_damaged: Read one that is cut as far as it goes.
 
     Raises:
         LogError: One clause, where it cannot be read or is no bag.
     """
     with open_connection(path, is_damaged=is_damaged) as (connection, size):
-        yield SqliteSource(connection, size)
+        yield SqliteSource(connection, size, stored_size)
 
 
 def _name_kind(value: object) -> str:

@@ -17,7 +17,7 @@ from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.checksum import compute_crc
 from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.framing import MCAP0_MAGIC, RECORD, check_start
-from turtlelog.log.engine.limits import DESCRIPTIONS, NOTES, Allowance
+from turtlelog.log.engine.limits import DESCRIPTIONS, NOTES, Allowance, measure_stored
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record, take_whole
 from turtlelog.log.error_boundary import DamageError, UnfinishedError
 
@@ -296,7 +296,7 @@ def salvage_summary(stream: BinaryIO) -> FileSummary | None:
     """Return what the summary says, of each id the last; None if the end or its checksum fails."""
     try:
         start, data = read_summary(stream)
-        summary = parse_summary(data, start, Allowance(stream.seek(0, io.SEEK_END)))
+        summary = parse_summary(data, start, Allowance(measure_stored(stream)))
     except DamageError:
         return None
     schemas = {schema.id: schema for schema in summary.schemas}

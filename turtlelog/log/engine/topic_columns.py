@@ -110,14 +110,22 @@ def read_columns(
         return collect_columns(source, _select_topics(topics, start_ns, end_ns))
 
 
-def read_flat_columns(path: str | Path, topics: Collection[str]) -> Mapping[str, TopicColumns]:
-    """Return some topics as `read_columns` does, of types without sequences of texts or messages.
+def read_some_columns(
+    path: str | Path, topics: Collection[str], *, is_flat: bool
+) -> Mapping[str, TopicColumns]:
+    """Return some topics as `read_columns` does, where they take no more than the file's size lets.
+
+    Args:
+        path: The file.
+        topics: Their names.
+        is_flat: Whether their types must have no sequences of texts or messages.
 
     Raises:
-        LogError: As `read_columns`, and where a type has such a sequence.
+        LogError: As `read_columns`, and where a type has such a sequence or there are too many.
     """
     with open_source(path) as source:
-        return collect_columns(source, Selection(topics=frozenset(topics), is_flat=True))
+        selection = Selection(topics=frozenset(topics), is_flat=is_flat, is_counted=True)
+        return collect_columns(source, selection)
 
 
 def iter_columns(

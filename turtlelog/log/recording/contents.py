@@ -1,6 +1,5 @@
 """File -> what a recording of ours consists of, whole or not, and notes on what of it is lost."""
 
-import os
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -22,7 +21,7 @@ from turtlelog.log.engine.decode import (
     Rows,
     make_empty_rows,
 )
-from turtlelog.log.engine.limits import Allowance
+from turtlelog.log.engine.limits import Allowance, measure_stored
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.engine.selection import Selection
 from turtlelog.log.engine.source import Source, read_piece
@@ -56,7 +55,7 @@ from turtlelog.loops import Declaration
 _MOST_PLANS: Final = 64
 """Of topics: those of every recording, and of the states of some laws."""
 
-_OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True)
+_OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True, is_counted=True)
 _USED: Final = replace(
     _OWN,
     kept={name: frozenset((LOG_TIME, SEQUENCE, *fields)) for name, fields in USED_FIELDS.items()},
@@ -141,7 +140,7 @@ def salvage_contents(stream: BinaryIO) -> Contents:
     Raises:
         LogError: Where the file is no MCAP, or a topic of ours has another type.
     """
-    allowance, damages = Allowance(stream.seek(0, os.SEEK_END)), list[Loss]()
+    allowance, damages = Allowance(measure_stored(stream)), list[Loss]()
     catalogue = Catalogue(allowance)
     parts: dict[str, list[Rows]] = {}
     found: list[Any] = []

@@ -6,7 +6,7 @@ from itertools import chain
 from pathlib import Path
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.topic_columns import TopicColumns, read_columns, read_flat_columns
+from turtlelog.log.engine.topic_columns import TopicColumns, read_some_columns
 from turtlelog.log.info import RecordingInfo, TopicInfo, merge_topics, read_info
 from turtlelog.log.ros2.bag_folder import find_bag_files
 from turtlelog.remote.urls import make_path
@@ -39,11 +39,11 @@ class Bag:
             names: Of the topics.
             is_flat: Whether their types have no sequences of texts or messages.
         """
-        read = read_flat_columns if is_flat else read_columns
-        return tuple(
-            read(file, {*names} & {topic.topic for topic in info.topics if topic.count})
+        held = (
+            (file, {*names} & {topic.topic for topic in info.topics if topic.count})
             for file, info in self.infos.items()
         )
+        return tuple(read_some_columns(file, some, is_flat=is_flat) for file, some in held)
 
 
 def open_bag(path: str | Path) -> Bag:

@@ -316,12 +316,17 @@ def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
 def _find_duplicates(
     time_ns: NDArray[np.int64], contents: Sequence[NDArray[Any]]
 ) -> NDArray[np.bool_]:
-    """Return which rows repeat an earlier one; only rows of one time can."""
+    """Return which rows, in order of time, repeat an earlier one; only rows of one time can."""
     repeated = np.zeros(len(time_ns), dtype=bool)
     same = np.flatnonzero(np.diff(time_ns) == 0)
-    seen: set[tuple[int, bytes]] = set()
+    seen: set[bytes] = set()
+    last = None
     for row in np.union1d(same, same + 1).tolist():
-        content = int(time_ns[row]), b"".join(column[row].tobytes() for column in contents)
+        time = int(time_ns[row])
+        if time != last:
+            seen.clear()
+            last = time
+        content = b"".join(column[row].tobytes() for column in contents)
         repeated[row] = content in seen
         seen.add(content)
     return repeated
