@@ -127,7 +127,7 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
     Raises:
         LogError: Where one is missing, or named twice.
     """
-    files: list[Path] = []
+    files: dict[Path, None] = {}  # in order, and quick to look into
     missing: list[str] = []
     for name in metadata.files:
         file = _find_file(folder, name)
@@ -136,7 +136,7 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
         elif file in files:
             raise LogError(f"relative_file_paths: expected each file once, found {file.name} twice")
         else:
-            files.append(file)
+            files[file] = None
     duration_ns = metadata.duration_ns
     if not missing:
         return BagFiles(files=tuple(files), duration_ns=duration_ns)
@@ -144,11 +144,12 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
     names = ", ".join(file.name for file in others) or "none"
     if len(missing) != len(others) or (files and len(others) > 1):
         raise LogError(f"relative_file_paths: expected the file {missing[0]}, found {names[:200]}")
-    for name, other in zip(missing, others, strict=True):
-        files.insert(metadata.files.index(name), other)
+    found = [*files] or others
+    if files:
+        found.insert(metadata.files.index(missing[0]), others[0])
     lost = ", ".join(missing)
     note = f"{METADATA_FILE} names {lost}, not in the folder; read instead: {names}"
-    return BagFiles(files=tuple(files), duration_ns=duration_ns, notes={"bag_files": note})
+    return BagFiles(files=tuple(found), duration_ns=duration_ns, notes={"bag_files": note})
 
 
 def _find_file(folder: Path, name: str) -> Path | None:
