@@ -31,7 +31,7 @@ BENCHMARKS: Final = (
         "writer",
         "loop",
     ),
-    *("batch", "measure", "compare", "check", "explain", "show"),
+    *("batch", "measure", "compare", "check", "explain", "show", "hostile"),
 )
 """In the order of the table; each is a file `bench_NAME.py`."""
 
