@@ -337,8 +337,8 @@ def _paths(count: int, poses: int) -> bytes:
     """Plans of many poses, which all are zeros."""
     kind = "nav_msgs/msg/Path"
     one = b"\0\1\0\0" + bytes(8) + struct.pack("<I", 1) + bytes(4) + struct.pack("<I", poses)
-    said = one + bytes(poses * 72)
-    front = schema(2, kind, SCHEMAS["geometry_msgs/msg/PoseStamped"]) + channel(2, "/plan", 2)
+    said = one + bytes(poses * 72 - 4)
+    front = schema(2, kind, "") + channel(2, "/plan", 2)
     rows = b"".join(message(2, said, n) for n in range(count))
     return whole(chunk([describe("/turtle1/pose"), make_poses(1000)]) + chunk([front, rows]))
 
@@ -358,6 +358,66 @@ def _transforms(count: int) -> bytes:
     said = b"\0\1\0\0" + struct.pack("<I", count) + row * count
     front = describe("/tf", kind=kind, definition="")
     return whole(chunk([front, *(message(1, said, n) for n in range(10))]))
+
+
+def _lone_transforms(count: int) -> bytes:
+    """Messages of one transform, of frames by turns: chains that a tree is made of."""
+    kind = "tf2_msgs/msg/TFMessage"
+
+    def link(number: int) -> bytes:
+        names = [f"{(number + more) % 500:04}".encode() + b"\0" for more in (0, 1)]
+        head = struct.pack("<III", 1, 0, 0) + struct.pack("<I", 5) + names[0] + bytes(3)
+        return (
+            b"\0\1\0\0"
+            + head
+            + struct.pack("<I", 5)
+            + names[1]
+            + bytes(3 + 4 + 48)
+            + bytes(6)
+            + b"\xf0\x3f"
+        )
+
+    front = describe("/tf", kind=kind, definition="")
+    rows = [message(1, link(number), number) for number in range(count)]
+    return whole(
+        b"".join(chunk([front, *rows[at : at + 100_000]]) for at in range(0, count, 100_000))
+    )
+
+
+def _packed_twice() -> bytes:
+    one = chunk([record(0x80, bytes(60 * MIB))])
+    packer = zstandard.ZstdCompressor(level=3)
+    return packer.compress(cut(chunk([describe("/turtle1/pose"), make_poses(10)]) + one * 20_000))
+
+
+def _many_topics(count: int) -> bytes:
+    topics = (channel(number, f"/robot{number}/pose") for number in range(1, count + 1))
+    pose = b"\0\1\0\0" + bytes(20)
+    said = (message(number, pose, number) for number in range(1, count + 1))
+    return whole(chunk([schema(1, POSE_TYPE, SCHEMAS[POSE_TYPE]), *topics, *said]))
+
+
+def _long_metadata() -> bytes:
+    long = metadata("a", text("b") + text(bytes(70 * MIB)))
+    return cut(chunk([describe("/turtle1/pose"), make_poses(10)]) + chunk([long]) * 12)
+
+
+def _one_time(count: int) -> bytes:
+    """Messages of one time, of which each might repeat another."""
+    pose = b"\0\1\0\0" + bytes(16)
+    rows = b"".join(message(1, pose + struct.pack("<I", number), 1) for number in range(count))
+    return whole(chunk([describe("/turtle1/pose"), rows]))
+
+
+def _odd_poses(count: int, values: bytes) -> bytes:
+    rows = b"".join(message(1, b"\0\1\0\0" + values, n * 16_000_000) for n in range(count))
+    return whole(chunk([describe("/turtle1/pose"), rows]))
+
+
+def _ends_of_time() -> bytes:
+    pose = b"\0\1\0\0" + bytes(20)
+    times = [0, 1, 2**62, 2**63 - 1, 2**63, 2**64 - 1]
+    return whole(chunk([describe("/turtle1/pose"), *(message(1, pose, time) for time in times)]))
 
 
 # Tables and logs
@@ -538,8 +598,15 @@ FILES: Final[Mapping[str, Make]] = MappingProxyType(
             lambda: _json_messages('{"items":' * 400_000 + "{}" + "}" * 400_000, "{}")
         ),
         "mcap: 3 M poses": _mcap(lambda: _many_poses(3_000_000)),
-        "mcap: plans of 500,000 poses": _mcap(lambda: _paths(10, 500_000)),
-        "mcap: transforms": _mcap(lambda: _transforms(500_000)),
+        "mcap: plans of 100,000 poses": _mcap(lambda: _paths(10, 100_000)),
+        "mcap: 900,000 transforms": _mcap(lambda: _transforms(90_000)),
+        "mcap: 400,000 messages of a transform": _mcap(lambda: _lone_transforms(400_000)),
+        "mcap: 20,000 chunks of 60 MB in .mcap.zstd": _put("file.mcap.zstd", _packed_twice),
+        "mcap: 65,000 topics of poses": _mcap(lambda: _many_topics(65_000)),
+        "mcap: metadata of 70 MB": _mcap(_long_metadata),
+        "mcap: commands at one time": _mcap(lambda: _one_time(500_000)),
+        "mcap: poses of NaN": _mcap(lambda: _odd_poses(700_000, b"\0\0\xc0\x7f" * 5)),
+        "mcap: poses at the ends of time": _mcap(_ends_of_time),
         "mcap: scenario of lists in lists": _mcap(lambda: _own_recording(b"a = " + b"[" * 250_000)),
         "mcap: scenario of a long key": _mcap(
             lambda: _own_recording(b".".join([b"a"] * 120_000) + b" = 1")

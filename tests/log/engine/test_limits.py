@@ -49,6 +49,23 @@ def test_texts_and_sequences_count_as_objects(
         read_run(file, pose_topic="/pose")
 
 
+@pytest.mark.parametrize("poses", [130, 145])
+def test_messages_within_messages_count_by_their_bytes(
+    poses: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "_COLUMNS", 20_000)
+    plan = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0" + bytes(4) + poses.to_bytes(4, "little")
+    front = schema(2, "nav_msgs/msg/Path", "") + channel(2, "/plan", 2)
+    file = tmp_path / "a.mcap"
+    rows = pose_messages(1, 1) + message(2, plan + bytes(poses * 72 - 4))
+    file.write_bytes(whole(chunk([describe("/turtle1/pose"), front, rows])))
+    if poses == 130:
+        assert len(read_run(file).poses) == 1
+    else:
+        with pytest.raises(LogError, match="expected up to 20000 bytes of columns"):
+            read_run(file)
+
+
 def list_schemas(count: int) -> bytes:
     return b"".join(schema(number, f"a/{number:0100000}", "") for number in range(2, count))
 

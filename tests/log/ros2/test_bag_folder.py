@@ -216,3 +216,11 @@ def test_a_bag_of_ros_1_is_told_with_the_command_that_converts_it(tmp_path: Path
         assert str(caught.value).endswith(f"found one of ROS 1: convert it with {command}")
     with pytest.raises(LogError, match=r"found the bag of ROS 1 a b\.bag: name that file"):
         read_run(tmp_path)
+
+
+def test_a_file_under_two_names_is_no_bag(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a_0.mcap", make_poses(3))
+    (tmp_path / "a_1.mcap").hardlink_to(tmp_path / "a_0.mcap")
+    line = r"expected each file once, found a_0\.mcap and a_1\.mcap are one"
+    with pytest.raises(LogError, match=line):
+        read_bag_info(tmp_path)

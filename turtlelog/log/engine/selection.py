@@ -70,7 +70,7 @@ class Selection:
         plan = catalogue.find_plan(topic)
         if plan.reason and self.topics is not None and not self.is_lenient:
             raise LogError(plan.describe_reason())
-        if self.is_flat and (name := _find_list(plan.fields)) is not None:
+        if self.is_flat and (name := find_list(plan.fields)) is not None:
             expected = "fields of numbers and texts"
             raise LogError(f"topic {topic}: expected {expected}, found the sequence {name}")
         if self.is_flat and plan.json is not None:
@@ -96,12 +96,12 @@ class Selection:
             raise LogError(f"topic {topic}: expected it in the file, found no such topic")
 
 
-def _find_list(fields: tuple[Field, ...]) -> str | None:
+def find_list(fields: tuple[Field, ...]) -> str | None:
     """Return the name of a sequence of texts or messages."""
     for part in fields:
         is_plain = isinstance(part.kind, str) and part.kind != TEXT
         if not is_plain and (part.is_sequence or (part.length and part.kind == TEXT)):
             return part.name
-        if not isinstance(part.kind, str) and (found := _find_list(part.kind)) is not None:
+        if not isinstance(part.kind, str) and (found := find_list(part.kind)) is not None:
             return f"{part.name}.{found}"
     return None

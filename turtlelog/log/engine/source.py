@@ -16,7 +16,7 @@ from turtlelog.log.engine.blocks import (
     count_indexed,
     walk_blocks,
 )
-from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.channels import Catalogue, TopicPlan
 from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.decode import (
     LOG_TIME,
@@ -30,8 +30,8 @@ from turtlelog.log.engine.decode import (
 )
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import COLUMNS, Allowance, measure_stored
-from turtlelog.log.engine.parsing import read_record
-from turtlelog.log.engine.selection import EVER, Selection
+from turtlelog.log.engine.parsing import gather_heads, read_record
+from turtlelog.log.engine.selection import EVER, Selection, find_list
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.summary import (
     Ends,
@@ -258,7 +258,7 @@ def read_piece(
             continue
         unpacked, starts = unpack_messages(block, starts, catalogue.allowance, topic)
         if selection.is_counted:
-            catalogue.allowance.spend(COLUMNS, len(starts) * plan.row_size)
+            catalogue.allowance.spend(COLUMNS, _measure_rows(plan, unpacked.data, starts))
         if topic in wholes and block.before is not None:
             first = block.before.get(topic, 0)
             if fill_rows(plan, unpacked, starts, wholes[topic], first):
@@ -272,6 +272,19 @@ def read_piece(
     counts = {channel: len(starts) for channel, starts in offsets.items()}
     share = sum(counts.values()) / max(sum(map(len, block.offsets.values())), 1)
     return Piece(rows=found, size=int(len(block.data) * share), counts=counts)
+
+
+_LISTS: Final = 2
+"""Messages within messages take ten times their bytes, columns five times what they are."""
+
+
+def _measure_rows(plan: TopicPlan, data: bytes, starts: Offsets) -> int:
+    """Return about what messages take as columns [bytes]."""
+    size = len(starts) * plan.row_size
+    if plan.layout is None:
+        share = _LISTS if find_list(plan.fields) is not None else 1
+        size += share * int(gather_heads(data, starts)["length"].sum())
+    return size
 
 
 def _map_ahead(work: Callable[[_Job], T], jobs: Iterable[_Job]) -> Iterator[T]:

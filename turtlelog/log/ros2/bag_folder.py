@@ -63,6 +63,7 @@ def find_bag_files(path: str | Path) -> BagFiles:
             found = _find_named(path, metadata, present)
     with name_file(path, expected="a bag"):
         _require_one_kind(found.files)
+        _require_distinct(found.files)
     return found
 
 
@@ -184,6 +185,16 @@ def _require_one_kind(files: tuple[Path, ...]) -> None:
     if len(kinds) > 1:
         names = ", ".join(file.name for file in files)
         raise LogError(f"expected files of one storage, found MCAP beside SQLite: {names[:200]}")
+
+
+def _require_distinct(files: tuple[Path, ...]) -> None:
+    """Refuse a file that stands in the folder under two names: its messages would come twice."""
+    places: dict[tuple[int, int], Path] = {}
+    for file in files if len(files) > 1 else ():
+        found = file.stat()
+        first = places.setdefault((found.st_dev, found.st_ino), file)
+        if first is not file and found.st_ino:
+            raise LogError(f"expected each file once, found {first.name} and {file.name} are one")
 
 
 def read_bag_info(path: str | Path) -> RecordingInfo:
