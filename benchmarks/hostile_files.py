@@ -75,7 +75,7 @@ def _sqlite(make: Callable[[], Database]) -> Make:
 def _bag(page_size: int = 4096, **rows: Callable[[Database], list[Cell]]) -> Database:
     """Return a bag of ten poses, but for the rows of the tables that are given."""
     bag = Database(page_size)
-    usual = {
+    usual: dict[str, Callable[[Database], list[Cell]]] = {
         "topics": lambda bag: bag.make_rows(lambda _: _TOPIC, 1),
         "messages": lambda bag: bag.make_rows(_choose_pose, 10),
     }

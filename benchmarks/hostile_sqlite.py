@@ -6,6 +6,7 @@ The format is that of https://www.sqlite.org/fileformat2.html; a cell is what it
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 TOPICS: Final = (
@@ -63,13 +64,18 @@ class Database:
 
     def make_cell(self, key: int, values: Sequence[Value], chain: int | None = None) -> Cell:
         """Return a row; what its page has no room for is in a chain of its own, or in that one."""
-        payload = make_record(values)
-        local = self._count_local(len(payload))
-        data = pack_varint(len(payload)) + pack_varint(key) + payload[:local]
-        if local < len(payload):
-            chain = self.add_chain(payload[local:]) if chain is None else chain
-            data += struct.pack(">I", chain)
-        return Cell(key, data)
+        kinds, bodies = zip(*map(_pack_value, values), strict=True)
+        head = _pack_head(kinds)
+        size = len(head) + sum(map(len, bodies))
+        local = self._count_local(size)
+        data = pack_varint(size) + pack_varint(key)
+        if local == size or chain is None:
+            payload = head + b"".join(bodies)
+            chain = self.add_chain(payload[local:]) if local < size else 0
+        else:  # thousands of rows of megabytes: only what stands in the page is put together
+            payload = head + b"".join(body[:local] for body in bodies)
+        data += payload[:local]
+        return Cell(key, data + struct.pack(">I", chain) if local < size else data)
 
     def share_chain(self, choose: Choose, count: int) -> list[Cell]:
         """Return rows that differ in their first bytes; the first one's chain is that of all."""
@@ -154,13 +160,16 @@ def repeat_cell(cell: Cell, count: int, page_size: int) -> bytes:
     return head.ljust(place, b"\0") + cell.data
 
 
-def make_record(values: Sequence[Value]) -> bytes:
-    """Return values as the payload of a row."""
-    kinds, bodies = zip(*map(_pack_value, values), strict=True)
-    kinds_data = b"".join(map(pack_varint, kinds))
-    size = len(kinds_data) + 1
+def _pack_head(kinds: Sequence[int]) -> bytes:
+    data = b"".join(map(pack_varint, kinds))
+    size = len(data) + 1
     size += size > 127
-    return pack_varint(size) + kinds_data + b"".join(bodies)
+    return pack_varint(size) + data
+
+
+@lru_cache(maxsize=16)
+def _encode(value: str) -> bytes:
+    return value.encode()
 
 
 def _pack_value(value: Value) -> tuple[int, bytes]:
@@ -170,7 +179,7 @@ def _pack_value(value: Value) -> tuple[int, bytes]:
         case int():
             return 6, value.to_bytes(8, "big", signed=True)
         case str():
-            data = value.encode()
+            data = _encode(value)
             return 13 + 2 * len(data), data
         case bytes():
             return 12 + 2 * len(value), value

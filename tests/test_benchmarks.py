@@ -1,13 +1,15 @@
 """The benchmarks run, and their table says what was measured."""
 
 import re
+import sys
 import time
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from benchmarks import bench_engine, run_all, table
+from benchmarks import bench_engine, bench_hostile, run_all, table
 from benchmarks.table import Cost, Row, format_table, tell_better_peers
 
 ROOT = Path(__file__).parents[1]
@@ -74,6 +76,15 @@ def test_benchmark_yields_rows(name: str) -> None:
 def test_benchmark_in_a_process_of_its_own_hands_over_its_rows() -> None:
     jobs = [row.job for row in run_all.run_benchmark("loop", 1e-3)]
     assert jobs[:2] == ["simulate, a sample", "replay the loop, a sample"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits the memory of a process")
+def test_a_hostile_file_is_read_in_a_process_of_its_own() -> None:
+    [taken] = bench_hostile.try_file("sqlite: column rowid", ["recover"])
+    assert taken.is_kept
+    assert not replace(taken, memory_mb=256.0).is_kept
+    assert not replace(taken, code=2, said="one\ntwo\n").is_kept
+    assert replace(taken, code=2, said="one\n", memory_mb=255.0, cpu_s=9.9).is_kept
 
 
 def test_every_benchmark_is_in_the_table() -> None:

@@ -1,8 +1,8 @@
 """How much a file may ask for: by its size, before memory and time are spent on it.
 
 A few kilobytes can unpack to gigabytes, or hold millions of records that say nothing. A file of
-less than 10 MB is described and recovered with less than 256 MB and within 10 s, whatever is in it;
-a larger one may take more. Each limit is some ten times what recordings need.
+less than 10 MB takes less than 256 MB and 10 s in every command, whatever is in it; a larger one
+may take more. Most limits are some ten times what recordings need.
 """
 
 from collections.abc import Mapping
