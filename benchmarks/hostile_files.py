@@ -1,5 +1,6 @@
 """Files below 10 MB that ask for far more than they hold, each made in a folder that is given."""
 
+import json
 import os
 import struct
 from collections.abc import Callable, Mapping
@@ -38,6 +39,7 @@ from tests.torture.bombs import (
     text,
     whole,
 )
+from turtlelog.log.recording.head import CHECKSUM, sum_up
 from turtlelog.log.recording.topics import SCHEMAS
 
 Make = Callable[[Path], Path]
@@ -132,7 +134,7 @@ def _statistics() -> Database:
     bag = _bag(512)
     long = "a" * 4 * MIB
     sql = "CREATE TABLE sqlite_stat1(tbl,idx,stat)"
-    bag.add_table("sqlite_stat1", sql, bag.share_chain(lambda _: (long, "b", "1"), 20_000))
+    bag.add_table("sqlite_stat1", sql, bag.share_chain(lambda _: (long, "b", "1"), 9_000))
     return bag
 
 
@@ -141,7 +143,7 @@ def _junk_first() -> Database:
     sql = "CREATE TABLE messages(kept, topic_id INTEGER, timestamp INTEGER, data BLOB)"
     long = bytes(4 * MIB)
     bag.add_table("topics", TOPICS, bag.make_rows(lambda _: _TOPIC, 1))
-    payload = bag.share_chain(lambda row: (long, 1, row, POSE), 20_000)
+    payload = bag.share_chain(lambda row: (long, 1, row, POSE), 9_000)
     bag.add_table("messages", sql, payload)
     return bag
 
@@ -311,15 +313,14 @@ def _json_messages(definition: str, said: str, count: int = 1) -> bytes:
     return whole(chunk([record(3, body), record(4, found), message(1, said.encode()) * count]))
 
 
-def _own_recording(scenario: bytes) -> bytes:
-    head = text("format_version") + text("1")
+def _own_recording(scenario: bytes = b"", **entries: str) -> bytes:
+    """Return a recording of turtlelog with a scenario and some entries of its head changed."""
+    head = {"format_version": "1", "source": "simulation", "name": "hostile", "absent": "[]"}
+    head |= {"nan_columns": "[]", "notes": "{}"} | entries
+    head[CHECKSUM] = sum_up(head)
+    table = b"".join(text(key) + text(value) for key, value in head.items())
     data = chunk([describe("/turtle1/pose"), make_poses(100)])
-    return whole(data + metadata("turtlelog", head) + attachment("scenario.toml", scenario))
-
-
-def _own_head(name: str, value: str) -> bytes:
-    head = text("format_version") + text("2") + text(name) + text(value)
-    return whole(chunk([describe("/turtle1/pose"), make_poses(100)]) + metadata("turtlelog", head))
+    return whole(data + metadata("turtlelog", table) + attachment("scenario.toml", scenario))
 
 
 def _many_poses(count: int) -> bytes:
@@ -613,7 +614,13 @@ FILES: Final[Mapping[str, Make]] = MappingProxyType(
         ),
         "mcap: scenario of 240,000 digits": _mcap(lambda: _own_recording(b"a = " + b"1" * 240_000)),
         "mcap: declaration of lists in lists": _mcap(
-            lambda: _own_head("declaration", "[" * 9_000_000)
+            lambda: _own_recording(format_version="2", declaration="[" * 200_000)
+        ),
+        "mcap: scenario of 100,000 tables": _mcap(
+            lambda: _own_recording(b"".join(b"[a%d]\n" % number for number in range(100_000)))
+        ),
+        "mcap: notes of 250 kB": _mcap(
+            lambda: _own_recording(notes=json.dumps({str(n): "a" for n in range(18_000)}))
         ),
         # Tables and logs.
         "csv: 400,000 columns": _put(
