@@ -5,6 +5,7 @@ are known exactly. What is left between the logged poses and the driven ones is 
 the settings are not these.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, ClassVar, Final
@@ -307,12 +308,24 @@ class StartBounds:
     high: tuple[float, float, float]
 
 
-def bound_start(drive: Drive | None, trace: Trace) -> StartBounds | None:
+def join_bounds(found: Sequence[StartBounds | None]) -> StartBounds | None:
+    """Return bounds that reach over those of several drives that fit alike, about the first."""
+    known = [bounds for bounds in found if bounds is not None]
+    if not known or len(known) < len(found):
+        return None
+    return StartBounds(
+        middle=known[0].middle,
+        low=_as_pose(np.min([bounds.low for bounds in known], axis=0).tolist()),
+        high=_as_pose(np.max([bounds.high for bounds in known], axis=0).tolist()),
+    )
+
+
+def bound_start(drive: Drive, trace: Trace) -> StartBounds | None:
     """Return where a plant may start so that every pose of the log rounds as logged.
 
     None where no start does, or where what is left is more than rounding.
     """
-    if drive is None or not drive.explains or trace.missing or trace.jumps:
+    if not drive.explains or trace.missing or trace.jumps:
         return None
     poses = np.column_stack([trace.xy_m, trace.heading_rad])
     half_steps = 0.5 * np.abs(np.spacing(poses.astype(np.float32))).astype(np.float64)

@@ -15,6 +15,7 @@ from turtlelog.explain.driven_plant import (
     StartBounds,
     bound_start,
     drive_plant,
+    join_bounds,
     join_starts,
     keep_in_world,
 )
@@ -44,6 +45,9 @@ from turtlelog.scenario import Scenario, build_scenario, nest_parameters
 
 _MOST_TICKS: Final = 150_000
 """Ticks that are simulated where none is exact, some four seconds' worth."""
+
+_MOST_BOUNDED: Final = 8
+"""Settings that fit alike and whose starts are bounded together: half a second's work."""
 
 _FEWEST_ROWS: Final = 150
 """Rows over which settings are compared at least: a turn by half a circle at 1 rad/s has 200."""
@@ -274,12 +278,12 @@ class _Search:
         driven = self._drive(guesses, self._near, rows=None)
         if not driven:
             guesses = guesses[:1]
-            return self._build_nearest(guesses, None)
+            return self._build_nearest(guesses, [])
         # Of settings that fit alike, those that the clock does not contradict.
         least = min(self.contradict_clock(guess) for guess, _ in driven)
         agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
         found = self._build_nearest(
-            [guess for guess, _ in agreeing], join_starts([drive for _, drive in agreeing])
+            [guess for guess, _ in agreeing], [drive for _, drive in agreeing]
         )
         return replace(found, hidden=self._find_hidden(agreeing))
 
@@ -376,7 +380,8 @@ class _Search:
         most = np.maximum(COARSE * steps, LIKE_THE_BEST * spans[best] + FLOOR)
         return np.asarray((spans <= most).all(axis=1))
 
-    def _build_nearest(self, guesses: Sequence[Guess], drive: Drive | None) -> Fits:
+    def _build_nearest(self, guesses: Sequence[Guess], drives: Sequence[Drive]) -> Fits:
+        drive = join_starts([*drives]) if drives else None
         start: dict[str, float] = {}
         if drive is not None:
             start = dict(zip(START_KEYS, keep_in_world(drive.start), strict=True))
@@ -389,7 +394,9 @@ class _Search:
             scenarios=scenarios,
             is_exact=False,
             drive=drive,
-            bounds=bound_start(drive, self._trace),
+            bounds=join_bounds([bound_start(one, self._trace) for one in drives[:_MOST_BOUNDED]])
+            if len(drives) <= _MOST_BOUNDED
+            else None,
             is_partial=self._is_partial,
             reproduced=counts[0],
             tried=self._tried,
