@@ -225,7 +225,8 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
         kept[stretch] = True
     slopes = np.zeros((count, 3, 3))
     slopes[:, 0, 0] = slopes[:, 1, 1] = slopes[:, 2, 2] = 1.0
-    offsets, spread = np.zeros(3), np.zeros((3, 3))
+    offsets, spread = np.zeros(3), np.zeros(3)
+    logged = np.column_stack([trace.xy_m[:count], trace.heading_rad[:count]])
     noise = np.ones(3)
     for stretch in stretches:
         # After a jump the way is the same, turned by as much as the jump turned.
@@ -237,15 +238,15 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
     after = left.copy()
     for _ in range(_REFITS):
         for number, stretch in enumerate(stretches):
-            found, covariance = _fit_offsets(left[stretch], slopes[stretch], noise)
+            found, variance = _fit_offsets(left[stretch], slopes[stretch], noise, logged[stretch])
             after[stretch] = left[stretch] - slopes[stretch] @ found
             if number == 0:
-                offsets, spread = found, covariance
+                offsets, spread = found, variance
         noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + FLOOR
     whiteness = _measure_whiteness(after, stretches)
     grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
     quantile = find_quantile(int(kept.sum()) - 2)
-    reach = quantile * np.sqrt(np.diag(spread)) * widen_for_runs(whiteness)
+    reach = quantile * np.sqrt(spread) * widen_for_runs(whiteness)
     start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
     is_noise = np.abs(whiteness - 1.0) < WHITE
     is_rounding = noise < np.maximum(grains, 2.0 * FLOOR)
@@ -275,12 +276,21 @@ def _list_stretches(trace: Trace, count: int) -> list[slice]:
     return [slice(first, last) for first, last in found if last - first > 2]
 
 
-def _fit_offsets(left: Values, slopes: Values, noise: Values) -> tuple[Values, Values]:
-    """Return the shift of the first pose that fits best, and its covariance."""
+def _fit_offsets(
+    left: Values, slopes: Values, noise: Values, logged: Values
+) -> tuple[Values, Values]:
+    """Return the shift of the first pose that fits best, and its variances, shape (3,).
+
+    A coordinate that is logged unchanged, as of a robot that stands, repeats its error.
+    """
     weighted = slopes / noise[None, :, None]
-    normal = np.einsum("nij,nik->jk", weighted, weighted)
-    inverse = np.linalg.pinv(normal)
-    return inverse @ np.einsum("nij,ni->j", weighted, left / noise), inverse
+    inverse = np.linalg.pinv(np.einsum("nij,nik->jk", weighted, weighted))
+    estimator = np.einsum("jk,nik->ijn", inverse, weighted)
+    variance = np.zeros(3)
+    for axis in range(3):
+        fresh = np.flatnonzero(np.diff(logged[:, axis], prepend=np.nan) != 0.0)
+        variance += (np.add.reduceat(estimator[axis], fresh, axis=1) ** 2).sum(axis=1)
+    return np.einsum("ijn,ni->j", estimator, left / noise), variance
 
 
 def _measure_whiteness(left: Values, stretches: list[slice]) -> Values:

@@ -50,8 +50,15 @@ _TELLING_STEPS: Final = 3
 """Steps that each other dead time must fail to explain where the dead time seems to change: at a
 constant command all explain all, but for a step or two where it begins."""
 
-_LAG_OFFSETS: Final = np.array([-0.5, -0.25, 0.0, 0.25, 0.5, 1.0])
+_LAG_APART: Final = 0.25
+_LAG_OFFSETS: Final = np.arange(-0.5, 1.01, _LAG_APART)
 """Dead time and lag together are tried up to so many ticks off the best dead time alone [ticks]."""
+
+_LAG_ROUNDS: Final = 6
+"""Halvings of the distance between the lags that are tried: down to a 256th of a tick."""
+
+_LEAST_LAG: Final = 0.01
+"""A shorter lag is none [ticks]: after one tick nothing of it is left in a double."""
 
 COARSE: Final = 1.25
 """Steps of rounding that the right fit leaves at most: one, and what its offset is off."""
@@ -297,6 +304,10 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
     if size[best] > _EXPLAINED * span:
         reason = f"no dead time up to {LARGEST_TICKS} ticks explains the motion"
         return Missing(status=Status.UNDETERMINED, reason=reason)
+    lags = find_lags(motion, errors, rows, best, float(size[best])) if may_lag else None
+    if lags is not None and lags.is_better:
+        reason = f"with a lag a shorter dead time {_EXPLAINS_BETTER} {best} ticks without a lag"
+        return Missing(status=Status.UNDETERMINED, reason=reason)
     if len(rows) * np.log(margin) < CERTAIN:
         reason = f"dead times of {best} and {second} ticks fit alike"
         return Missing(status=Status.UNDETERMINED, reason=reason)
@@ -304,12 +315,6 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
         listed = f"{alike[0]} to {alike[-1]} ticks"
         reason = f"dead times of {listed} fit alike, as the poses are logged in coarse steps"
         return Missing(status=Status.UNDETERMINED, reason=reason)
-    least = best
-    if may_lag:
-        lags = find_lags(motion, errors, rows, best, float(size[best]))
-        if lags.is_better:
-            return Missing(status=Status.UNDETERMINED, reason=lags.reason)
-        least = lags.least_ticks
     is_rounding = bool(size[best] <= motion.rounding.max())
     return DeadTime(
         ticks=best,
@@ -318,7 +323,7 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
         rows=len(rows),
         is_exact=False,
         whiteness=1.0 if is_rounding else _measure_whiteness(left[best]),
-        least_ticks=least,
+        least_ticks=best if lags is None else lags.least_ticks,
     )
 
 
@@ -358,12 +363,10 @@ class LagFits:
     Attributes:
         least_ticks: The smallest dead time that fits as well, with some lag.
         is_better: Whether one of them clearly fits better.
-        reason: Why there is no dead time then, in one clause.
     """
 
     least_ticks: int
     is_better: bool
-    reason: str
 
 
 def find_lags(
@@ -378,24 +381,38 @@ def find_lags(
         best: The dead time that fits best alone [ticks].
         size: What that leaves [rad or m].
     """
-    pairs = [
-        (ticks, lag)
-        for ticks in range(best + 1)
-        for lag in (best - ticks + _LAG_OFFSETS).tolist()
-        if lag > 0.0
-    ]
     predicted = motion.moved - errors
-    lagged = np.array([_lag_steps(motion, predicted[ticks], lag) for ticks, lag in pairs])
-    sizes = _fit_way(motion, motion.moved - lagged, rows)[1]
-    gained = len(rows) * np.log(max(size, np.finfo(float).tiny) / np.maximum(sizes, _TINY))
-    alike = [
-        ticks for (ticks, _), one in zip(pairs, gained.tolist(), strict=True) if one > -CERTAIN
-    ]
-    return LagFits(
-        least_ticks=min([best, *alike]),
-        is_better=bool(gained.max() > CERTAIN),
-        reason=(f"with a lag a shorter dead time {_EXPLAINS_BETTER} {best} ticks without a lag"),
-    )
+    gained = np.empty(best + 1)
+    is_alike = np.zeros(best + 1, dtype=bool)
+    for ticks in range(best + 1):
+        left = _fit_lag(motion, predicted[ticks], rows, best - ticks)
+        its_size = max(float(np.sqrt(np.mean(left**2))), _TINY)
+        gained[ticks] = len(rows) * np.log(max(size, _TINY) / its_size)
+        is_alike[ticks] = np.ptp(left) <= COARSE * motion.grain
+    is_alike |= gained > -CERTAIN
+    is_alike[best] = True
+    return LagFits(least_ticks=int(np.argmax(is_alike)), is_better=bool(gained.max() > CERTAIN))
+
+
+def _fit_lag(
+    motion: LoopMotion, predicted: Values, rows: NDArray[np.int64], near_ticks: int
+) -> Values:
+    """Return what predicted steps leave of the way with the best lag near one [ticks]."""
+    tried: dict[float, Values] = {}
+
+    def measure(lag_ticks: float) -> float:
+        if lag_ticks not in tried:
+            steps = _lag_steps(motion, predicted, lag_ticks)
+            tried[lag_ticks] = _fit_way(motion, (motion.moved - steps)[None], rows)[0][0]
+        return float(np.mean(tried[lag_ticks] ** 2))
+
+    offsets = near_ticks + _LAG_OFFSETS
+    best = min(offsets[offsets > 0.0].tolist(), key=measure)
+    apart = _LAG_APART
+    for _ in range(_LAG_ROUNDS):
+        apart *= 0.5
+        best = min((max(best + apart * way, _LEAST_LAG) for way in (-1.0, 0.0, 1.0)), key=measure)
+    return tried[best]
 
 
 def _lag_steps(motion: LoopMotion, predicted: Values, lag_ticks: float) -> Values:
