@@ -28,7 +28,7 @@ BAG_SUFFIXES: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 """How the names of rosbag2's files end."""
 
 _LONGEST_MAGIC: Final = 16
-_STEP: Final = 2**11  # bytes unpacked at a time: up to 64 MiB come of them
+_STEP: Final = 2**9  # bytes unpacked at a time: up to 16 MiB come of them
 
 
 class NoMcapError(LogError):
