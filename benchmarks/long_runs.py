@@ -56,7 +56,7 @@ def write_long_bag(path: Path, rows: int) -> None:
         channel = writer.register_channel("/pose", "cdr", schema)
         for at_ns, message in zip(time_ns.tolist(), messages, strict=True):
             writer.add_message(channel, log_time=at_ns, data=message.tobytes(), publish_time=at_ns)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 _STAMPED = np.dtype(

@@ -21,8 +21,8 @@ from turtlelog.log.parquet_counts import (
 SMALL_FILE: Final = 10**7
 """Bytes below which a file is read with less than 256 MB of memory, and within 10 s."""
 
-MOST_ROWS: Final = 400_000
-"""Rows of a small file: beside libraries, 120 MB are left, and the commands take up to 300 bytes a
+MOST_ROWS: Final = 350_000
+"""Rows of a small file: libraries leave 120 MB of its memory, and commands take up to 310 bytes a
 row. At 50 poses a second these are two hours."""
 _ROW_BYTES: Final = 8
 """Bytes of a larger file that justify a row more: x and y of 32 bits do not pack."""
@@ -107,7 +107,8 @@ class ParquetFile:
         self.row_count = self._claims.row_count
         columns = self.metadata.schema
         self.leaves = [columns.column(number) for number in range(len(columns))]
-        self._require_rows()
+        if min(self.group_rows, default=0) < 0:
+            raise DamageError("expected a complete Parquet file, found less than no rows")
 
     def read(self, names: Sequence[str] | None = None, group: int | None = None) -> Any:
         """Return columns as a table of Arrow; texts are dictionaries.
@@ -130,6 +131,17 @@ class ParquetFile:
             )
             asked = None if names is None else [*names]
             return file.read_row_groups([*groups], asked, use_threads=False)
+
+    def require_rows(self) -> None:
+        """Refuse a table of more rows than one run may have.
+
+        Raises:
+            LogError: Without the file's name: how many there are, how many may be, what to do.
+        """
+        most = count_most_rows(self._size)
+        if self.row_count > most:
+            told = describe_rows(f"{self.row_count:,}", most, self._size)
+            raise LogError(f"{told}, or write it without compression")
 
     def require_cells(self, columns: int, rows: int | None = None) -> None:
         """Refuse to read more cells than may be in memory at once.
@@ -156,12 +168,6 @@ class ParquetFile:
     def _allow(self, bound: tuple[int, float]) -> int:
         base, share = bound
         return base + int(share * self._size)
-
-    def _require_rows(self) -> None:
-        most = count_most_rows(self._size)
-        if not 0 <= self.row_count <= most or min(self.group_rows, default=0) < 0:
-            told = describe_rows(f"{self.row_count:,}", most, self._size)
-            raise LogError(f"{told}, or write it without compression")
 
     def _require_bounded(
         self, stream: BinaryIO, places: Sequence[int], groups: Sequence[int]

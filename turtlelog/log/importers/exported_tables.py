@@ -238,6 +238,7 @@ def _read_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
         key.removeprefix(prefix): text for key, text in metadata.items() if key.startswith(prefix)
     }
     known = _list_known(find_table(file.schema.names), file.schema.names)
+    file.require_rows()
     file.require_cells(len(known))
     return {name: _read_column(file, name) for name in file.schema.names if name in known}, facts
 
@@ -252,7 +253,7 @@ def _read_column(file: ParquetFile, name: str) -> NDArray[Any]:
 
 def _list_known(table: str | None, columns: Sequence[str]) -> set[str]:
     """Return the columns that are read of a table, of those that it has."""
-    if table not in _CLASSES:
+    if table is None or table not in _CLASSES:
         return {*columns}
     names = _CLASSES[table].__dataclass_fields__
     return {column for name in names for column in PAIRS.get(name, (name,))}

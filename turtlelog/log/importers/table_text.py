@@ -272,6 +272,7 @@ def _list(names: Sequence[str]) -> str:
 
 def _read_parquet(path: Path) -> PlainTable:
     file = ParquetFile(path)
+    file.require_rows()
     if not file.row_count:
         raise LogError("expected rows, found none")
     require_few_columns(len(file.leaves))
