@@ -155,7 +155,7 @@ def test_what_reads_back_differently_is_refused(
         (["back.csv", "-o", "a.mcap"], "back.csv: pose.time_ns: expected strictly increasing"),
         (
             ["wrong.parquet", "-o", "a.mcap"],
-            "wrong.parquet: expected a table of a run, found Arrow",
+            "wrong.parquet: expected a complete Parquet file, found",
         ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -3,6 +3,7 @@
 import struct
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -170,6 +171,18 @@ FOOTERS: dict[str, tuple[Callable[[], bytes], str]] = {
 }
 
 
+def test_a_damaged_footer_is_one_error_whatever_it_says(tmp_path: Path) -> None:
+    sound = write(tmp_path / "sound.parquet", 5).read_bytes()
+    path, start = tmp_path / "harmed.parquet", len(sound) - 1200
+    for place in range(start, len(sound), 23):
+        for bit in (1, 8, 64):
+            harmed = bytearray(sound)
+            harmed[place] ^= bit
+            path.write_bytes(harmed)
+            with suppress(LogError):
+                tl.read_run(path)
+
+
 @pytest.mark.parametrize("kind", FOOTERS)
 def test_a_footer_is_counted_before_arrow_reads_it(kind: str, tmp_path: Path) -> None:
     build, expected = FOOTERS[kind]
@@ -193,7 +206,7 @@ def test_lists_are_refused_by_name(tmp_path: Path) -> None:
 
 def test_a_table_of_results_may_have_more_rows_and_is_read_in_groups(tmp_path: Path) -> None:
     count = MOST_ROWS + 1
-    rows = ResultColumn(name="row", type="whole", cells=np.arange(count))
+    rows = ResultColumn(name="row", type="whole", cells=range(count))
     path = tmp_path / "sweep.parquet"
     write_result_table(ResultTable(kind="sweep", columns=(rows,)), path)
     assert open_result_table(path, kind="sweep").row_count == count

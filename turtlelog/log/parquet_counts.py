@@ -22,12 +22,13 @@ _PAGE_HEAD: Final = 2**12
 _LONGEST_PAGE_HEAD: Final = 2**20
 
 _Wanted = Mapping[int, Any]
-"""Fields of a struct that are kept, by their numbers; a mapping for those of structs within."""
+"""Fields of a struct that are kept, by their numbers: None for a whole number, a mapping for a
+struct, and a list of one mapping for a list of structs."""
 
 _FOOTER: Final[_Wanted] = {
-    2: {5: None},  # the schema: children
+    2: [{5: None}],  # the schema: children
     3: None,  # rows
-    4: {1: {3: dict.fromkeys((5, 7, 9, 11))}, 3: None},  # groups: chunks of columns, rows
+    4: [{1: [{3: dict.fromkeys((5, 7, 9, 11))}], 3: None}],  # groups: chunks of columns, rows
 }
 _PAGE: Final[_Wanted] = {
     **dict.fromkeys((2, 3)),  # bytes unpacked, packed
@@ -35,6 +36,9 @@ _PAGE: Final[_Wanted] = {
     7: dict.fromkeys((1, 2)),
     8: dict.fromkeys((1, 4)),
 }
+
+_KINDS: Final[Mapping[type, type]] = {type(None): int, dict: dict, list: list}
+"""What a field is read as, by what says that it is kept."""
 
 _BOOLEANS, _BYTE, _DOUBLE, _BINARY, _LISTS, _MAP, _STRUCT = (1, 2), 3, 7, 8, (9, 10), 11, 12
 _WHOLES: Final = (4, 5, 6)
@@ -207,6 +211,8 @@ class _Thrift:
             is_wanted = number in wanted
             value = self._read(kind, wanted[number] if is_wanted else None, depth, is_field=True)
             if is_wanted:
+                if type(value) is not _KINDS[type(wanted[number])]:
+                    raise DamageError(f"expected a complete Parquet file, found {kind} as a kind")
                 found[number] = value
         return found
 
@@ -228,9 +234,9 @@ class _Thrift:
         if kind in _WHOLES:
             return self._take_whole()
         if kind == _STRUCT:
-            return self.read_struct(wanted or {}, depth + 1)
+            return self.read_struct(wanted if isinstance(wanted, dict) else {}, depth + 1)
         if kind in _LISTS:
-            return self._read_list(wanted, depth + 1)
+            return self._read_list(wanted[0] if isinstance(wanted, list) else None, depth + 1)
         if kind == _MAP:
             return self._skip_map(depth + 1)
         if kind in _BOOLEANS and is_field:
