@@ -23,11 +23,12 @@ _BLOCK: Final = re.compile(r"^(\d{1,9}(?=[.)](?:\s|$))|(?=[-+=>#]))")
 _FORMULA: Final = re.compile(r"\s*+(?:'++\s*+)?[=+\-@\uff0b\uff0d\uff1d\uff20]")
 _HARMLESS: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|-")
 
-_SCHEME: Final = r"[A-Za-z][A-Za-z0-9+._-]+"
-"""At least two letters: `C:` is a drive. fsspec has schemes with `_`, as `async_wrapper`."""
+_SCHEME: Final = r"[A-Za-z][A-Za-z0-9+._-]{1,40}"
+"""At least two letters: `C:` is a drive. fsspec has schemes with `_`, as `async_wrapper`. Known
+schemes have up to 20 letters; without a limit a long word is searched from each of its letters."""
 
-URL: Final = re.compile(rf"(?:{_SCHEME}::)*{_SCHEME}://")
-"""`simplecache::https://` is one within the other."""
+URL: Final = re.compile(rf"(?:{_SCHEME}::){{0,8}}{_SCHEME}://")
+"""`simplecache::https://` is one within the other, rarely in a third; the limit is as above."""
 
 _IN_TEXT: Final = re.compile(URL.pattern + r"[^\s'\"<>`]*(?<![.,;:!?)])")
 """A URL within a sentence, whose marks are behind it."""

@@ -1,6 +1,7 @@
 import pickle
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,13 @@ def test_a_url_is_shown_without_what_is_secret(url: str, shown: str) -> None:
 )
 def test_a_message_is_shown_without_what_is_secret_in_its_url(text: str, shown: str) -> None:
     assert hide_secrets(text, "s3://key:SE/CRET@bucket/x?sig=a%3DSIG&b=1") == shown
+
+
+@pytest.mark.parametrize("part", ["a", "ab::", "s3://h::"])
+def test_secrets_are_looked_for_in_time_linear_in_the_length(part: str) -> None:
+    start_s = time.process_time()
+    hide_secrets(part * (100_000 // len(part)))
+    assert time.process_time() - start_s < 5.0  # without limits the first two take over 10 s
 
 
 @pytest.mark.parametrize(
