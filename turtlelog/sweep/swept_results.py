@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -13,11 +13,17 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, SweepError, TurtlelogError, suggest_names
 from turtlelog.log.error_boundary import name_file
+from turtlelog.log.parquet_file import list_cells
 from turtlelog.scenario import Scenario, build_scenario, flatten_scenario
 from turtlelog.sweep.assemble import STATUS
 from turtlelog.sweep.plan import build_row_scenario
-from turtlelog.sweep.result_table import ROW, ResultTable
-from turtlelog.sweep.stored_table import StoredTable, list_row_numbers, open_result_table
+from turtlelog.sweep.result_table import ROW, ResultColumn
+from turtlelog.sweep.stored_table import (
+    StoredTable,
+    list_row_numbers,
+    list_values,
+    open_result_table,
+)
 from turtlelog.text_files import parse_toml
 
 Values = NDArray[np.float64]
@@ -199,27 +205,25 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
     wanted = [*(key for keys in axes for key in keys), *asked]
     wanted += [*(f"{name}{STATUS}" for name in asked), "failed"]
     wanted += [ROW] if ROW in stored.names else []
-    table = stored.load(list(dict.fromkeys(wanted)))
-    count = table.row_count
+    columns = {one.name: one for one in stored.read(list(dict.fromkeys(wanted)))}
+    count = stored.row_count
     if not count:
         raise LogError(f"{path}: expected at least one row, found none")
-    failed = table.find("failed")
-    numbers = table.find(ROW)
-    reasons: Sequence[Any] = [None] * count if failed is None else failed.cells
+    has_failed = _find_failed(columns.get("failed"), count)
     with name_file(path, expected="a table of a sweep"):
-        metrics = [_build_metric(table, name, reasons) for name in asked]
+        metrics = [_build_metric(columns, name, has_failed) for name in asked]
     if patterns is None:
         metrics = _choose_usual(metrics)
     shown = [metric.name for metric in metrics]
     return SweptResults(
         path=path,
-        axes=tuple(_build_axis(table, keys) for keys in axes),
+        axes=tuple(_build_axis([columns[key] for key in keys]) for keys in axes),
         metrics=tuple(metrics),
         others=tuple(name for name in known if name not in shown),
         is_sampled=is_sampled,
-        failed=sum(reason is not None for reason in reasons),
+        failed=int(has_failed.sum()),
         row_count=count,
-        row_numbers=list_row_numbers(None if numbers is None else numbers.cells, count),
+        row_numbers=_list_row_numbers(columns.get(ROW), count),
         base=base,
     )
 
@@ -276,18 +280,39 @@ def _choose_usual(metrics: Sequence[SweptMetric]) -> list[SweptMetric]:
     return sorted(valued or metrics[:1], key=rank)[:_USUAL_METRICS]
 
 
-def _build_metric(table: ResultTable, name: str, failed: Sequence[str | None]) -> SweptMetric:
-    column, statuses = table.find(name), table.find(f"{name}{STATUS}")
+def _find_failed(column: ResultColumn | None, count: int) -> NDArray[np.bool_]:
+    """Return which rows have a reason why there is no run."""
+    if column is None:
+        return np.zeros(count, dtype=bool)
+    return np.asarray(column.cells.is_valid().to_numpy(), dtype=bool)
+
+
+def _list_row_numbers(column: ResultColumn | None, count: int) -> Sequence[int]:
+    if column is None:
+        return range(count)
+    if column.type == "whole" and not column.cells.null_count:
+        numbers = column.cells.to_numpy()
+        if np.array_equal(numbers, np.arange(count)):
+            return range(count)
+    return list_row_numbers(list_values(column), count)
+
+
+def _build_metric(
+    columns: Mapping[str, ResultColumn], name: str, has_failed: NDArray[np.bool_]
+) -> SweptMetric:
+    column, statuses = columns.get(name), columns.get(f"{name}{STATUS}")
     if column is None or statuses is None or column.type != "real":
         raise LogError(f"{name}: expected a column of numbers with their statuses, found none")
-    values = np.array([math.nan if cell is None else cell for cell in column.cells], np.float64)
+    values = np.array(column.cells.to_numpy(), np.float64)
     reasons: list[str | None] = [None] * len(values)
     with np.errstate(invalid="ignore"):
         is_drawn = np.abs(values) <= _LARGEST
-    for row in np.flatnonzero(~is_drawn).tolist():
+    without = np.flatnonzero(~is_drawn)
+    told = list_cells(statuses.cells.take(without)) if len(without) else []
+    for row, status in zip(without.tolist(), told, strict=True):
         has_value = not math.isnan(values[row])
-        status = _tell_status(statuses.cells[row])
-        reasons[row] = "failed" if failed[row] is not None else _BEYOND if has_value else status
+        why = _BEYOND if has_value else _tell_status(status)
+        reasons[row] = "failed" if has_failed[row] else why
     values[~is_drawn] = math.nan
     return SweptMetric(name=name, unit=column.unit or "", values=values, reasons=reasons)
 
@@ -298,21 +323,48 @@ def _tell_status(status: str | None) -> str:
     return "not a number" if status == "ok" else status.replace("_", " ")
 
 
-def _build_axis(table: ResultTable, keys: tuple[str, ...]) -> SweptAxis:
-    columns = [column for key in keys if (column := table.find(key)) is not None]
-    rows = list(zip(*(column.cells for column in columns), strict=True))
-    distinct = list(dict.fromkeys(rows))
+def _build_axis(columns: Sequence[ResultColumn]) -> SweptAxis:
+    found, places = _list_distinct(columns[0])
+    distinct = [(value,) for value in found]
+    for column in columns[1:]:
+        others, theirs = _list_distinct(column)
+        pairs = places * len(others) + theirs
+        rows, places = _number_by_first_row(pairs)
+        both = (divmod(pair, len(others)) for pair in pairs[rows].tolist())
+        distinct = [(*distinct[one], others[other]) for one, other in both]
     is_number = columns[0].type in {"whole", "real"} and all(
         value[0] is not None and math.isfinite(value[0]) for value in distinct
     )
     is_number = is_number and len({value[0] for value in distinct}) == len(distinct)
     if is_number:
-        distinct.sort(key=lambda value: value[0])
-    order = {value: place for place, value in enumerate(distinct)}
+        order = sorted(range(len(distinct)), key=lambda place: distinct[place][0])
+        distinct, places = [distinct[place] for place in order], np.argsort(order)[places]
     return SweptAxis(
-        keys=keys,
+        keys=tuple(column.name for column in columns),
         values=tuple(distinct),
-        places=np.array([order[row] for row in rows], dtype=np.int64),
+        places=places,
         unit=columns[0].unit,
         is_number=is_number,
     )
+
+
+def _list_distinct(column: ResultColumn) -> tuple[list[Any], NDArray[np.int64]]:
+    """Return the values of a column, in the order of rows, and of each row the place of its own.
+
+    Values of Python are made of distinct cells alone: there may be a million rows.
+    """
+    cells = column.cells
+    if column.type == "real":
+        numbers = (cells.fill_null(math.nan) if cells.null_count else cells).to_numpy()
+        rows, places = _number_by_first_row(numbers)
+        return [None if math.isnan(one) else one for one in numbers[rows].tolist()], places
+    plain = cells.cast("string") if column.type == "text" else cells
+    encoded = plain.combine_chunks().dictionary_encode(null_encoding="encode")
+    return encoded.dictionary.to_pylist(), encoded.indices.to_numpy().astype(np.int64)
+
+
+def _number_by_first_row(cells: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where each distinct cell stands first, ascending, and of each cell its number."""
+    _, first, inverse = np.unique(cells, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return first[order], np.argsort(order)[inverse]
