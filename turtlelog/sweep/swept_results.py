@@ -284,16 +284,17 @@ def _find_failed(column: ResultColumn | None, count: int) -> NDArray[np.bool_]:
     """Return which rows have a reason why there is no run."""
     if column is None:
         return np.zeros(count, dtype=bool)
-    return np.asarray(column.cells.is_valid().to_numpy(), dtype=bool)
+    cells: Any = column.cells
+    return np.asarray(cells.is_valid().to_numpy(), dtype=bool)
 
 
 def _list_row_numbers(column: ResultColumn | None, count: int) -> Sequence[int]:
     if column is None:
         return range(count)
-    if column.type == "whole" and not column.cells.null_count:
-        numbers = column.cells.to_numpy()
-        if np.array_equal(numbers, np.arange(count)):
-            return range(count)
+    cells: Any = column.cells
+    is_whole = column.type == "whole" and not cells.null_count
+    if is_whole and np.array_equal(cells.to_numpy(), np.arange(count)):
+        return range(count)
     return list_row_numbers(list_values(column), count)
 
 
@@ -303,12 +304,14 @@ def _build_metric(
     column, statuses = columns.get(name), columns.get(f"{name}{STATUS}")
     if column is None or statuses is None or column.type != "real":
         raise LogError(f"{name}: expected a column of numbers with their statuses, found none")
-    values = np.array(column.cells.to_numpy(), np.float64)
+    cells: Any = column.cells
+    codes: Any = statuses.cells
+    values = np.array(cells.to_numpy(), np.float64)
     reasons: list[str | None] = [None] * len(values)
     with np.errstate(invalid="ignore"):
         is_drawn = np.abs(values) <= _LARGEST
     without = np.flatnonzero(~is_drawn)
-    told = list_cells(statuses.cells.take(without)) if len(without) else []
+    told = list_cells(codes.take(without)) if len(without) else []
     for row, status in zip(without.tolist(), told, strict=True):
         has_value = not math.isnan(values[row])
         why = _BEYOND if has_value else _tell_status(status)
@@ -353,7 +356,7 @@ def _list_distinct(column: ResultColumn) -> tuple[list[Any], NDArray[np.int64]]:
 
     Values of Python are made of distinct cells alone: there may be a million rows.
     """
-    cells = column.cells
+    cells: Any = column.cells
     if column.type == "real":
         numbers = (cells.fill_null(math.nan) if cells.null_count else cells).to_numpy()
         rows, places = _number_by_first_row(numbers)
