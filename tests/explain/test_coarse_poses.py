@@ -9,8 +9,9 @@ import pytest
 from tests.explain.logs import as_log, forget, simulate
 from turtlelog.explain import Certainty, Finding, identify_run
 from turtlelog.measure import DeadTime, Missing, find_dead_time
-from turtlelog.measure.dead_time import is_within_steps, shows_lag
+from turtlelog.measure.dead_time import shows_lag
 from turtlelog.measure.motion import find_coarse_step
+from turtlelog.measure.way_fits import is_within_steps
 from turtlelog.run import Run
 
 COARSE = {
@@ -57,9 +58,9 @@ def see_sensed(run: Run) -> Run:
     return replace(run, poses=read)
 
 
-def identify(name: str, seed: int = 81, **values: Any) -> dict[str, Finding]:
+def identify(name: str, **values: Any) -> dict[str, Finding]:
     """Return what is found of a run as its controller logged it, without its scenario."""
-    log = as_log(see_sensed(simulate(name, **values)), jitter_ns=300_000, seed=seed)
+    log = as_log(see_sensed(simulate(name, **values)), jitter_ns=300_000, seed=81)
     return dict(identify_run(log).findings)
 
 

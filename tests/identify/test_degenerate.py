@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from numpy.typing import NDArray
 
 import turtlelog as tl
 from tests.identify.robots import Log, Truth, Values, build_run, make_run
@@ -85,14 +86,15 @@ def test_commands_that_no_robot_follows_are_told(size: float, *, is_told: bool) 
 
 
 @st.composite
-def draw_columns(draw: st.DrawFn) -> tuple[Values, Values, Values]:
+def draw_columns(draw: st.DrawFn) -> tuple[Values, Values, NDArray[np.bool_]]:
     """Return times of poses, times of commands, and which pose is the first to move."""
     count = draw(st.sampled_from([1, 2, 3, 55, 120]))
-    time_s = np.arange(count) * draw(st.sampled_from([0.01, 0.05, 0.3, 1.5]))
+    apart_s: float = draw(st.sampled_from([0.01, 0.05, 0.3, 1.5]))
+    time_s = np.arange(float(count)) * apart_s
     time_s[1:] += draw(st.sampled_from([0.0, 1e-4, 3.0]))
     least, most = draw(st.sampled_from([(0.0, 1.0), (-0.9, -0.1), (1.1, 2.0), (0.3, 0.3)]))
     shares = st.lists(st.floats(least, most), max_size=12)
-    command_s = 5.0 + time_s[-1] * np.array(sorted(draw(shares)), dtype=float)
+    command_s = np.asarray(5.0 + time_s[-1] * np.array(sorted(draw(shares)), dtype=float))
     return time_s + 5.0, command_s, np.arange(count) >= draw(st.integers(0, count))
 
 
@@ -100,9 +102,10 @@ def draw_columns(draw: st.DrawFn) -> tuple[Values, Values, Values]:
 def draw_run(draw: st.DrawFn) -> tl.Run:
     time_s, command_s, moves = draw(draw_columns())
     rng = np.random.default_rng(draw(st.integers(0, 9)))
-    kinds = [np.ones(len(command_s)), rng.choice([-1.0, 0.0, 1.0], len(command_s))]
-    speed, turns = (draw(SIZES) * draw(st.sampled_from(kinds)) for _ in range(2))
-    way = np.cumsum(moves * draw(st.sampled_from([rng.normal(size=len(moves)), 1.0])))
+    signs = np.ones(len(command_s)), rng.choice([-1.0, 0.0, 1.0], len(command_s))
+    speed, turns = (draw(SIZES) * signs[draw(st.integers(0, 1))] for _ in range(2))
+    steps = np.ones(len(moves)), rng.normal(size=len(moves))
+    way = np.cumsum(moves * steps[draw(st.integers(0, 1))])
     places = np.column_stack([draw(SIZES) * way, np.zeros(len(way))])
     heading_rad = np.mod(draw(SIZES) * way, 2.0 * np.pi)
     return build_run(time_s, places, heading_rad, (command_s, speed, turns))

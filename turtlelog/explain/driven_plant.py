@@ -19,8 +19,8 @@ from turtlelog.explain.resimulation import number_poses
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.explain.trace_breaks import list_breaks
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.measure.dead_time import COARSE
 from turtlelog.measure.motion import FEWEST_DIFFERENT, OFF_GRID
+from turtlelog.measure.way_fits import COARSE
 from turtlelog.paths import Path
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
 from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start, Target

@@ -40,7 +40,7 @@ from turtlelog.explain.resimulation import (
 )
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
-from turtlelog.measure.dead_time import CERTAIN, COARSE, LIKE_THE_BEST
+from turtlelog.measure.way_fits import CERTAIN, COARSE, LIKE_THE_BEST
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
 
 _MOST_TICKS: Final = 150_000
@@ -368,15 +368,17 @@ class _Search:
         first = min(driven, key=lambda pair: sum(np.log(pair[1].noise)))[1]
         misfits = [drive.compute_misfit(first.whiteness) for _, drive in driven]
         order = np.argsort(misfits, kind="stable").tolist()
-        alike = self._list_within_steps([drive for _, drive in driven], order[0])
-        return [driven[row] for row in order if alike[row] or misfits[row] < min(misfits) + CERTAIN]
+        within = self._list_within_steps([drive for _, drive in driven], order[0])
+        return [
+            driven[row] for row in order if within[row] or misfits[row] < min(misfits) + CERTAIN
+        ]
 
     def _list_within_steps(self, drives: Sequence[Drive], best: int) -> NDArray[np.bool_]:
         """Return which drives leave no more than the coarse steps of the poses make."""
         steps = np.array(self._trace.coarse_steps)
         spans = np.array([drive.spans for drive in drives])
         if not steps.any():
-            return np.arange(len(drives)) == best
+            return np.asarray(np.arange(len(drives)) == best)
         most = np.maximum(COARSE * steps, LIKE_THE_BEST * spans[best] + FLOOR)
         return np.asarray((spans <= most).all(axis=1))
 

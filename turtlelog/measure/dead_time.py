@@ -19,6 +19,7 @@ from turtlelog.measure.motion import (
     read_loop_motion,
 )
 from turtlelog.measure.response import describe_no_phase
+from turtlelog.measure.way_fits import CERTAIN, find_lags, fit_way, is_within_steps
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 
@@ -29,10 +30,6 @@ _CANDIDATES: Final = range(LARGEST_TICKS + 1)
 
 _BEGUN: Final = 0.1
 """Share of the way after which a loop's first commands, which may be lost, are behind it."""
-
-CERTAIN: Final = 10.0
-"""Difference of log-likelihoods from which the better of two fits counts as found: the other is
-20,000 times less likely. Where rows are not quite independent, 5 would still be 150 times."""
 
 _EXPLAINED: Final = 0.05
 """Residual above which nothing is explained, as a share of the way."""
@@ -49,24 +46,6 @@ _FEW: Final = 8
 _TELLING_STEPS: Final = 3
 """Steps that each other dead time must fail to explain where the dead time seems to change: at a
 constant command all explain all, but for a step or two where it begins."""
-
-_LAG_APART: Final = 0.25
-_LAG_OFFSETS: Final = np.arange(-0.5, 1.01, _LAG_APART)
-"""Dead time and lag together are tried up to so many ticks off the best dead time alone [ticks]."""
-
-_LAG_ROUNDS: Final = 6
-"""Halvings of the distance between the lags that are tried: down to a 256th of a tick."""
-
-_LEAST_LAG: Final = 0.01
-"""A shorter lag is none [ticks]: after one tick nothing of it is left in a double."""
-
-COARSE: Final = 1.25
-"""Steps of rounding that the right fit leaves at most: one, and what its offset is off."""
-
-LIKE_THE_BEST: Final = 1.1
-"""Where noise comes on top, by how much more than the best the right fit leaves at most."""
-
-_TINY: Final = 1e-300
 
 _EXPLAINS_BETTER: Final = "explains the motion better than"
 """In the reason of a dead time that is none, as the robot has a lag."""
@@ -244,10 +223,13 @@ def _choose(motion: LoopMotion, first: int, *, may_lag: bool) -> DeadTime | Miss
 
 
 def _describe_alike(ticks: NDArray[np.int64]) -> str:
-    listed = ", ".join(map(str, ticks))
+    return f"the commands hardly change: dead times of {_list_ticks(ticks)} ticks fit alike"
+
+
+def _list_ticks(ticks: NDArray[np.int64]) -> str:
     if len(ticks) == ticks[-1] - ticks[0] + 1:
-        listed = f"{ticks[0]} to {ticks[-1]}"
-    return f"the commands hardly change: dead times of {listed} ticks fit alike"
+        return f"{ticks[0]} to {ticks[-1]}"
+    return ", ".join(map(str, ticks))
 
 
 def _describe_exact(
@@ -297,7 +279,7 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
     span = float(np.ptp(way))
     rows = np.flatnonzero(np.arange(len(way)) >= (np.abs(way) > _BEGUN * span).argmax())
     rows = rows[~_find_after_gaps(motion)[rows]]
-    left, size = _fit_way(motion, errors, rows)
+    left, size = fit_way(motion, errors, rows)
     best, second = np.argsort(size, kind="stable")[:2].tolist()
     alike = np.flatnonzero(is_within_steps(np.ptp(left, axis=1), best, motion.grain))
     margin = _compute_margin(size, best)
@@ -312,8 +294,8 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
         reason = f"dead times of {best} and {second} ticks fit alike"
         return Missing(status=Status.UNDETERMINED, reason=reason)
     if len(alike) > 1:
-        listed = f"{alike[0]} to {alike[-1]} ticks"
-        reason = f"dead times of {listed} fit alike, as the poses are logged in coarse steps"
+        listed = _list_ticks(alike)
+        reason = f"the poses have coarse steps: dead times of {listed} ticks fit alike"
         return Missing(status=Status.UNDETERMINED, reason=reason)
     is_rounding = bool(size[best] <= motion.rounding.max())
     return DeadTime(
@@ -327,104 +309,9 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
     )
 
 
-def is_within_steps(spans: Values, best: int, grain: float) -> NDArray[np.bool_]:
-    """Return which fits leave no more than the coarse steps of poses make, or than the best does.
-
-    What rounding leaves is no noise: neighbours share it, and its squares tell nothing.
-
-    Args:
-        spans: From the least to the largest that each fit leaves [rad or m].
-        best: Row of the best.
-        grain: Coarse step [rad or m]; 0: there is none, and the best stands alone.
-    """
-    if not grain:
-        return np.arange(len(spans)) == best
-    most = max(COARSE * grain, LIKE_THE_BEST * float(spans[best]))
-    return np.asarray(spans <= most)
-
-
-def _fit_way(motion: LoopMotion, errors: Values, rows: NDArray[np.int64]) -> tuple[Values, Values]:
-    """Return what errors of steps leave of the way, and its root mean square, one row for each."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        drift = np.cumsum(errors, axis=1)[:, rows]
-        left = _remove_offsets(drift, motion.tick[rows], motion.step_ticks)
-        return left, np.nan_to_num(np.sqrt(np.mean(left**2, axis=1)), nan=np.inf)
-
-
 def shows_lag(found: DeadTime | Missing) -> bool:
     """Return whether there is no dead time because a lag explains the motion better."""
     return isinstance(found, Missing) and _EXPLAINS_BETTER in found.reason
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LagFits:
-    """Whether a dead time with a lag explains a motion that a longer dead time alone fits best.
-
-    Attributes:
-        least_ticks: The smallest dead time that fits as well, with some lag.
-        is_better: Whether one of them clearly fits better.
-    """
-
-    least_ticks: int
-    is_better: bool
-
-
-def find_lags(
-    motion: LoopMotion, errors: Values, rows: NDArray[np.int64], best: int, size: float
-) -> LagFits:
-    """Return which shorter dead times explain a motion with a lag.
-
-    Args:
-        motion: Of a loop.
-        errors: What each dead time leaves of each step, shape (dead times, steps).
-        rows: Steps that count.
-        best: The dead time that fits best alone [ticks].
-        size: What that leaves [rad or m].
-    """
-    predicted = motion.moved - errors
-    gained = np.empty(best + 1)
-    is_alike = np.zeros(best + 1, dtype=bool)
-    for ticks in range(best + 1):
-        left = _fit_lag(motion, predicted[ticks], rows, best - ticks)
-        its_size = max(float(np.sqrt(np.mean(left**2))), _TINY)
-        gained[ticks] = len(rows) * np.log(max(size, _TINY) / its_size)
-        is_alike[ticks] = np.ptp(left) <= COARSE * motion.grain
-    is_alike |= gained > -CERTAIN
-    is_alike[best] = True
-    return LagFits(least_ticks=int(np.argmax(is_alike)), is_better=bool(gained.max() > CERTAIN))
-
-
-def _fit_lag(
-    motion: LoopMotion, predicted: Values, rows: NDArray[np.int64], near_ticks: int
-) -> Values:
-    """Return what predicted steps leave of the way with the best lag near one [ticks]."""
-    tried: dict[float, Values] = {}
-
-    def measure(lag_ticks: float) -> float:
-        if lag_ticks not in tried:
-            steps = _lag_steps(motion, predicted, lag_ticks)
-            tried[lag_ticks] = _fit_way(motion, (motion.moved - steps)[None], rows)[0][0]
-        return float(np.mean(tried[lag_ticks] ** 2))
-
-    offsets = near_ticks + _LAG_OFFSETS
-    best = min(offsets[offsets > 0.0].tolist(), key=measure)
-    apart = _LAG_APART
-    for _ in range(_LAG_ROUNDS):
-        apart *= 0.5
-        best = min((max(best + apart * way, _LEAST_LAG) for way in (-1.0, 0.0, 1.0)), key=measure)
-    return tried[best]
-
-
-def _lag_steps(motion: LoopMotion, predicted: Values, lag_ticks: float) -> Values:
-    """Return predicted steps as a first-order lag makes them, in closed form for held commands."""
-    from scipy.signal import lfilter
-
-    lag = lag_ticks / motion.step_ticks
-    kept = float(np.exp(-1.0 / lag))
-    now, before = 1.0 - lag * (1.0 - kept), lag * (1.0 - kept) - kept
-    bounds = np.flatnonzero(np.diff(motion.tick) > motion.step_ticks) + 1
-    parts = np.split(predicted, bounds)
-    return np.concatenate([lfilter([now, before], [1.0, -kept], part) for part in parts])
 
 
 def _measure_whiteness(left: Values) -> float:
@@ -439,13 +326,6 @@ def _find_after_gaps(motion: LoopMotion) -> NDArray[np.bool_]:
     for first, after in pairwise([*gaps.tolist(), len(tick)]):
         since[first:after] = tick[first:after] - tick[first]
     return since < LARGEST_TICKS
-
-
-def _remove_offsets(drift: Values, tick: NDArray[np.int64], step_ticks: int) -> Values:
-    """Subtract the mean of each stretch without a gap; where it begins is not known exactly."""
-    bounds = np.flatnonzero(np.diff(tick) > step_ticks) + 1
-    parts = np.split(drift, bounds, axis=1)
-    return np.concatenate([part - part.mean(axis=1, keepdims=True) for part in parts], axis=1)
 
 
 def _compute_rms(errors: Values) -> Values:
