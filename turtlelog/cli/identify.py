@@ -52,8 +52,8 @@ def identify(
     Any log with commands and poses will do: a bag of a real robot, or a recording. Each step
     between two poses is compared with the response to the commands, which hold until the next one:
     rate = gain exp(-dead_time s) / (lag s + 1). Intervals hold the truth in 95 of 100 robots. A
-    second lag, or a limit of the acceleration, is told where the motion shows it and it predicts a
-    part that was held back better. What the log does not tell has no value, but a reason, and what
+    second lag, or a limit of the acceleration, must change a rate by 2 % and predict a part of the
+    log that was held back better. What the log does not tell has no value, but a reason, and what
     to drive instead. Of several files of one robot all are fitted together, and what differs
     between them is told.
 
