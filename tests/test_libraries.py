@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+import turtlelog as tl
 from tests.fresh_process import run_command
 from turtlelog.errors import LibraryError
-from turtlelog.libraries import load_library
+from turtlelog.libraries import attach_names, load_library
 from turtlelog.log import read_recording
 
 RECORDING = str(Path("recordings/paper/kp10.mcap").resolve())
@@ -147,6 +148,18 @@ def test_names_without_their_library_leave_the_package(tmp_path: Path) -> None:
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.endswith("True\n")
+
+
+def test_libraries_are_searched_for_only_when_names_are_listed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    searched: list[str] = []
+    monkeypatch.setattr("importlib.util.find_spec", searched.append)
+    monkeypatch.delitem(sys.modules, "matplotlib", raising=False)
+    _, list_names = attach_names("turtlelog", tl.__file__)
+    assert not searched
+    assert "write_figures" not in list_names()
+    assert "matplotlib" in searched
 
 
 def test_every_public_name_of_a_slim_installation_is_there_or_says_what_to_install(

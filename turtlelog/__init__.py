@@ -7,4 +7,4 @@ stand in `__init__.pyi` and load on first use: importing the package costs neith
 from turtlelog.libraries import attach_names
 from turtlelog.version import __version__ as __version__
 
-__getattr__, __dir__, __all__ = attach_names(__name__, __file__)
+__getattr__, __dir__ = attach_names(__name__, __file__)

@@ -6,8 +6,8 @@ installed, the name is not there, and who imports it is told what to install.
 
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from importlib import import_module
-from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -62,28 +62,34 @@ _NEEDED: Final = MappingProxyType(
 """Packages without which libraries none of their names can be used."""
 
 
-def attach_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], Any], Any]:
-    """Return `__getattr__`, `__dir__` and `__all__` of a package whose names load on first use.
+def attach_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], Any]]:
+    """Return `__getattr__` and `__dir__` of a package whose names load on first use.
 
     The names are those of the `.pyi` file beside `file`. A name whose library is not installed is
-    in neither `__all__` nor `dir()`. Its `__getattr__` raises LibraryAttributeError, which is an
-    AttributeError: `hasattr` is False, and `getattr(package, name, None)` is None. Python turns
-    that into "cannot import name" for `from package import name`, but first it asks the finders of
-    modules. One of ours then raises LibraryImportError, an ImportError. Both say what to install.
-    No class can be both, because Python stores the two kinds differently. Both are a LibraryError.
+    in neither `__all__` nor `dir()`; an import does not pay for that search. The `__getattr__` of
+    such a name raises LibraryAttributeError, which is an AttributeError: `hasattr` is False, and
+    `getattr(package, name, None)` is None. Python turns that into "cannot import name" for
+    `from package import name`, but first it asks the finders of modules. One of ours then raises
+    LibraryImportError, an ImportError. Both say what to install. No class can be both, because
+    Python stores the two kinds differently. Both are a LibraryError.
     """
     load, _, listed = lazy_loader.attach_stub(package, file)
-    lacking = set(_list_lacking(package, file))
-    names = [name for name in listed if name not in lacking]
+
+    @cache
+    def list_names() -> list[str]:
+        lacking = set(_list_lacking(package, file))
+        return [name for name in listed if name not in lacking]
 
     def load_name(name: str) -> Any:
+        if name == "__all__":
+            return list_names()
         try:
             return load(name)
         except LibraryError as err:
             _Absent.tell(f"{package}.{name}", str(err))
             raise LibraryAttributeError(str(err)) from err
 
-    return load_name, names.copy, names
+    return load_name, lambda: list_names().copy()
 
 
 def _list_lacking(package: str, file: str) -> Iterator[str]:
@@ -107,6 +113,8 @@ def _list_lacking(package: str, file: str) -> Iterator[str]:
 
 
 def _is_installed(library: str) -> bool:
+    from importlib.util import find_spec  # Only for `__all__` and `dir()`.
+
     if library in sys.modules:
         return sys.modules[library] is not None
     return find_spec(library) is not None

@@ -5,4 +5,4 @@ The names stand in `__init__.pyi` and load on first use.
 
 from turtlelog.libraries import attach_names
 
-__getattr__, __dir__, __all__ = attach_names(__name__, __file__)
+__getattr__, __dir__ = attach_names(__name__, __file__)
