@@ -182,15 +182,9 @@ def _measure_grain(poses: PoseColumns, moved: Values, loop: ControlLoop) -> floa
     return math.sqrt(2.0) * place_m + way_m * (1.0 - math.cos(0.5 * heading_rad))
 
 
-def _list_different(values: Values) -> Values:
-    """Return the different values, ascending; `np.unique` loads numpy's masked arrays."""
-    ordered = np.sort(values)
-    return ordered[np.diff(ordered, prepend=np.nan) != 0.0]
-
-
 def find_common_step(values: Values) -> float:
     """Return the step above that of 32-bit floats that all values are multiples of; 0 for none."""
-    different = _list_different(values)
+    different = _sort_different(values)
     if len(different) < FEWEST_DIFFERENT:
         return 0.0
     steps = np.diff(different)
@@ -211,10 +205,18 @@ def find_spacing(values: Values) -> float:
 
 def find_coarse_step(values: Values) -> float:
     """Return the common step of some values, or of few ones the least distance; 0 for none."""
-    different = _list_different(values)
+    different = _sort_different(values)
     if 1 < len(different) < FEWEST_DIFFERENT:
         return float(np.diff(different).min())
     return find_common_step(values)
+
+
+def _sort_different(values: Values) -> Values:
+    """Sort values without their repeats; np.unique would load numpy.ma, which takes 10 ms."""
+    ordered = np.sort(values)
+    is_first = np.ones(len(ordered), dtype=np.bool_)
+    is_first[1:] = ordered[1:] != ordered[:-1]
+    return ordered[is_first]
 
 
 _UNITS: Final = {"turn_rate": "turn_rate_rad_s", "speed": "speed_m_s"}

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.sqlite_pages import check_pages
 from turtlelog.log.error_boundary import DamageError, open_file
 
 if TYPE_CHECKING:
@@ -46,7 +45,9 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.
     Raises:
         LogError: One clause, where it cannot be read, also for what SQLite finds while it is open.
     """
-    import sqlite3  # files of MCAP spare it
+    import sqlite3  # files of MCAP spare both
+
+    from turtlelog.log.engine.sqlite_pages import check_pages
 
     path = path.resolve()
     with ExitStack() as closing:
