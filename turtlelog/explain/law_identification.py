@@ -26,7 +26,7 @@ from turtlelog.explain.identification import (
 )
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.loops import DONE, PAUSE
-from turtlelog.measure.dead_time import CERTAIN
+from turtlelog.measure.way_fits import CERTAIN
 from turtlelog.scenario import DEFAULT_LAW
 
 ROTATE: Final = "rotate"
