@@ -227,6 +227,19 @@ def describe_noise(*, share: float = 0.0, low: float = 1.0, high: float = 1.0) -
     return describe(mechanisms=("noise",), shares=(noise,), seeds=seeds, without_all=1.0 - share)
 
 
+def test_noise_that_changes_nothing_is_no_part_of_a_sum() -> None:
+    noise = describe_noise()
+    others = describe(queue=0.004, pause=0.002).shares
+    found = replace(
+        noise,
+        mechanisms=("noise", "queue", "pause"),
+        shares=(*noise.shares, *others),
+        without_all=0.994,
+    )
+    assert write_sentences(found)[1].startswith("The noise does not change this metric.")
+    assert write_sentences(found)[2].startswith("Queue and pause together change it by 0.006 m")
+
+
 def test_noise_that_changes_nothing_takes_one_sentence_and_no_table() -> None:
     found = describe_noise()
     assert write_sentences(found) == (

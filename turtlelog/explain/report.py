@@ -100,9 +100,11 @@ def _write_cause(found: Attribution) -> str:
     largest = max(abs(share.share or 0.0) for share in found.shares)
     added = found.divided - (found.without_all or 0.0)
     if max(largest, abs(added)) <= found.grain.size:
-        together = " together change" if len(found.mechanisms) > 1 else " changes"
+        idle = _list_idle(found) if found.seeds is not None else []  # a sentence says so of these
+        names = [name for name in found.mechanisms if name not in idle]
+        together = " together change" if len(names) > 1 else " changes"
         return (
-            f"{_capitalise(join_words(found.mechanisms))}{together} it by {_format(found, added)}:"
+            f"{_capitalise(join_words(names))}{together} it by {_format(found, added)}:"
             f" next to nothing, no more than {_describe_grain(found)}."
         )
     parts = [_write_part(found, share) for share in _choose_named(found) if share.is_clear]
