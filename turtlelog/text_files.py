@@ -18,6 +18,9 @@ from turtlelog.remote.urls import RemotePath, make_path
 MOST_BYTES: Final = 2**20
 """What a file of settings holds at most: some ten thousand checks, which take a second to read."""
 
+LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/v1\n"
+"""How the text begins that Git LFS leaves in the place of a file."""
+
 _PATIENCE_S: Final = 1.0
 """So long a pipe may have nobody who writes to it, as while both programs start [s]."""
 
@@ -88,6 +91,8 @@ def _read_url(path: RemotePath, most: int) -> bytes:
 def _decode(data: bytes, most: int) -> str:
     if len(data) > most:
         raise OSError(errno.EFBIG, f"more than {most:,} bytes")
+    if data.startswith(LFS_POINTER):
+        raise OSError(errno.EINVAL, "a Git LFS pointer, not the file: git lfs pull")
     return data.decode("utf-8-sig")
 
 

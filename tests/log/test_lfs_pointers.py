@@ -83,6 +83,17 @@ def test_every_command_names_a_pointer(
     assert TOLD in answer.err
 
 
+@pytest.mark.parametrize("words", [["run"], ["scenario"]], ids=" ".join)
+def test_a_file_of_settings_that_is_a_pointer_is_called_that(
+    words: list[str], call: Call, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.toml"
+    path.write_bytes(POINTER)
+    answer = call(*words, path)
+    assert (answer.code, answer.out) == (2, "")
+    assert "found: a Git LFS pointer, not the file: git lfs pull" in answer.err
+
+
 def test_a_folder_of_recordings_names_its_pointers(call: Call, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     bag.mkdir()

@@ -8,10 +8,10 @@ from typing import BinaryIO, Final
 
 from turtlelog.errors import LogError, TurtlelogError, describe_error
 from turtlelog.remote.urls import RemotePath, make_path
+from turtlelog.text_files import LFS_POINTER
 
 _DEFECTS = (AssertionError, AttributeError, ImportError, NameError)
 
-_POINTER: Final = b"version https://git-lfs.github.com/spec/v1\n"
 _POINTER_BYTES: Final = 1024
 """A file as large as this is no pointer, as the specification of Git LFS says [bytes]."""
 
@@ -64,8 +64,8 @@ def open_file(path: str | Path) -> BinaryIO:
 
 def _refuse_pointer(stream: BinaryIO) -> None:
     """Refuse a pointer of Git LFS, and close it; of other files nothing has been read."""
-    start = stream.read(len(_POINTER))
-    if start == _POINTER:
+    start = stream.read(len(LFS_POINTER))
+    if start == LFS_POINTER:
         stream.close()
         raise LogError("this is a Git LFS pointer, not the file: git lfs pull")
     stream.seek(0)
