@@ -133,7 +133,15 @@ def test_a_goal_that_is_not_known_forbids_a_ranking() -> None:
     ranking = judge(dataclasses.replace(PAPER, name="other", goal_xy_m=None))
     assert ranking.describe() == "goal is not known of every run, so nothing is called best"
     (note,) = ranking.list_notes(["a", "b"])
-    assert note == "goal: (2, 10) m of a, not known of b. --goal X,Y gives it."
+    gives = "turtlelog convert FILE --goal X,Y -o NEW.mcap gives it"  # --goal is refused for a
+    assert note == f"goal: (2, 10) m of a, not known of b. {gives}."
+
+
+def test_goals_of_which_none_is_known_are_given_at_once() -> None:
+    bare = dataclasses.replace(PAPER, goal_xy_m=None)
+    ranking = judge_runs([summarise(bare), summarise(bare)])
+    (note,) = ranking.list_notes(["a", "b"])
+    assert note == "goal: not known of a and b. --goal X,Y gives it."
 
 
 def test_limits_that_are_not_known_are_named_and_forbid_nothing() -> None:

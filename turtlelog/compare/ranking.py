@@ -380,8 +380,14 @@ def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
     more = len(parts) - _MOST_NAMED
     if more > 0:
         parts = [*parts[:_MOST_NAMED], f"{describe_count(more, 'other value')}"]
-    hint = ". --goal X,Y gives it" if found.is_unknown else ""
+    hint = f". {_advise_goal(found)} gives it" if found.is_unknown else ""
     return f"{found.key}: {', '.join(parts)}{hint}."
+
+
+def _advise_goal(found: ConditionDifference) -> str:
+    """Return what gives a goal to the runs without one: the option is for all files at once."""
+    is_of_all = all(value is None for value in found.values)
+    return "--goal X,Y" if is_of_all else "turtlelog convert FILE --goal X,Y -o NEW.mcap"
 
 
 def _name(runs: Sequence[str]) -> str:
