@@ -10,6 +10,7 @@ from tests.cli.conftest import Call
 from tests.cli.test_info import MS, make_drive
 from tests.log.ros2.bags import START_NS, make_command, write_mcap
 from tests.log.ros2.test_unread_encodings import write_encoded
+from tests.log.runs import find_shared
 from turtlelog.log.recording import recorder
 from turtlelog.runner import run_live
 
@@ -105,6 +106,16 @@ def test_what_a_bag_lacks_is_absent_from_its_run(call: Call, tmp_path: Path) -> 
     (answer,) = call("info", path, "--json").json
     assert answer["absent"][:2] == ["commands", "samples"]
     assert "commands" in tl.read_run(path).absent
+
+
+def test_a_bag_of_other_messages_lacks_poses_and_commands(call: Call) -> None:
+    path = find_shared("ros2", "rosbag2_talker.mcap")
+    assert call("info", path, "--json").json[0]["absent"][:2] == ["poses", "commands"]
+
+
+def test_a_bag_of_commands_alone_lacks_poses(call: Call, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "bag.mcap", [make_command()])
+    assert call("info", path, "--json").json[0]["absent"][:2] == ["poses", "samples"]
 
 
 def test_poses_that_cannot_be_read_are_absent(call: Call, tmp_path: Path) -> None:

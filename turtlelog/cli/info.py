@@ -200,8 +200,17 @@ def _describe_durations(recording: "RecordingInfo", summary: Summary) -> dict[st
 def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...]:
     """Return what is absent: which topics are commands is known where the run was read."""
     has_commands = summary.run is None or summary.run.has_commands
-    more = () if has_commands else ("commands",)
+    more = [] if has_commands else ["commands"]
+    if summary.run is None and recording.format_version is None:
+        more += _list_missing_types(recording)
     return tuple(dict.fromkeys([*more, *recording.absent]))
+
+
+def _list_missing_types(recording: "RecordingInfo") -> list[str]:
+    """Return whether no message has a type of poses, and whether it has none of commands."""
+    held = {topic.type for topic in recording.topics if topic.count}
+    kinds = {"poses": tl.log.ros2.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
+    return [name for name, types in kinds.items() if not held.intersection(types)]
 
 
 def _tabulate(recording: "RecordingInfo") -> "Table":
