@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import PathError
 from turtlelog.paths import (
-    CORNER_RAD,
     MOST_POINTS,
     REACH_M,
     Path,
@@ -215,9 +214,9 @@ def test_corners_are_jumps_of_the_direction() -> None:
     assert CIRCLE.corners == EIGHT.corners == LINE.corners == ()
 
 
-@pytest.mark.parametrize(("factor", "count"), [(0.9, 0), (1.1, 1)])
-def test_slight_bend_is_no_corner(factor: float, count: int) -> None:
-    bend = factor * CORNER_RAD
+@pytest.mark.parametrize(("bend_deg", "count"), [(0.9, 0), (1.1, 1)])
+def test_slight_bend_is_no_corner(bend_deg: float, count: int) -> None:
+    bend = math.radians(bend_deg)
     end = (2.0 + math.cos(bend), 1.0 + math.sin(bend))
     assert len(Path(kind="waypoints", points=((1.0, 1.0), (2.0, 1.0), end)).corners) == count
 
