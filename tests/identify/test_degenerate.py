@@ -75,6 +75,16 @@ def test_a_robot_without_any_noise_or_motion_is_told_in_a_sentence() -> None:
     assert model.turn_rate.is_known
 
 
+def test_a_robot_that_drives_back_amid_noise_is_not_said_to_stand() -> None:
+    time_s = np.arange(0.0, 13.0, 0.1)
+    x_m = -0.3 * np.maximum(time_s - 1.1, 0.0)
+    x_m += np.random.default_rng(1).normal(0.0, 0.2, len(time_s))
+    places = np.column_stack([x_m, np.zeros(len(time_s))])
+    commands = np.array([0.5, 1.0]), np.array([0.0, 0.3]), np.zeros(2)
+    model = tl.identify_robot(build_run(time_s, places, np.zeros(len(time_s)), commands))
+    assert model.speed.reason == "no motion follows the commands in their direction"
+
+
 @pytest.mark.parametrize(("size", "is_told"), [(9e8, False), (1.1e9, True)])
 def test_commands_that_no_robot_follows_are_told(size: float, *, is_told: bool) -> None:
     run = make_run(Log(duration_s=8.0), 1)

@@ -289,7 +289,8 @@ def _search_grid(motions: Sequence[AxisMotion]) -> list[Values]:
             if size > 0.0 and along > 0.0:
                 tried.append((-along * along / size, along / size, dead_time_s, lag_s))
     if not tried:
-        raise NoGainError("no motion follows the commands")
+        where = " in their direction" if model.moved.any() else ""
+        raise NoGainError(f"no motion follows the commands{where}")
     tried.sort()
     return [np.array(found) for _, *found in tried[:_STARTS]]
 
