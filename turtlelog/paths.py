@@ -71,6 +71,11 @@ class Corner(NamedTuple):
     leg_m: float
 
 
+def closes_by_itself(kind: str) -> bool:
+    """Return whether a path of a kind returns to its first point unless it says otherwise."""
+    return kind not in {"line", "waypoints"}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Path:
     """A path to track: the table `[path]` of a scenario.
@@ -171,7 +176,7 @@ class Path:
     def is_closed(self) -> bool:
         """Whether it ends where it begins."""
         if self.closed is None:
-            return self.kind not in {"line", "waypoints"}
+            return closes_by_itself(self.kind)
         return self.closed
 
     @cached_property

@@ -137,6 +137,19 @@ def test_a_goal_that_is_not_known_forbids_a_ranking() -> None:
     assert note == f"goal: (2, 10) m of a, not known of b. {gives}."
 
 
+@pytest.mark.parametrize(("is_closed", "is_fair"), [(True, True), (False, False)])
+def test_a_polygon_that_says_it_is_closed_is_the_same_path(
+    *, is_closed: bool, is_fair: bool
+) -> None:
+    square = tl.scenario.get_preset("track-square")
+    said = tl.override_scenario(square, {"path.closed": is_closed, "max_duration_s": 1.0})
+    run, other = (
+        tl.simulate_run(one)
+        for one in (tl.override_scenario(square, {"max_duration_s": 1.0}), said)
+    )
+    assert judge_runs([summarise(run), summarise(other)]).is_fair == is_fair
+
+
 def test_goals_of_which_none_is_known_are_given_at_once() -> None:
     bare = dataclasses.replace(PAPER, goal_xy_m=None)
     ranking = judge_runs([summarise(bare), summarise(bare)])

@@ -9,6 +9,7 @@ from turtlelog.angles import wrap_angle
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.measure import is_lawless
+from turtlelog.paths import closes_by_itself
 from turtlelog.run import Run
 
 if TYPE_CHECKING:
@@ -182,9 +183,15 @@ def _take_table(run: Run, parameters: Mapping[str, Any], condition: str) -> Keys
     found = tuple(
         (key, value if isinstance(value, str | int | float) else str(value))
         for key, value in sorted(parameters.items())
-        if key.startswith(_TABLES[condition])
+        if key.startswith(_TABLES[condition]) and not _is_usual(key, value, parameters)
     )
     return found if found or run.scenario_is_complete else None
+
+
+def _is_usual(key: str, value: Any, parameters: Mapping[str, Any]) -> bool:
+    """Return whether a key says what its table means without it: a polygon is closed."""
+    kind = parameters.get("path.kind")
+    return key == "path.closed" and value is closes_by_itself(str(kind))
 
 
 def allow_position(heading_rad: float, position_m: float, distance_m: float) -> float:
