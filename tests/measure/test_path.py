@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from turtlelog.errors import MeasureError
-from turtlelog.measure import read_reference_path
+from turtlelog.measure import path as path_module, read_reference_path
 from turtlelog.measure.path import (
     compute_path_distances,
     compute_path_length,
@@ -60,6 +60,24 @@ def test_long_paths_leave_out_only_what_is_too_far() -> None:
     some = rng.integers(0, len(points), 40)
     expected = [measure_nearest(points[row], path) for row in some]
     assert found[some] == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.01])
+def test_a_robot_that_stands_is_compared_with_few_parts_of_a_path(
+    noise_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pairs, measure_parts = [0], path_module._measure_parts
+
+    def measure(points: np.ndarray, *parts: np.ndarray) -> np.ndarray:
+        pairs[0] += len(points) * len(parts[0])
+        return measure_parts(points, *parts)
+
+    monkeypatch.setattr(path_module, "_measure_parts", measure)
+    rng = np.random.default_rng(0)
+    points, standing = (rng.normal(5.0, noise_m, (count, 2)) for count in (20_000, 2_000))
+    found = compute_path_distances(points, standing)
+    assert found[7] == pytest.approx(measure_nearest(points[7], standing), abs=1e-12)
+    assert pairs[0] < 12e6  # of 40 million
 
 
 @given(POINTS, st.floats(0.01, 100.0), st.floats(-math.pi, math.pi))

@@ -16,7 +16,13 @@ from turtlelog.text_files import read_text_file
 
 Values = NDArray[np.float64]
 
-_BLOCK: Final = 512
+_BLOCKS: Final = (2048, 64)
+"""Points that look at the same parts of a path: of all parts, and of those that are left."""
+
+_PIECE: Final = 512
+
+_BITS: Final = 12
+"""Of each coordinate: cells of a square that hold points which are compared together."""
 
 
 def compute_path_length(xy_m: Values) -> float:
@@ -42,16 +48,40 @@ def compute_straightness(xy_m: Values, length_m: float | None = None) -> float |
 def compute_path_distances(xy_m: Values, path_xy_m: Values) -> Values:
     """Return each point's distance to the nearest point of a path [m], shape (n,).
 
-    `path_xy_m` is the line through its points, shape (m, 2), m >= 2. Blocks of neighbouring points
-    look only at the parts of the path that their bounding box lets be nearest, so long paths cost
-    little more than short ones.
+    `path_xy_m` is the line through its points, shape (m, 2), m >= 2. Blocks of points that are near
+    each other look only at the parts of the path that their bounding box lets be nearest, so long
+    paths cost little more than short ones.
     """
-    starts, ways = path_xy_m[:-1], np.diff(path_xy_m, axis=0)
-    distances = [
-        _find_nearest(block, *_select_near(block, starts, ways))
-        for block in np.split(xy_m, range(_BLOCK, len(xy_m), _BLOCK))
-    ]
-    return np.concatenate(distances)
+    parts = np.hstack([path_xy_m[:-1], np.diff(path_xy_m, axis=0)])
+    parts = np.unique(parts, axis=0)  # a robot that stands repeats them
+    order = _sort_by_place(xy_m)
+    distances = np.empty(len(xy_m))
+    distances[order] = _measure_blocks(xy_m[order], parts[:, :2], parts[:, 2:], *_BLOCKS)
+    return distances
+
+
+def _measure_blocks(xy_m: Values, starts: Values, ways: Values, size: int, *sizes: int) -> Values:
+    """Return the distances of points that are sorted by place, blocks within blocks."""
+    distances = np.empty(len(xy_m))
+    for first in range(0, len(xy_m), size):
+        rows = slice(first, first + size)
+        near = _select_near(xy_m[rows], starts, ways)
+        find = _measure_blocks if sizes else _find_nearest
+        distances[rows] = find(xy_m[rows], *near, *sizes)
+    return distances
+
+
+def _sort_by_place(xy_m: Values) -> NDArray[np.int64]:
+    """Return the rows of points so that neighbours in the plane follow each other (Z-order)."""
+    low_m = xy_m.min(axis=0, initial=np.inf)
+    size_m = np.max(xy_m.max(axis=0, initial=-np.inf) - low_m, initial=0.0)
+    if not (0.0 < size_m < np.inf):
+        return np.arange(len(xy_m))
+    cells = ((xy_m - low_m) / size_m * (2**_BITS - 1)).astype(np.int64)
+    codes = np.zeros(len(cells), np.int64)
+    for bit in range(_BITS):
+        codes |= ((cells[:, 0] >> bit & 1) | (cells[:, 1] >> bit & 1) << 1) << 2 * bit
+    return np.argsort(codes, kind="stable")
 
 
 def _select_near(block: Values, starts: Values, ways: Values) -> tuple[Values, Values]:
@@ -64,7 +94,7 @@ def _select_near(block: Values, starts: Values, ways: Values) -> tuple[Values, V
 
 
 def _find_nearest(block: Values, starts: Values, ways: Values) -> Values:
-    pieces = range(_BLOCK, len(starts), _BLOCK)
+    pieces = range(_PIECE, len(starts), _PIECE)
     pairs = zip(np.split(starts, pieces), np.split(ways, pieces), strict=True)
     nearest = [_measure_parts(block, *pair).min(axis=1) for pair in pairs]
     return np.asarray(np.min(nearest, axis=0))
