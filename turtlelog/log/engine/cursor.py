@@ -3,10 +3,11 @@
 from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Offsets
-from turtlelog.log.engine.few_messages import FEW_MESSAGES, decode_few
+from turtlelog.log.engine.few_messages import FEW_MESSAGES, decode_few, take_few_lists
 from turtlelog.log.engine.message_types import TEXT, Column, Field, name_parts
 from turtlelog.log.engine.parsing import gather_bytes
 
@@ -170,11 +171,19 @@ class _Cursor:
         return arrays
 
     def _take_lists(self, kind: str | tuple[Field, ...], lengths: Offsets) -> Column:
-        """Take the k-th value of every message that has one, for k = 0, 1, ..."""
+        """Take the k-th value of every message that has one, for k = 0, 1, ...
+
+        Where few messages have more, theirs are taken one message after the other.
+        """
         lists = np.empty(len(lengths), dtype=object)
         lists[:] = [[] for _ in range(len(lengths))]
+        is_tried = False
         for number in range(int(lengths.max(initial=0))):
             rows = np.flatnonzero(lengths > number)
+            if len(rows) <= FEW_MESSAGES and not is_tried:
+                if self._take_rest(kind, lists, rows, lengths[rows] - number):
+                    break
+                is_tried = True
             inner = _Cursor(self._data, self._starts[rows], self._ends[rows], self._order)
             inner.places, inner._numbers = self.places[rows], self._numbers[rows]
             for row, value in zip(rows, inner.take_values(kind), strict=True):
@@ -182,6 +191,25 @@ class _Cursor:
             self.places[rows] = inner.places
             self.overestimates[rows] += inner.overestimates
         return lists
+
+    def _take_rest(
+        self,
+        kind: str | tuple[Field, ...],
+        lists: NDArray[np.object_],
+        rows: Offsets,
+        lengths: Offsets,
+    ) -> bool:
+        """Take all values that some messages still have; return whether that was possible."""
+        if isinstance(kind, str) or self._order != "<":
+            return False
+        within = self._starts[rows], self.places[rows], self._ends[rows], lengths
+        found = take_few_lists(kind, self._data, *within)
+        if found is None:
+            return False
+        for row, values in zip(rows.tolist(), found[0], strict=True):
+            lists[row] += values
+        self.places[rows] = found[1]
+        return True
 
     def take_values(self, kind: str | tuple[Field, ...]) -> list[object]:
         """Return one text, or one message as a dictionary, of every message."""
