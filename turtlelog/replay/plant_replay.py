@@ -1,5 +1,6 @@
 """The recorded commands through the plant, against the recorded poses."""
 
+from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import hypot, inf
@@ -210,14 +211,14 @@ def _replay_stretch(
         heading_rad=float(motion.heading_rad[first]),
         keeps_32_bits=keeps_32_bits,
     )
-    states = [turtle.state[:3]]
+    states = array("d", turtle.state[:3])
     driven_m = 0.0
     for forward, left, turn_rate in velocities[first + 1 : after]:
         # Taken anew in every tick: when the plant's own watchdog fires depends on the wall clock,
         # and the recorded velocities tell it.
         turtle.take_command(forward, turn_rate, left)
         turtle.step()
-        states.append(turtle.state[:3])
+        states.extend(turtle.state[:3])
         driven_m += hypot(forward, left) * TICK_S
     # A recorded velocity is off by half a 32-bit step, which adds up over the ticks that use it.
     ticks = min(rounded_ticks, after - first - 1)
@@ -230,7 +231,7 @@ def _replay_stretch(
     return _compare_stretch(
         motion.time_ns[first:after],
         recorded=np.column_stack([motion.xy_m, motion.heading_rad])[first:after],
-        states=np.array(states),
+        states=np.frombuffer(states).reshape(-1, 3),
         rounding_m=3.0 * _HALF_STEP_M + off_m + driven_m * start_rad,
         rounding_rad=rounding_rad,
     )

@@ -8,7 +8,7 @@ recorded command explains it.
 
 import re
 from array import array
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import hypot
 from typing import Final
@@ -23,6 +23,11 @@ from turtlelog.run import CommandColumns, Run
 
 Velocity = tuple[float, float, float]
 """Forward [m/s], left [m/s], counter-clockwise [rad/s]."""
+
+_Row = tuple[int, float, float, tuple[float, float] | None]
+
+_ROWS: Final = 4096
+"""Poses whose numbers are Python's at once: as those they take five times their bytes."""
 
 _STANDING: Final[Velocity] = (0.0, 0.0, 0.0)
 
@@ -83,19 +88,24 @@ def _place_all(
     placer: "_Placer", motion: RecordedMotion, starts: frozenset[int]
 ) -> tuple[list[Velocity], list[bool]]:
     """Return what the plant held in each tick, and whether it is a recorded velocity."""
-    bodies = _compute_body_velocities(motion, starts)
-    rows = zip(
-        motion.time_ns.tolist(),
-        _round(motion.speed_m_s),
-        _round(motion.turn_rate_rad_s),
-        bodies,
-        strict=True,
-    )
     velocities, is_unexplained = [], []
-    for number, row in enumerate(rows):
+    for number, row in enumerate(_list_rows(motion, starts)):
         velocities.append(placer.place(number, *row))
         is_unexplained.append(placer.is_recorded)
     return velocities, is_unexplained
+
+
+def _list_rows(motion: RecordedMotion, starts: frozenset[int]) -> Iterator[_Row]:
+    """Yield time, speed, turn rate and velocity of the body at each pose, a few in memory."""
+    for first in range(0, len(motion.time_ns), _ROWS):
+        rows = slice(first, first + _ROWS)
+        yield from zip(
+            motion.time_ns[rows].tolist(),
+            _round(motion.speed_m_s[rows]),
+            _round(motion.turn_rate_rad_s[rows]),
+            _compute_body_velocities(motion, starts, rows),
+            strict=True,
+        )
 
 
 def follow_commands(run: Run) -> NDArray[np.int64]:
@@ -219,20 +229,22 @@ class _Placer:
 
 
 def _compute_body_velocities(
-    motion: RecordedMotion, starts: frozenset[int]
+    motion: RecordedMotion, starts: frozenset[int], rows: slice
 ) -> list[tuple[float, float] | None]:
     """Return the velocity along and left of the heading that the step to each pose shows [m/s].
 
     None where it shows none: in the first row, after a break, at a wall, and where nothing moved.
     """
-    cosine, sine = np.cos(motion.heading_rad[1:]), np.sin(motion.heading_rad[1:])
-    dx, dy = motion.step_xy_m.T / TICK_S
+    first = max(rows.start, 1)
+    heading_rad, xy_m = motion.heading_rad[first : rows.stop], motion.xy_m[first : rows.stop]
+    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
+    dx, dy = motion.step_xy_m[first - 1 : rows.stop - 1].T / TICK_S
     forward, left = cosine * dx + sine * dy, cosine * dy - sine * dx
     shown = np.hypot(dx, dy) > _DIRECTION
-    shown &= ((motion.xy_m[1:] > 0.0) & (motion.xy_m[1:] < WORLD_SIZE_M)).all(axis=1)
-    bodies: list[tuple[float, float] | None] = [None]
+    shown &= ((xy_m > 0.0) & (xy_m < WORLD_SIZE_M)).all(axis=1)
+    bodies: list[tuple[float, float] | None] = [None] * (first - rows.start)
     for row, (along, across, is_shown) in enumerate(
-        zip(forward.tolist(), left.tolist(), shown.tolist(), strict=True), start=1
+        zip(forward.tolist(), left.tolist(), shown.tolist(), strict=True), start=first
     ):
         bodies.append((along, across) if is_shown and row not in starts else None)
     return bodies
