@@ -5,9 +5,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.escapes import guard_cell
@@ -22,6 +23,9 @@ from turtlelog.run import TABLES, Run, tabulate_run
 _LONGEST_NAME: Final = 255  # bytes; what file systems take
 
 _DEFAULT_TABLE: Final = "poses"
+
+_ROWS: Final = 4096
+"""Rows that are values of Python at once: as those they take five times their bytes."""
 
 _Write = Callable[[Run, str, Path], None]
 
@@ -124,19 +128,28 @@ def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
         LogError: Where the place cannot be written.
     """
     path = make_path(path)
-    with replace_when_complete(path) as temporary:
-        temporary.write_text(_format_tum(run), encoding="ascii", newline="\n")
+    with (
+        replace_when_complete(path) as temporary,
+        temporary.open("w", encoding="ascii", newline="\n") as stream,
+    ):
+        stream.writelines(_format_tum(run))
     return (path,)
 
 
-def _format_tum(run: Run) -> str:
-    poses, lines = run.poses, []
+def _format_tum(run: Run) -> Iterator[str]:
+    poses = run.poses
     half_rad = poses.heading_rad / 2.0
     columns = (poses.time_ns, *poses.xy_m.T, np.sin(half_rad), np.cos(half_rad))
-    for time_ns, x, y, qz, qw in zip(*(column.tolist() for column in columns), strict=True):
+    for time_ns, x, y, qz, qw in _list_rows(columns):
         sign, (seconds, rest) = "-" if time_ns < 0 else "", divmod(abs(time_ns), 1_000_000_000)
-        lines.append(f"{sign}{seconds}.{rest:09d} {x!r} {y!r} 0 0 0 {qz!r} {qw!r}\n")
-    return "".join(lines)
+        yield f"{sign}{seconds}.{rest:09d} {x!r} {y!r} 0 0 0 {qz!r} {qw!r}\n"
+
+
+def _list_rows(columns: Sequence[NDArray[Any]]) -> Iterator[tuple[Any, ...]]:
+    """Yield the rows of columns of one length as values of Python, a few in memory."""
+    for first in range(0, len(columns[0]), _ROWS):
+        parts = (column[first : first + _ROWS].tolist() for column in columns)
+        yield from zip(*parts, strict=True)
 
 
 def _export(
@@ -169,8 +182,7 @@ def _write_csv(run: Run, table: str, path: Path) -> None:
         # One line end on every platform: the same run gives the same bytes.
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)
-        cells = (map(guard_cell, column.tolist()) for column in columns.values())
-        writer.writerows(zip(*cells, strict=True))
+        writer.writerows(map(guard_cell, row) for row in _list_rows([*columns.values()]))
 
 
 def _write_parquet(run: Run, table: str, path: Path) -> None:
