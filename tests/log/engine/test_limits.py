@@ -27,9 +27,24 @@ def test_columns_of_a_run_are_counted_before_they_are_read(
     if spare == 0:
         assert len(read_run(file).poses) == 100
         return
-    with pytest.raises(LogError, match=r"expected up to 4399 bytes of columns in a file of \d+ b"):
+    with pytest.raises(LogError, match=r"more than 4,399 bytes as columns, the most for"):
         read_run(file)
     assert len(read_columns(file)["/turtle1/pose"]) == 100
+
+
+def test_a_file_without_compression_is_read_as_the_error_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "_COLUMNS", 1000 * POSE_ROW)
+    monkeypatch.setattr(limits, "_SMALL", 40_000)
+    file, rows = tmp_path / "a.mcap", pose_messages(1, 2000)
+    file.write_bytes(whole(chunk([describe("/turtle1/pose"), rows])))
+    advice = r"Cut the file into parts, or store it without compression \(mcap decompress FILE\)$"
+    with pytest.raises(LogError, match=advice):
+        read_run(file)
+    file.write_bytes(whole(describe("/turtle1/pose") + rows))
+    assert len(read_columns(file)["/turtle1/pose"]) == 2000
+    assert len(read_run(file).poses) == 1
 
 
 @pytest.mark.parametrize(("size", "most"), [(0, 40), (10_000_000, 40), (11_000_000, 56)])
@@ -45,7 +60,7 @@ def test_texts_and_sequences_count_as_objects(
     rows = message(1, b"\0\1\0\0" + bytes(24) + b"\1\0\0\0" + bytes(8)) * 100
     file = tmp_path / "a.mcap"
     file.write_bytes(whole(chunk([describe("/pose", kind="a/Pose", definition=definition), rows])))
-    with pytest.raises(LogError, match="bytes of columns"):
+    with pytest.raises(LogError, match="bytes as columns"):
         read_run(file, pose_topic="/pose")
 
 
@@ -62,7 +77,7 @@ def test_messages_within_messages_count_by_their_bytes(
     if poses == 130:
         assert len(read_run(file).poses) == 1
     else:
-        with pytest.raises(LogError, match="expected up to 20000 bytes of columns"):
+        with pytest.raises(LogError, match="more than 20,000 bytes as columns"):
             read_run(file)
 
 
