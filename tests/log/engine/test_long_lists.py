@@ -74,3 +74,26 @@ def test_a_long_path_is_read_in_few_steps(tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "a.mcap").write_bytes(whole(chunk([describe("/turtle1/pose"), front, rows])))
     assert "path" in read_run(tmp_path / "a.mcap").notes
     assert steps[0] == 0
+
+
+@pytest.mark.parametrize("count", [20, 21])
+def test_arrays_in_a_long_list_are_bounded(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cursor, "_MOST_STEPS", 20)
+    fields = read_type("test/msg/List", f"Inner[] a\n{INNER}uint8[] b\n").fields
+    data = struct.pack("<I", count) + bytes(4 * count)
+    packed = data, np.array([0]), np.array([len(data)])
+    if count == 20:
+        assert len(cursor.decode_messages(fields, *packed, "<")["a"][0]) == 20
+        return
+    with pytest.raises(LogError, match="a: message 0: expected up to 20 values, each of any size"):
+        cursor.decode_messages(fields, *packed, "<")
+
+
+def test_many_texts_are_taken_in_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cursor, "_MOST_STEPS", 0)
+    fields = read_type("test/msg/Names", "string[] names\nuint8 last\n").fields
+    texts = (b"\2\0\0\0a\0\0\0" * 100)[:-2]
+    data = struct.pack("<I", 100) + texts + b"\7"
+    found = cursor.decode_messages(fields, data, np.array([0]), np.array([len(data)]), "<")
+    assert found["names"][0] == ["a"] * 100
+    assert found["last"].tolist() == [7]

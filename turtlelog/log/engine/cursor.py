@@ -55,6 +55,9 @@ def decode_messages(
     return columns
 
 
+_MOST_STEPS: Final = 50_000
+"""Values of one list that are taken one by one of all messages: 2 s of a list of arrays."""
+
 _MOST_KNOWN: Final = 256
 """Texts of one field that stand in memory once; those of states and frames are few."""
 
@@ -184,6 +187,11 @@ class _Cursor:
                 if self._take_rest(kind, lists, rows, lengths[rows] - number):
                     break
                 is_tried = True
+            if number >= _MOST_STEPS:
+                raise LogError(
+                    f"message {self._numbers[rows[0]]}: expected up to {_MOST_STEPS:,} values, each"
+                    f" of any size, found {lengths[rows[0]]:,}"
+                )
             inner = _Cursor(self._data, self._starts[rows], self._ends[rows], self._order)
             inner.places, inner._numbers = self.places[rows], self._numbers[rows]
             for row, value in zip(rows, inner.take_values(kind), strict=True):
@@ -200,7 +208,7 @@ class _Cursor:
         lengths: Offsets,
     ) -> bool:
         """Take all values that some messages still have; return whether that was possible."""
-        if isinstance(kind, str) or self._order != "<":
+        if self._order != "<":
             return False
         within = self._starts[rows], self.places[rows], self._ends[rows], lengths
         found = take_few_lists(kind, self._data, *within)

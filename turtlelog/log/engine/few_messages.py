@@ -81,19 +81,19 @@ def decode_few(
 
 
 def take_few_lists(
-    fields: tuple[Field, ...],
+    kind: str | tuple[Field, ...],
     data: bytes,
     starts: NDArray[np.int64],
     places: NDArray[np.int64],
     ends: NDArray[np.int64],
     lengths: NDArray[np.int64],
-) -> tuple[list[list[dict[str, object]]], list[int]] | None:
-    """Return the messages within little-endian messages, by dotted name, and where they end.
+) -> tuple[list[list[object]], list[int]] | None:
+    """Return the texts, or messages by dotted name, within little-endian messages; and their ends.
 
     None as of `decode_few`.
 
     Args:
-        fields: Of the messages within.
+        kind: Text, or the fields of the messages within.
         data: The bytes in which the messages stand.
         starts: Of the messages, which their padding counts from, shape (n,).
         places: Of the first message within each, shape (n,).
@@ -101,9 +101,9 @@ def take_few_lists(
         lengths: How many are within each, shape (n,).
     """
     try:
+        parts = [("", TEXT, _LENGTH)] if isinstance(kind, str) else _list_numbers(kind, "")
         numbers = [
-            (name, size, None if kind == TEXT else _read_number(kind))
-            for name, kind, size in _list_numbers(fields, "")
+            (name, size, None if code == TEXT else _read_number(code)) for name, code, size in parts
         ]
         rows = zip(*(values.tolist() for values in (starts, places, ends, lengths)), strict=True)
         found = [_take_list(numbers, data, *row) for row in rows]
@@ -122,9 +122,10 @@ def _read_number(kind: str) -> Callable[[bytes, int], tuple[object, ...]]:
 
 def _take_list(
     numbers: Sequence[_Number], data: bytes, start: int, place: int, end: int, length: int
-) -> tuple[list[dict[str, object]], int]:
+) -> tuple[list[object], int]:
     known: dict[bytes, str] = {}  # names of frames repeat
-    values = []
+    values: list[object] = []
+    is_text = numbers[0][0] == ""
     for _ in range(length):
         value: dict[str, object] = {}
         for name, size, read in numbers:
@@ -139,7 +140,7 @@ def _take_list(
             value[name] = known.get(text) or _keep_text(known, text)
         if place > end:
             raise _OtherKindError
-        values.append(value)
+        values.append(value[""] if is_text else value)
     return values, place
 
 
