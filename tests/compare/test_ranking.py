@@ -157,12 +157,24 @@ def test_goals_of_which_none_is_known_are_given_at_once() -> None:
     assert note == "goal: not known of a and b. --goal X,Y gives it."
 
 
-def test_limits_that_are_not_known_are_named_and_forbid_nothing() -> None:
-    bare = dataclasses.replace(PAPER, name="other", parameters={}, scenario_is_complete=False)
-    ranking = judge(bare)
+BARE = dataclasses.replace(PAPER, parameters={}, scenario_is_complete=False)
+
+
+def test_limits_that_are_known_of_no_run_are_named_and_forbid_nothing() -> None:
+    ranking = judge_runs([summarise(BARE), summarise(dataclasses.replace(BARE, name="other"))])
     assert (ranking.is_fair, [*ranking.unknown]) == (True, ["path", "plant", "limits"])
     assert ranking.list_notes(["a", "b"]) == [
-        "Not known of b: path, plant and limits. The ranking takes them for equal."
+        "Not known of a and b: path, plant and limits. The ranking takes them for equal."
+    ]
+
+
+def test_limits_that_are_known_of_some_runs_alone_forbid_a_ranking() -> None:
+    ranking = judge(dataclasses.replace(BARE, name="other"))
+    unknown = "path, plant and limits are not known of every run, so nothing is called best"
+    assert (ranking.describe(), ranking.unknown) == (unknown, {})
+    assert ranking.list_notes(["a", "b"])[1:] == [
+        "plant: turtlesim of a, not known of b.",
+        "limits: speed_m_s = 1, turn_rate_rad_s = 1 of a, not known of b.",
     ]
 
 

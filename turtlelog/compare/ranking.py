@@ -88,7 +88,7 @@ class Ranking:
     Attributes:
         varied: Keys that were varied on purpose and differ: gains, and those that were named.
         differences: What forbids to call a run the best, in order of `CONDITIONS`.
-        unknown: Conditions that are not known of some run and forbid nothing, with those runs.
+        unknown: Conditions that are not known of any run and forbid nothing, with those runs.
     """
 
     varied: tuple[str, ...]
@@ -232,7 +232,8 @@ def judge_runs(
     Goals and starts may differ by the resolution: by what the laws' tolerances leave of a position
     (heading tolerance times distance plus position tolerance) and of a heading. Of runs whose
     tolerances are not known it is 2 % of the way to the goal and 0.02 rad. A goal that is not known
-    of a run forbids a ranking; a path, a plant or limits that are not known do not.
+    of a run forbids a ranking. A path, a plant or limits forbid it if they are known of some runs
+    alone, not if they are known of none.
 
     Args:
         summaries: The runs.
@@ -261,7 +262,33 @@ def judge_runs(
         if (rows := _list_unknown(condition, known)) and condition not in purpose
         if all(one.condition != condition for one in found)
     }
+    # What is known of some runs alone may differ; what is known of none is the same lack of all.
+    partly = [one for one in unknown if len(unknown[one]) < len(known)]
+    found += [_describe_partly(one, known, unknown.pop(one)) for one in partly]
     return Ranking(varied=differing, differences=tuple(found), unknown=unknown)
+
+
+def _describe_partly(
+    condition: str, known: Sequence[Conditions], rows: Collection[int]
+) -> ConditionDifference:
+    """Return a condition that is not known of some rows, with its keys as text for the others."""
+    values = [
+        None if row in rows else _write_condition(condition, found)
+        for row, found in enumerate(known)
+    ]
+    return ConditionDifference(
+        condition=condition, key=condition, values=tuple(values), is_unknown=True
+    )
+
+
+def _write_condition(condition: str, found: Conditions) -> str:
+    keys = [
+        f"{key.partition('.')[2]} = {format_number(value) if isinstance(value, float) else value}"
+        for key, value in _get_table(condition, found) or ()
+        if key != "plant.kind"
+    ]
+    kind = [found.plant] if condition == "plant" and found.plant else []
+    return ", ".join([*kind, *keys]) or "none"
 
 
 def _list_varied(summaries: "Sequence[RunSummary]", purpose: Collection[str]) -> tuple[str, ...]:
@@ -387,7 +414,8 @@ def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
     more = len(parts) - _MOST_NAMED
     if more > 0:
         parts = [*parts[:_MOST_NAMED], f"{describe_count(more, 'other value')}"]
-    hint = f". {_advise_goal(found)} gives it" if found.is_unknown else ""
+    is_goal = found.is_unknown and found.condition == "goal"
+    hint = f". {_advise_goal(found)} gives it" if is_goal else ""
     return f"{found.key}: {', '.join(parts)}{hint}."
 
 
@@ -403,7 +431,7 @@ def _name(runs: Sequence[str]) -> str:
 
 def _show(found: ConditionDifference, value: Any) -> str:
     if value is None:
-        return "not known" if found.condition == "goal" else "none"
+        return "not known" if found.is_unknown else "none"
     if value == ():
         return "none"
     if isinstance(value, tuple):
