@@ -36,6 +36,21 @@ def test_endings_that_readers_know_count(tmp_path: Path, name: str) -> None:
     assert list_labels(tmp_path) == [name]
 
 
+@pytest.mark.parametrize(
+    ("head", "counts"),
+    [
+        ("run,Kp [1/s],tau [s]", False),
+        ("file,run,rotate.duration [s]", False),
+        ("verdict,file,check,unit", False),
+        ("run,time_s,x_m,y_m,heading_rad", True),
+    ],
+)
+def test_tables_of_runs_are_no_recordings(tmp_path: Path, head: str, *, counts: bool) -> None:
+    (tmp_path / "table.csv").write_text(f"{head}\n")
+    touch(tmp_path / "run.mcap")
+    assert ("table.csv" in list_labels(tmp_path)) == counts
+
+
 @pytest.mark.parametrize("folder", [".git", "__pycache__"])
 def test_hidden_folders_are_left_out(tmp_path: Path, folder: str) -> None:
     touch(tmp_path / folder / "x.mcap", tmp_path / "run.mcap")

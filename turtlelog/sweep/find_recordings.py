@@ -25,6 +25,9 @@ _MOST_FOOTER: Final = 2**24
 _HEAD_BYTES: Final = 4096
 """Of metadata.yaml, whose first key is the mark."""
 
+_TABLE_HEADS: Final = (b"run,Kp [", b"file,run,", b"verdict,file,check,")
+"""How tables of runs begin that `demo`, `compare`, `metrics` and `check` write as CSV."""
+
 
 @dataclass(frozen=True, slots=True)
 class FoundRecording:
@@ -135,6 +138,8 @@ class _Walk:
         name = path.name.lower()
         if not name.endswith(ENDINGS) or os.path.realpath(path) in self._without:
             return False
+        if name.endswith(".csv"):
+            return not _is_table_of_runs(path)
         return not (name.endswith(".parquet") and _is_result_table(path))
 
 
@@ -142,6 +147,13 @@ def _is_folder(path: Path) -> bool:
     try:
         return path.is_dir()
     except OSError:  # in a folder whose names can be listed, and nothing else
+        return False
+
+
+def _is_table_of_runs(path: Path) -> bool:
+    try:
+        return _read_start(path).startswith(_TABLE_HEADS)
+    except OSError:  # whoever reads it says what is wrong
         return False
 
 
