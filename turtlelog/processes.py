@@ -10,6 +10,7 @@ import signal
 import sys
 import traceback
 import warnings
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -59,7 +60,7 @@ CAN_FORK: Final = sys.platform == "linux"
 """Whether a process can be forked safely: elsewhere libraries of the system forbid it."""
 
 
-class Watched:
+class Watched(ABC):
     """An executor whose work may end without a word, so that its futures wait for ever.
 
     Attributes:
@@ -68,13 +69,13 @@ class Watched:
 
     is_gone: bool = False
 
+    @abstractmethod
     def require_alive(self) -> None:
         """Refuse to wait any longer.
 
         Raises:
             ProcessError: Where the service has ended.
         """
-        raise NotImplementedError
 
 
 def count_cores() -> int:

@@ -10,6 +10,7 @@ from typing import Any, BinaryIO, Final
 
 from turtlelog.errors import LogError
 from turtlelog.libraries import load_library
+from turtlelog.log.engine.limits import SMALL_FILE, grow_bound
 from turtlelog.log.error_boundary import DamageError, open_file
 from turtlelog.log.parquet_counts import (
     ChunkClaim,
@@ -17,9 +18,6 @@ from turtlelog.log.parquet_counts import (
     iterate_pages,
     read_footer_claims,
 )
-
-SMALL_FILE: Final = 10**7
-"""Bytes below which a file is read with less than 256 MB of memory, and within 10 s."""
 
 MOST_ROWS: Final = 350_000
 """Rows of a small file: libraries leave 120 MB of its memory, and commands take up to 310 bytes a
@@ -92,8 +90,8 @@ class ParquetFile:
             self._size = stream.seek(0, 2)
             self._claims = read_footer_claims(
                 stream,
-                most_bytes=self._allow(_FOOTER_BYTES),
-                most_parts=self._allow(_FOOTER_PARTS),
+                most_bytes=grow_bound(_FOOTER_BYTES, self._size),
+                most_parts=grow_bound(_FOOTER_PARTS, self._size),
             )
             if self._claims.depth > _DEEPEST:
                 raise LogError(
@@ -165,10 +163,6 @@ class ParquetFile:
         path = self.leaves[place].path
         return names is None or any(path == name or path.startswith(f"{name}.") for name in names)
 
-    def _allow(self, bound: tuple[int, float]) -> int:
-        base, share = bound
-        return base + int(share * self._size)
-
     def _require_bounded(
         self, stream: BinaryIO, places: Sequence[int], groups: Sequence[int]
     ) -> list[str]:
@@ -178,7 +172,7 @@ class ParquetFile:
             LogError: Where the columns would take more memory than they may.
         """
         self.require_cells(len(places), sum(self.group_rows[group] for group in groups))
-        counts = _PageCounts(self._allow(_PAGES), self._allow(_TEXT_BYTES))
+        counts = _PageCounts(grow_bound(_PAGES, self._size), grow_bound(_TEXT_BYTES, self._size))
         texts = []
         for place in places:
             chunks = [self._find_chunk(group, place) for group in groups]

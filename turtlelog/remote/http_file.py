@@ -20,9 +20,6 @@ T = TypeVar("T")
 HEAD: Final = 2**14
 """Bytes of the first request: they tell what a file is, and hold its header."""
 
-MOST_REDIRECTS: Final = 5
-"""Servers of files need one or two: to https, and from a link that stays to a storage."""
-
 _SLOWEST_BYTES_PER_S: Final = 1000.0
 """A line of 9600 baud: below it 1 MB takes more than a quarter of an hour."""
 
@@ -84,7 +81,7 @@ class HttpFile:
         if span is not None:
             headers["Range"] = f"bytes={span[0]}-{span[1] - 1}"
         # aiohttp counts the answer that it no longer follows.
-        options = {"max_redirects": MOST_REDIRECTS + 1, **options, "headers": headers}
+        options = {"max_redirects": requests.MOST_REDIRECTS + 1, **options, "headers": headers}
         address = self._system.encode_url(self._url)
         answer = await asyncio.wait_for(session.get(address, **options), requests.STALL_S)
         try:

@@ -205,6 +205,9 @@ def _find_status(err: BaseException) -> int | None:
 
 _LOST: Final = ("NoCredentialsError", "PartialCredentialsError", "TokenRetrievalError")
 _REPLACED: Final = ("ReplacedError", "FileExpired")
+MOST_REDIRECTS: Final = 5
+"""Servers of files need one or two: to https, and from a link that stays to a storage."""
+
 _CIRCLES: Final = ("TooManyRedirects",)
 _WILD: Final = ("HttpProcessingError",)
 _CUT: Final = ("ClientPayloadError", "ServerDisconnectedError", "ConnectionResetError")
@@ -218,7 +221,8 @@ _SURE: Final = (
     (_REPLACED, "expected one file throughout, found that it was replaced while it was read"),
     (
         _CIRCLES,
-        "expected the file after 5 redirects at most, found more: the server sends in circles",
+        f"expected the file after {MOST_REDIRECTS} redirects at most, found more: the server sends"
+        " in circles",
     ),
     (_CUT, "expected all of the bytes asked for, found that the connection broke off"),
     (_WILD, "expected an answer in http, found one that breaks its rules"),

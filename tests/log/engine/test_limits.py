@@ -36,7 +36,7 @@ def test_a_file_without_compression_is_read_as_the_error_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(limits, "_COLUMNS", 1000 * POSE_ROW)
-    monkeypatch.setattr(limits, "_SMALL", 40_000)
+    monkeypatch.setattr(limits, "SMALL_FILE", 40_000)
     file, rows = tmp_path / "a.mcap", pose_messages(1, 2000)
     file.write_bytes(whole(chunk([describe("/turtle1/pose"), rows])))
     advice = r"Cut the file into parts, or store it without compression \(mcap decompress FILE\)$"

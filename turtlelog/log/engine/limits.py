@@ -27,6 +27,9 @@ CHUNK_CHANNELS: Final = "channels in chunks"
 COLUMNS: Final = "bytes of columns"
 CHANGES: Final = "channels that change their meaning"
 
+SMALL_FILE: Final = 10**7
+"""Bytes below which a file is read with less than 256 MB of memory, and within 10 s."""
+
 LARGEST_CHUNK: Final = 2**30
 """No chunk may hold more bytes, packed or unpacked; a damaged header may claim anything."""
 
@@ -73,7 +76,6 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
 # byte, and those of a robot that stands still 25: one that does for hours fits into few bytes. No
 # more fits: with as many poses as are allowed, `explain` and `replay --plant` take 240 MB.
 _COLUMNS: Final = 40_000_000
-_SMALL: Final = 10_000_000
 _COLUMNS_SHARE: Final = 16  # of what is beyond
 
 _CHANNEL: Final = 500  # bytes in memory beside its letters
@@ -90,8 +92,8 @@ class Allowance:
     def __init__(self, file_size: int) -> None:
         self.largest_chunk = min(LARGEST_CHUNK, max(_CHUNK, _CHUNK_SHARE * file_size))
         self._file_size = file_size
-        self._most = {kind: base + int(share * file_size) for kind, (base, share) in _BASES.items()}
-        self._most[COLUMNS] = _COLUMNS + _COLUMNS_SHARE * max(0, file_size - _SMALL)
+        self._most = {kind: grow_bound(bound, file_size) for kind, bound in _BASES.items()}
+        self._most[COLUMNS] = _COLUMNS + _COLUMNS_SHARE * max(0, file_size - SMALL_FILE)
         self._left = dict(self._most)
         self._spending = Lock()
 
@@ -136,6 +138,12 @@ class Allowance:
             if entries:
                 size += _ENTRY * len(entries) + sum(map(len, entries.values()))
             self.spend(CHANNEL_BYTES, size)
+
+
+def grow_bound(bound: tuple[int, float], file_size: int) -> int:
+    """Return how many a file may hold: so many in any case, and a share of its bytes."""
+    base, share = bound
+    return base + int(share * file_size)
 
 
 def measure_stored(stream: BinaryIO) -> int:
