@@ -54,6 +54,19 @@ def test_a_flat_correlation_names_no_delay() -> None:
     assert reason.startswith("the correlation of commands and motion says nothing: it does not")
 
 
+@pytest.mark.parametrize(("half_s", "is_told"), [(1.3, False), (1.7, True)])
+def test_commands_that_repeat_tell_no_delay_from_one_a_period_longer(
+    half_s: float, *, is_told: bool
+) -> None:
+    time_s = np.arange(0.5, 29.5, half_s)
+    value = 0.5 * (-1.0) ** np.arange(len(time_s))
+    log = Log(duration_s=30.0, noise_rad=2e-3, turn_rate=Truth(dead_time_s=0.1, lag_s=0.2))
+    run = make_run(log, 1, speed=(time_s, 0.0 * value), turn=(time_s, value))
+    found, reason = find_correlation_delay([read_axis_motion(run, "turn_rate")])
+    assert (found is not None) is is_told
+    assert ("the commands repeat every 2.6 s" in reason) is not is_told
+
+
 @pytest.mark.parametrize(("width_s", "is_told"), [(0.95, True), (1.05, False)])
 def test_a_range_wider_than_its_best_delay_names_none(
     width_s: float, monkeypatch: pytest.MonkeyPatch, *, is_told: bool

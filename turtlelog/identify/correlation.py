@@ -12,6 +12,7 @@ import scipy
 
 from turtlelog.identify.axis_motion import AxisMotion
 from turtlelog.identify.held_response import Values
+from turtlelog.identify.repeated_commands import find_repetition
 from turtlelog.identify.robot_model import Estimate
 
 _LARGEST_S: Final = 3.0
@@ -52,6 +53,14 @@ def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | No
         return None, (
             "the log is too short for a correlation of commands and motion, which needs"
             f" {_FEWEST_PARTS * _PART_S:g} s of motion"
+        )
+    if repetition := find_repetition(motions):
+        shift_s, sign = repetition
+        # Commands that repeat with the other sign repeat as they are after twice that time.
+        period_s = shift_s if sign > 0 else 2.0 * shift_s
+        return None, (
+            f"the correlation of commands and motion says nothing: the commands repeat every"
+            f" {period_s:.3g} s, and delays so far apart correlate alike"
         )
     coarse = np.arange(0.0, _LARGEST_S, _COARSE_S)
     near_s = float(coarse[np.argmin([misfit.measure(delay_s) for delay_s in coarse.tolist()])])
