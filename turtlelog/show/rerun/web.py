@@ -54,7 +54,8 @@ def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
     require_recordings(paths)
     files = {f"{number}/{Path(path).name}": Path(path) for number, path in enumerate(paths)}
     page = _fetch_page()
-    with ThreadingHTTPServer((LOCAL, 0), partial(_Handler, page, files)) as server:
+    handler = partial(_Handler, page, _write_head_fields(page), files)
+    with ThreadingHTTPServer((LOCAL, 0), handler) as server:
         thread = threading.Thread(target=server.serve_forever, name="web", daemon=True)
         thread.start()
         try:
@@ -116,10 +117,14 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def __init__(
-        self, page: Mapping[str, bytes], files: Mapping[str, Path], *words: object
+        self,
+        page: Mapping[str, bytes],
+        fields: Mapping[str, str],
+        files: Mapping[str, Path],
+        *words: object,
     ) -> None:
-        self._page, self._files = page, {quote(name): path for name, path in files.items()}
-        self._fields = _write_head_fields(page)
+        self._page, self._fields = page, fields
+        self._files = {quote(name): path for name, path in files.items()}
         super().__init__(*words)  # type: ignore[arg-type]
 
     def do_GET(self) -> None:
