@@ -58,8 +58,8 @@ def test_a_flat_correlation_names_no_delay() -> None:
 def test_commands_that_repeat_tell_no_delay_from_one_a_period_longer(
     half_s: float, *, is_told: bool
 ) -> None:
-    time_s = np.arange(0.5, 29.5, half_s)
-    value = 0.5 * (-1.0) ** np.arange(len(time_s))
+    time_s: Values = np.arange(0.5, 29.5, half_s).astype(np.float64)
+    value: Values = np.where(np.arange(len(time_s)) % 2 == 0, 0.5, -0.5).astype(np.float64)
     log = Log(duration_s=30.0, noise_rad=2e-3, turn_rate=Truth(dead_time_s=0.1, lag_s=0.2))
     run = make_run(log, 1, speed=(time_s, 0.0 * value), turn=(time_s, value))
     found, reason = find_correlation_delay([read_axis_motion(run, "turn_rate")])
