@@ -8,21 +8,16 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # The tests start hundreds of processes: without compiled files each compiles the package anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-without-graphics check torture recordings pictures contact-sheet bench clean
+.PHONY: demo test check torture recordings pictures contact-sheet bench clean
 
 demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
 
 # Workers fill the cores: threads for small matrices beside them only wait for each other.
-test test-without-graphics: export OPENBLAS_NUM_THREADS := 1
+test: export OPENBLAS_NUM_THREADS := 1
 test: .venv/compiled
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime"
 	$(BIN)/python -m pytest -n 2 -m realtime $$(grep -rl realtime tests --include='test_*.py')
-
-# What a machine without a graphics driver sees of the viewer: it answers before it dies.
-test-without-graphics: .venv/installed-dev
-	VK_DRIVER_FILES=/nonexistent VK_ICD_FILENAMES=/nonexistent \
-		$(BIN)/python -m pytest -n auto -rs -m viewer tests/show/rerun
 
 # Once, at the same time: each worker of the tests would compile them for itself.
 LOOPS := $(wildcard turtlelog/simulate/compiled/*.py turtlelog/sweep/*batch*.py)

@@ -20,7 +20,7 @@ DOCUMENTS = {"Table 1": "| Kp |\n| --- |\n| 10 |\n", "Läufer / notes": "# Notes
 def no_viewer_without_its_mark(
     request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What the mark leaves out of `make test-without-graphics` must not depend on the drivers."""
+    """What is without the mark must not depend on the drivers of graphics."""
 
     def refuse() -> Path:
         pytest.fail("expected the mark `viewer` on a test that starts one")

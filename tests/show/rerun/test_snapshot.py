@@ -130,12 +130,22 @@ def test_a_damaged_recording_is_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+# Without a driver the viewer answers before it dies.
 @pytest.mark.viewer
-def test_a_viewer_that_cannot_start_names_the_packages(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    "missing",
+    [
+        {"WGPU_BACKEND": "none"},
+        {"VK_DRIVER_FILES": "/nonexistent", "VK_ICD_FILENAMES": "/nonexistent"},
+    ],
+    ids=["backend", "driver"],
+)
+def test_a_viewer_that_cannot_draw_names_the_packages(
+    missing: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_run_rrd(make_foreign_run(2), tmp_path / "run.rrd")
-    monkeypatch.setenv("WGPU_BACKEND", "none")
+    for name, value in missing.items():
+        monkeypatch.setenv(name, value)
     with pytest.raises(ShowError, match="apt-get install mesa-vulkan-drivers") as caught:
         write_snapshot(tmp_path / "run.rrd", tmp_path / "x.png")
     assert "\n" not in str(caught.value)
