@@ -6,6 +6,7 @@ import pytest
 
 from tests import sequential
 from tests.log.runs import find_shared
+from tests.simulate.random_scenarios import build_random
 from turtlelog.angles import wrap_angle
 from turtlelog.log import import_log
 from turtlelog.measure import (
@@ -359,3 +360,10 @@ def test_short_way_finds_what_the_long_one_does(name: str, changes: dict[str, An
             found.rows,
         )
         assert (short.whiteness, short.changes) == (found.whiteness, found.changes)
+
+
+def test_of_motion_among_gaps_alone_no_dead_time_is_known() -> None:
+    run = simulate_run(build_random(1975))  # late commands, and every third pose is answered
+    found = find_dead_time(run, "translate")
+    assert isinstance(found, Missing)
+    assert found.reason == "gaps of the poses come no more than 40 ticks after each other"

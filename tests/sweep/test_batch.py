@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.effects_cases import EFFECTS
-from tests.simulate.test_many import COMPILED_EFFECTS, build_random
+from tests.simulate.random_scenarios import DRAWN_EFFECTS, build_random
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.measure import measure_run
 from turtlelog.measure.metric import Status
@@ -77,7 +77,7 @@ def test_batch_measures_what_a_single_run_measures(block: int) -> None:
             require_row(rows, row, override_scenario(base, {"law.kp_linear": gain}))
 
 
-@pytest.mark.parametrize("effect", COMPILED_EFFECTS)
+@pytest.mark.parametrize("effect", DRAWN_EFFECTS)
 def test_batch_has_every_effect_and_falls_back_nowhere(effect: str) -> None:
     base = override_scenario(PAPER, {"max_duration_s": 8.0, **EFFECTS[effect]})
     columns: dict[str, list[Any]] = {"seed": [1, 1, 2**63 + 5], "law.kp_angular": [1.0, 4.0, 4.0]}

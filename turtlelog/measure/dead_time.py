@@ -279,6 +279,9 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
     span = float(np.ptp(way))
     rows = np.flatnonzero(np.arange(len(way)) >= (np.abs(way) > _BEGUN * span).argmax())
     rows = rows[~_find_after_gaps(motion)[rows]]
+    if not len(rows):
+        reason = f"gaps of the poses come no more than {LARGEST_TICKS} ticks after each other"
+        return Missing(status=Status.UNDETERMINED, reason=reason)
     left, size = fit_way(motion, errors, rows)
     best, second = np.argsort(size, kind="stable")[:2].tolist()
     alike = np.flatnonzero(is_within_steps(np.ptp(left, axis=1), best, motion.grain))
