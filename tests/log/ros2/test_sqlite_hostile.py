@@ -215,6 +215,20 @@ def test_a_column_may_be_called_like_the_number_of_its_row(column: str, tmp_path
     assert len(times) == 200
 
 
+def test_the_least_number_that_there_is_may_be_that_of_a_row(tmp_path: Path) -> None:
+    first = Database().make_cell(-(2**63), choose_pose(0))
+    file = write(make_bag(messages=[first, *Database().make_rows(choose_pose, 9)]), tmp_path)
+    report = recover_recording(file, tmp_path / "out.mcap")
+    assert (report.complete, report.recovered["/turtle1/pose"]) == (True, 10)
+
+
+def test_the_greatest_number_that_there_is_may_be_that_of_a_row(tmp_path: Path) -> None:
+    last = Database().make_cell(2**63 - 1, choose_pose(10))
+    file = write(make_bag(messages=[*Database().make_rows(choose_pose, 9), last]), tmp_path)
+    report = recover_recording(file, tmp_path / "out.mcap")
+    assert (report.complete, report.recovered["/turtle1/pose"]) == (True, 10)
+
+
 @pytest.mark.parametrize("read", READERS)
 def test_rows_without_numbers_are_refused(read: Read, tmp_path: Path) -> None:
     file = write_with_column(tmp_path / "a.db3", "rowid, oid, _rowid_")

@@ -19,6 +19,8 @@ _BATCH: Final = 4096  # rows
 _BATCH_BYTES: Final = 2**22
 _MOST_NAMED: Final = 10_000  # rows that are no messages, each with the reason
 _LEAST, _MOST = -(2**63), 2**63 - 1  # numbers of rows
+_BEFORE: Final = _LEAST - 1
+"""Stands for no row yet: the least number may be a row's, too."""
 
 
 def walk_damaged(source: SqliteSource, path: Path) -> Iterator[Section | Loss]:
@@ -80,7 +82,7 @@ def _make_section(source: SqliteSource, rows: SqliteRows) -> Section:
 
 def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
     """Yield the rows that SQLite still gives, each with its number; where it gives none, why."""
-    last: int | None = _LEAST
+    last: int | None = _BEFORE
     while last is not None:
         last, error = yield from _walk_sound(source, last)
         if error is None:
@@ -97,7 +99,7 @@ def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
             last = int(row[0])
         elif row is None:
             after = _find_next(source, last)
-            since = "the first row" if last == _LEAST else f"row {last + 1}"
+            since = "the first row" if last == _BEFORE else f"row {last + 1}"
             until = "the last" if after is None else f"row {after - 1}"
             yield f"messages from {since} to {until}: {describe_sqlite_error(error)}"
             last = None if after is None else after - 1
@@ -111,7 +113,7 @@ def _walk_sound(
 ) -> Generator[Row, None, tuple[int, sqlite3.Error | None]]:
     """Yield rows behind one until something is wrong; return the last row's number, and what."""
     try:
-        for row in source.execute(_build_query(source), last):
+        for row in source.execute(_build_query(source), last + 1):
             if row[0] <= last:
                 return last, sqlite3.DatabaseError("rows out of order")
             last = row[0]
@@ -125,14 +127,16 @@ def _build_query(source: SqliteSource) -> str:
     number = source.row_number
     return (
         f"SELECT {number}, topic_id, timestamp, data FROM messages NOT INDEXED"
-        f" WHERE {number} > ? ORDER BY {number}"
+        f" WHERE {number} >= ? ORDER BY {number}"
     )
 
 
 def _read_row(source: SqliteSource, after: int) -> Row | None:
     """Return the first row behind another, () behind the last; None where it cannot be read."""
+    if after == _MOST:
+        return ()
     try:
-        found: Row | None = source.execute(f"{_build_query(source)} LIMIT 1", after).fetchone()
+        found: Row | None = source.execute(f"{_build_query(source)} LIMIT 1", after + 1).fetchone()
     except sqlite3.Error:
         return None
     return () if found is None else found
