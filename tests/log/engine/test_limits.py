@@ -117,6 +117,23 @@ def test_a_file_that_was_packed_may_ask_for_what_its_packed_bytes_allow(
     assert 0 < report.recovered["/turtle1/pose"] < packed.stat().st_size
 
 
+SKIPPED = bytes.fromhex("502a4d1800000000")
+
+
+@pytest.mark.parametrize("frame", [zstandard.compress(b""), SKIPPED], ids=["empty", "skipped"])
+def test_a_packed_file_has_a_bounded_number_of_frames(
+    frame: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "_BASES", {**limits._BASES, limits.FRAMES: (50, 0)})
+    content = whole(describe("/turtle1/pose") + pose_messages(1, 20))
+    packed = tmp_path / "a.mcap.zstd"
+    packed.write_bytes(zstandard.compress(content) + frame * 50)
+    assert read_info(packed).topics[0].count == 20
+    packed.write_bytes(zstandard.compress(content) + frame * 51)
+    with pytest.raises(LogError, match="expected up to 50 frames of a file that is compressed as"):
+        read_info(packed)
+
+
 def test_a_stream_is_measured_where_it_stands(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(bytes(10))
     with (tmp_path / "a").open("rb") as stream:

@@ -16,6 +16,7 @@ from turtlelog.errors import LogError
 
 UNPACKED: Final = "bytes in chunks"
 UNPACKED_FILE: Final = "bytes of a file that is compressed as a whole"
+FRAMES: Final = "frames of a file that is compressed as a whole"
 RECORDS: Final = "records"
 DESCRIPTIONS: Final = "schemas and channels"
 SCHEMA_BYTES: Final = "bytes of schemas"
@@ -50,6 +51,8 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
         UNPACKED: (2**30, 64),
         # Written to a disk before it is read.
         UNPACKED_FILE: (2**28, 64),
+        # Parallel compressors write one for each 512 kB or more; to begin one takes 20 us.
+        FRAMES: (2**14, 1 / 1000),
         # The times of a message take two bytes at least, however well they pack.
         RECORDS: (2**22, 0.5),
         # Some writers repeat all that they have in every chunk.

@@ -15,7 +15,7 @@ import zstandard
 from turtlelog.errors import LogError
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
 from turtlelog.log.engine.framing import find_wrong_start
-from turtlelog.log.engine.limits import UNPACKED_FILE, Allowance, measure_stored
+from turtlelog.log.engine.limits import FRAMES, UNPACKED_FILE, Allowance, measure_stored
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.engine.sqlite_source import SqliteSource, open_sqlite
@@ -205,12 +205,14 @@ def _unpack_file(stream: BinaryIO, place: Path) -> None:
     """
     size = stream.seek(0, 2)
     stream.seek(0)
-    most = left = Allowance(size).count_left(UNPACKED_FILE)
+    allowance = Allowance(size)
+    most = left = allowance.count_left(UNPACKED_FILE)
     unpacker = zstandard.ZstdDecompressor().decompressobj()
     with place.open("wb") as output:
         while packed := stream.read(_STEP):
             while packed:
                 if unpacker.eof:  # one frame after the other, as parallel compressors write
+                    allowance.spend(FRAMES)
                     unpacker = zstandard.ZstdDecompressor().decompressobj()
                 try:
                     data = unpacker.decompress(packed)
