@@ -201,6 +201,35 @@ def test_schema_that_describes_no_object_is_not_understood(
     assert reason in info.not_understood[0]
 
 
+def double(depth: int) -> dict[str, Any]:
+    """Return objects that each refer to the next one twice; the last has no fields."""
+    parts: dict[str, Any] = {f"a{depth}": {"properties": {}}, "$ref": "#/a0"}
+    for number in range(depth):
+        inner = {"$ref": f"#/a{number + 1}"}
+        parts[f"a{number}"] = {"properties": {"x": inner, "y": inner}}
+    return parts
+
+
+def choose(count: int) -> dict[str, Any]:
+    """Return fields that all refer to one list of choices."""
+    choices = {"anyOf": [{"type": "null"}] * 20_000}
+    return {"a": choices, "properties": {f"f{n}": {"$ref": "#/a"} for n in range(count)}}
+
+
+@pytest.mark.parametrize("schema", [double(60), choose(9000)], ids=["objects", "choices"])
+def test_objects_that_refer_to_each_other_without_end_are_not_understood(
+    schema: dict[str, Any], tmp_path: Path
+) -> None:
+    info = read_info(write_json(tmp_path / "a.mcap", [{}], schema))
+    assert "its objects refer to each other more than 262,144 times" in str(info.not_understood)
+
+
+@pytest.mark.parametrize("choices", [5, {"a": 1}, [5], None])
+def test_choices_that_are_none_are_any_value(choices: Any, tmp_path: Path) -> None:
+    schema = {"properties": {"a": {"anyOf": choices}, "x": NUMBER}}
+    assert read(tmp_path, [{"x": 1.5}], schema).fields["x"].tolist() == [1.5]
+
+
 def test_json_without_a_schema_is_not_understood(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with path.open("wb") as stream:

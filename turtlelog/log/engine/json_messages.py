@@ -18,7 +18,10 @@ JsonKind = Literal["number", "integer", "boolean", "string", "any"]
 LONGEST_MESSAGE: Final = 2**24
 """Bytes of a message that is read: as objects it may take thirty times as many."""
 
-_MOST_FIELDS: Final = 10_000  # objects referred to by objects multiply
+_MOST_FIELDS: Final = 10_000
+_MOST_PARTS: Final = 2**18
+"""Objects, references and choices that are looked at in a schema: objects referred to by objects
+multiply, also those without a field. So many take 0.5 s; a text of 1 MB has fewer objects."""
 _DEEPEST: Final = 64
 
 _KINDS: Final[tuple[JsonKind, ...]] = ("number", "integer", "boolean", "string")
@@ -68,7 +71,7 @@ def read_json_schema(name: str, data: bytes) -> tuple[JsonField, ...]:
     except (ValueError, RecursionError) as err:
         raise LogError(f"schema {name}: expected JSON, found: {err}") from err
     fields: dict[str, JsonField] = {}
-    for field in _list_fields(name, schema, schema, ()):
+    for field in _Schema(name, schema).list_fields(schema, ()):
         if not field.path or field.name.startswith("#"):
             found = repr(field.name[:40]) if field.path else "none"
             raise LogError(f"schema {name}: expected an object with named fields, found {found}")
@@ -105,44 +108,66 @@ def decode_json(fields: Sequence[JsonField], messages: Sequence[bytes]) -> dict[
     return {field.name: _build_column(field.kind, column) for field, column in pairs}
 
 
-def _list_fields(name: str, schema: Any, root: Any, path: tuple[str, ...]) -> Iterator[JsonField]:
-    schema = _resolve(name, schema, root)
-    properties = schema.get("properties")
-    if not isinstance(properties, dict):
-        yield JsonField(path=path, kind=_find_kind(schema))
-        return
-    if len(path) > _DEEPEST:
-        raise LogError(f"schema {name}: expected types that end, found one that holds itself")
-    for key, inner in properties.items():
-        yield from _list_fields(name, inner, root, (*path, key))
+class _Schema:
+    """A schema whose parts are looked at a bounded number of times."""
 
+    def __init__(self, name: str, root: Any) -> None:
+        self._name, self._root, self._left = name, root, _MOST_PARTS
 
-def _resolve(name: str, schema: Any, root: Any) -> dict[str, Any]:
-    """Return a schema itself: what a reference names, the one kind beside null."""
-    for _ in range(_DEEPEST):
-        if not isinstance(schema, dict):
-            return {}
-        choices = [
-            choice
-            for choice in schema.get("anyOf") or schema.get("oneOf") or ()
-            if choice != {"type": "null"}
-        ]
-        if "$ref" in schema:
-            schema = _follow(name, str(schema["$ref"]), root)
-        elif len(choices) == 1:
-            schema = choices[0]
-        else:
-            return schema
-    raise LogError(f"schema {name}: expected references that end, found one to itself")
+    def list_fields(self, schema: Any, path: tuple[str, ...]) -> Iterator[JsonField]:
+        """Yield the fields of messages, those of objects within them too.
 
+        Raises:
+            LogError: Where a type holds itself, or there are too many parts.
+        """
+        schema = self._resolve(schema)
+        properties = schema.get("properties")
+        if not isinstance(properties, dict):
+            yield JsonField(path=path, kind=_find_kind(schema))
+            return
+        if len(path) > _DEEPEST:
+            expected = "expected types that end, found one that holds itself"
+            raise LogError(f"schema {self._name}: {expected}")
+        for key, inner in properties.items():
+            yield from self.list_fields(inner, (*path, key))
 
-def _follow(name: str, reference: str, root: Any) -> Any:
-    found = root
-    for part in reference.removeprefix("#").split("/")[1:]:
-        found = found.get(part) if isinstance(found, dict) else None
-    if found is None or not reference.startswith("#"):
-        raise LogError(f"schema {name}: expected what {reference[:60]!r} names, found nothing")
-    return found
+    def _resolve(self, schema: Any) -> dict[str, Any]:
+        """Return a schema itself: what a reference names, the one kind beside null."""
+        for _ in range(_DEEPEST):
+            if not isinstance(schema, dict):
+                return {}
+            listed = schema.get("anyOf") or schema.get("oneOf")
+            listed = listed if isinstance(listed, list) else []
+            self._spend(1 + len(listed))
+            choices = [choice for choice in listed if choice != {"type": "null"}]
+            if "$ref" in schema:
+                schema = self._follow(str(schema["$ref"]))
+            elif len(choices) == 1:
+                schema = choices[0]
+            else:
+                return schema
+        expected = "expected references that end, found one to itself"
+        raise LogError(f"schema {self._name}: {expected}")
+
+    def _spend(self, count: int) -> None:
+        self._left -= count
+        if self._left < 0:
+            raise LogError(
+                f"schema {self._name}: its objects refer to each other more than {_MOST_PARTS:,}"
+                " times; write a schema with fewer objects"
+            )
+
+    def _follow(self, reference: str) -> Any:
+        parts = reference.removeprefix("#").split("/")[1:]
+        self._spend(len(parts))
+        found = self._root
+        for part in parts:
+            found = found.get(part) if isinstance(found, dict) else None
+        if found is None or not reference.startswith("#"):
+            raise LogError(
+                f"schema {self._name}: expected what {reference[:60]!r} names, found nothing"
+            )
+        return found
 
 
 def _find_kind(schema: Mapping[str, Any]) -> JsonKind:
