@@ -79,6 +79,15 @@ def test_a_goal_is_never_taken_for_where_a_robot_is(name: str) -> None:
     assert choose_pose_topic(list_topics((name, STAMPED)), name).topic.topic == name
 
 
+def test_numbers_in_names_may_have_any_length() -> None:
+    long = "9" * 5000
+    names = [f"/robot{long}1/odom", f"/robot{long}0/odom", f"/robot1{long}0/odom"]
+    topics = list_topics(*((name, ODOMETRY) for name in names))
+    assert choose_pose_topic(topics, None).topic.topic == names[1]
+    short = list_topics(*((f"/robot{number}/odom", ODOMETRY) for number in ("10", "02", "9")))
+    assert choose_pose_topic(short, None).topic.topic == "/robot02/odom"
+
+
 def test_one_message_is_no_motion() -> None:
     lone = list_topics(("/odom", ODOMETRY), count=1)
     assert choose_pose_topic([*lone, *list_topics(("/x", ODOMETRY))], None).topic.topic == "/x"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.ros2.bag_topics import split_numbers
 
 Values = NDArray[np.float64]
 
@@ -174,7 +175,7 @@ def choose_frames(tree: Tree, *, robot: str | None = None, world: str | None = N
             f"transforms: expected one robot, found {pairs[:300]}: choose with --pose-frame and"
             " --world-frame"
         )
-    ordered = sorted(found, key=lambda pair: [int(one) for one in _NUMBER.findall("|".join(pair))])
+    ordered = sorted(found, key=lambda pair: split_numbers("|".join(pair)))
     others = tuple(" -> ".join(pair) for pair in ordered[1:])
     top, robot = ordered[0]
     return FrameChoice(
