@@ -155,6 +155,12 @@ def test_number_of_many_digits_is_refused_in_one_line(key: str, digits: int) -> 
         parse_scenario(f"{key} = {'9' * digits}", source="run.toml")
 
 
+def test_number_of_many_hexadecimal_digits_is_refused_in_one_line() -> None:
+    line = "run.toml: goal.x_m: expected a number, found a number of thousands of digits"
+    with pytest.raises(ScenarioError, match=match_whole(line)):
+        parse_scenario(f"goal.x_m = 0x{'f' * 50_000}", source="run.toml")
+
+
 @pytest.mark.parametrize("heading_rad", [1e39, -1e300])
 def test_heading_beyond_32_bits_is_refused(heading_rad: float) -> None:
     with pytest.raises(ScenarioError, match=r"\Arun\.toml: start\.heading_rad: expected "):

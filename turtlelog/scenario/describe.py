@@ -29,7 +29,10 @@ def describe_value(value: Any, *, longest: int = 60) -> str:
     """Return a value as a scenario file would have it, cut where it is long; `none` for none."""
     if value is None:
         return "none"
-    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    try:
+        text = str(value).lower() if isinstance(value, bool) else repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
     if hasattr(value, "isoformat"):
         text = value.isoformat()
     return text if len(text) <= longest else f"{text[:longest]}... ({len(text)} characters)"
