@@ -1,6 +1,7 @@
 import csv
 import io
 import re
+import tracemalloc
 import unicodedata
 
 import pytest
@@ -39,6 +40,16 @@ def test_what_is_seen_stays_and_escaping_twice_is_escaping_once(text: str) -> No
     assert not {"Cc", "Cf", "Cs", "Zl", "Zp"} & set(map(unicodedata.category, shown))
     assert escape_controls(shown) == shown
     assert escape_controls("a\nb\t", keep="\n") == "a\nb\\t"
+
+
+def test_millions_of_letters_are_escaped_in_little_memory() -> None:
+    text = "\U0001f422" * 10**5 + "\x1b"
+    tracemalloc.start()
+    try:
+        assert escape_controls(text) == text[:-1] + r"\x1b"
+        assert tracemalloc.get_traced_memory()[1] < 16 * len(text)
+    finally:
+        tracemalloc.stop()
 
 
 def test_errors_are_one_line_that_cannot_steer_a_terminal() -> None:

@@ -52,14 +52,15 @@ def escape_controls(text: str, *, keep: str = "") -> str:
         text: Of anybody.
         keep: Characters that stay, as the ends of lines of a text of our own.
     """
-
-    def escape(found: re.Match[str]) -> str:
-        letter = found[0]
-        if letter in keep or unicodedata.category(letter) not in _HIDDEN:
-            return letter
-        return letter.encode("unicode_escape").decode()
-
-    return _UNUSUAL.sub(escape, text)
+    if not _UNUSUAL.search(text):
+        return text
+    # Each letter once: a text of others may have millions.
+    hidden = {
+        letter: letter.encode("unicode_escape").decode()
+        for letter in {*text} - {*keep}
+        if unicodedata.category(letter) in _HIDDEN
+    }
+    return text.translate(str.maketrans(hidden)) if hidden else text
 
 
 def escape_markdown(text: str, *, starts_line: bool = False) -> str:
