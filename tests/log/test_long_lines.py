@@ -28,7 +28,10 @@ PLACES = {
         *("{}", BAG + "  {}", BAG + "  files: {}", BAG + "  relative_file_paths: [{}"),
         *(BAG + "  relative_file_paths:\n    - '{}'", BAG + "  compression_mode: '{}"),
     ),
-    "csv": ("{}", "{}\n1,2,3,4\n", "t,x,y,heading\n0,1,2,{}\n", "# {}\nt,x,y,heading\n0,1,2,3\n"),
+    "csv": (
+        *("{}", "{}\n1,2,3,4\n", "t,x,y,heading\n0,1,2,{}\n", "# {}\nt,x,y,heading\n0,1,2,3\n"),
+        "t,x,y,heading\n2020-01-01T00:00:00{}x,0,0,0\n",
+    ),
     "tum": ("{}", "t x y {}\n0 1 2 3\n", "{} 1 1 0 0 0 0 1\n"),
     "tsv": ("t\tx\ty\theading [{}\n0\t1\t2\t3\n", "time_ns,x_m,y_m,heading_rad\n1,2,3,{}\n"),
     "paper": ("target_angle_rad,{}\n1,2\n",),

@@ -33,7 +33,9 @@ _LATEST_NS: Final = 2**62
 _MOST_DIGITS: Final = 20  # before the point; more are no nanoseconds of 64 bits
 _ENDS: Final = re.compile(r"[\])]$")
 _DATE: Final = re.compile(
-    r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?\s*\Z", re.ASCII
+    r"\s*+(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d++))?"
+    r"\s*+(Z|[+-]\d\d:?\d\d)?\s*+\Z",
+    re.ASCII,
 )
 
 
