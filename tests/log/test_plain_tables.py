@@ -305,6 +305,13 @@ def test_a_tum_trajectory_is_read(tmp_path: Path) -> None:
         assert run.notes["original_timestamp"] == "2023-11-14T22:13:20.500000000Z"
 
 
+def test_rotations_too_long_for_a_heading_are_refused_in_one_line(tmp_path: Path) -> None:
+    rows = (f"{row} 0 0 0 1e308 1e308 1e308 1e308" for row in range(3))
+    path = write(tmp_path, *rows, suffix="tum")
+    with pytest.raises(LogError, match="expected rows with x, y and heading, found none"):
+        read_run(path)
+
+
 def test_a_tum_trajectory_comes_back_to_the_last_bit(tmp_path: Path) -> None:
     run = simulate_short_run()
     (path,) = export_tum(run, tmp_path / "kp4.tum")

@@ -42,7 +42,8 @@ def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
         z: Likewise.
         w: Their scalar part.
     """
-    return np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
+    with np.errstate(over="ignore", invalid="ignore"):  # of lengths beyond 1e154 there is none
+        return np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
 
 
 def compute_tilt(x: Values, y: Values, z: Values, w: Values) -> Values:

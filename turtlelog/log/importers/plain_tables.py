@@ -122,7 +122,8 @@ def _read_rotation(cells: Cells) -> dict[str, Values]:
     if heading is not None:
         return {"heading": heading}
     x, y, z, w = (cells.require(name) for name in _QUATERNION)
-    empty = x**2 + y**2 + z**2 + w**2 == 0.0
+    with np.errstate(over="ignore"):
+        empty = x**2 + y**2 + z**2 + w**2 == 0.0
     if empty.any():
         cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
     return {"heading": compute_heading(x, y, z, w), "tilt": compute_tilt(x, y, z, w)}
