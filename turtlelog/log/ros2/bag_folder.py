@@ -130,8 +130,9 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
     """
     files: dict[Path, None] = {}  # in order, and quick to look into
     missing: list[str] = []
+    base = folder.resolve().as_posix()
     for name in metadata.files:
-        file = _find_file(folder, name)
+        file = _find_file(folder, name, base)
         if file is None:
             missing.append(name)
         elif file in files:
@@ -153,12 +154,13 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
     return BagFiles(files=tuple(found), duration_ns=duration_ns, notes={"bag_files": note})
 
 
-def _find_file(folder: Path, name: str) -> Path | None:
-    """Return a file of a bag; early versions put the folder's name in front.
+def _find_file(folder: Path, name: str, base: str) -> Path | None:
+    """Return a file of a bag, whose folder is `base` from the root on.
 
-    What is named elsewhere is not read: a recording does not choose what is opened.
+    Early versions put the folder's name in front. What is named elsewhere is not read: a recording
+    does not choose what is opened.
     """
-    place, base = PurePosixPath(name.replace("\\", "/")), folder.resolve().as_posix()
+    place = PurePosixPath(name.replace("\\", "/"))
     within = place.relative_to(base) if place.is_relative_to(base) else place
     if within.is_absolute() or PureWindowsPath(name).drive or ".." in within.parts:
         return None
