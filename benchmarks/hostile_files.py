@@ -200,6 +200,32 @@ def _own_rowid(folder: Path) -> Path:
     return path
 
 
+def _least_row(folder: Path) -> Path:
+    """The first row has the least number that there is."""
+    first = Database().make_cell(-(2**63), _choose_pose(0))
+    bag = _bag(messages=lambda bag: [first, *bag.make_rows(_choose_pose, 199)])
+    path = folder / "file.db3"
+    path.write_bytes(bag.finish())
+    return path
+
+
+def _long_topic(folder: Path) -> Path:
+    import sqlite3
+
+    path = folder / "file.db3"
+    connection = sqlite3.connect(path)
+    connection.execute("PRAGMA encoding = 'UTF-16le'")
+    connection.execute(TOPICS)
+    connection.execute(MESSAGES)
+    topic = (1, "/" + "\U0001f600" * 2_300_000, *_TOPIC[2:])
+    connection.execute("INSERT INTO topics VALUES(?, ?, ?, ?, ?)", topic)
+    rows = [(None, 1, row * 16_000_000, POSE) for row in range(100)]
+    connection.executemany("INSERT INTO messages VALUES(?, ?, ?, ?)", rows)
+    connection.commit()
+    connection.close()
+    return path
+
+
 def _wal(folder: Path) -> Path:
     """A sound file, and a log beside it that makes it one whose rows share their pages."""
     long = "a" * MIB
@@ -313,6 +339,22 @@ def _json_messages(definition: str, said: str, count: int = 1) -> bytes:
     return whole(chunk([record(3, body), record(4, found), message(1, said.encode()) * count]))
 
 
+def _doubled_objects(depth: int) -> str:
+    """Objects that each refer to the next one twice; the last one is empty."""
+    parts: dict[str, Any] = {f"a{depth}": {"properties": {}}, "$ref": "#/a0"}
+    for number in range(depth):
+        inner = {"$ref": f"#/a{number + 1}"}
+        parts[f"a{number}"] = {"properties": {"x": inner, "y": inner}}
+    return json.dumps(parts)
+
+
+def _long_numbers() -> bytes:
+    names = [f"/robot{'9' * 5000}{number}/pose" for number in (1, 2)]
+    pose = b"\0\1\0\0" + bytes(20)
+    rows = (message(1 + n % 2, pose, n * 16_000_000) for n in range(200))
+    return whole(chunk([describe(*names), *rows]))
+
+
 def _own_recording(scenario: bytes = b"", **entries: str) -> bytes:
     """Return a recording of turtlelog with a scenario and some entries of its head changed."""
     head = {"format_version": "1", "source": "simulation", "name": "hostile", "absent": "[]"}
@@ -389,6 +431,12 @@ def _packed_twice() -> bytes:
     one = chunk([record(0x80, bytes(60 * MIB))])
     packer = zstandard.ZstdCompressor(level=3)
     return packer.compress(cut(chunk([describe("/turtle1/pose"), make_poses(10)]) + one * 20_000))
+
+
+def _empty_frames() -> bytes:
+    packer = zstandard.ZstdCompressor()
+    first = packer.compress(cut(chunk([describe("/turtle1/pose"), make_poses(100)])))
+    return first + packer.compress(b"") * 1_080_000
 
 
 def _many_topics(count: int) -> bytes:
@@ -555,6 +603,8 @@ FILES: Final[Mapping[str, Make]] = MappingProxyType(
             "file.db3.zstd",
             lambda: zstandard.compress(_bag().finish() + bytes(1000 * MIB)),
         ),
+        "sqlite: least number of a row": _least_row,
+        "sqlite: topic of 2.3 M letters in UTF-16": _long_topic,
         # Indexes, names, types and messages that claim more than there is.
         "mcap: 90,000 entries of one chunk": _mcap(_chunk_indexes),
         "mcap: statistics of 2^40 messages": _mcap(lambda: _statistics_lie(2**40)),
@@ -595,6 +645,10 @@ FILES: Final[Mapping[str, Make]] = MappingProxyType(
         "mcap: JSON schema of itself": _mcap(
             lambda: _json_messages('{"$ref": "#", "properties": {"a": {"$ref": "#"}}}', "{}")
         ),
+        "mcap: JSON schema of empty objects that double": _mcap(
+            lambda: _json_messages(_doubled_objects(40), "{}")
+        ),
+        "mcap: topics of 5,000 digits": _mcap(_long_numbers),
         "mcap: JSON schema of 400,000 lists": _mcap(
             lambda: _json_messages('{"items":' * 400_000 + "{}" + "}" * 400_000, "{}")
         ),
@@ -603,6 +657,7 @@ FILES: Final[Mapping[str, Make]] = MappingProxyType(
         "mcap: 900,000 transforms": _mcap(lambda: _transforms(90_000)),
         "mcap: 400,000 messages of a transform": _mcap(lambda: _lone_transforms(400_000)),
         "mcap: 20,000 chunks of 60 MB in .mcap.zstd": _put("file.mcap.zstd", _packed_twice),
+        "mcap: 1 M empty frames in .mcap.zstd": _put("file.mcap.zstd", _empty_frames),
         "mcap: 65,000 topics of poses": _mcap(lambda: _many_topics(65_000)),
         "mcap: metadata of 70 MB": _mcap(_long_metadata),
         "mcap: commands at one time": _mcap(lambda: _one_time(500_000)),
@@ -626,24 +681,49 @@ FILES: Final[Mapping[str, Make]] = MappingProxyType(
         "csv: 400,000 columns": _put(
             "file.csv",
             lambda: (
-                "t,x,y," + ",".join(f"c{n}" for n in range(400_000)) + "\n" + "0," * 400_002 + "0\n"
+                "t,x,y,heading,"
+                + ",".join(f"c{n}" for n in range(400_000))
+                + "\n"
+                + "0," * 400_003
+                + "0\n"
             ),
         ),
-        "csv: a cell of 9 MB": _put("file.csv", lambda: 't,x,y\n0,"' + "\n" * 9_000_000 + '",0\n'),
-        "csv: 4.9 M empty lines": _put("file.csv", lambda: "t,x,y\n0,0,0\n" + "\n" * 9_800_000),
-        "csv: 1.6 M rows": _put("file.csv", lambda: "t,x,y\n" + "0,0,0\n" * 1_600_000),
-        "csv: 1.2 M rows": _put(
-            "file.csv", lambda: "t,x,y\n" + "".join(f"{n},0,0\n" for n in range(900_000))
+        "csv: a cell of 9 MB": _put(
+            "file.csv", lambda: 't,x,y,heading\n0,"' + "\n" * 9_000_000 + '",0,0\n'
         ),
-        "csv: numbers of 3 M digits": _put(
-            "file.csv", lambda: "t,x,y\n" + ",".join(["1" * 3_000_000] * 3)
+        "csv: 4.9 M empty lines": _put(
+            "file.csv", lambda: "t,x,y,heading\n0,0,0,0\n" + "\n" * 9_800_000
         ),
-        "csv: quotes": _put("file.csv", lambda: "t,x,y\n" + '"' * 9_000_000),
+        "csv: 1.2 M rows of zeros": _put(
+            "file.csv", lambda: "t,x,y,heading\n" + "0,0,0,0\n" * 1_200_000
+        ),
+        "csv: 350,000 rows": _put(
+            "file.csv", lambda: "t,x,y,heading\n" + "".join(f"{n},0,0,0\n" for n in range(350_000))
+        ),
+        "csv: numbers of 2.4 M digits": _put(
+            "file.csv", lambda: "t,x,y,heading\n" + ",".join(["1" * 2_400_000] * 4)
+        ),
+        "csv: quotes": _put("file.csv", lambda: "t,x,y,heading\n" + '"' * 9_000_000),
         "csv: texts for times": _put(
-            "file.csv", lambda: "t,x,y\n" + "2020-01-01T00:00:00.123456789+01:00,0,0\n" * 240_000
+            "file.csv",
+            lambda: (
+                "t,x,y,heading\n"
+                + "".join(
+                    f"2020-01-01T{n // 3600:02}:{n // 60 % 60:02}:{n % 60:02}+01:00,0,0,0\n"
+                    for n in range(86_400)
+                )
+            ),
+        ),
+        "csv: dates and 120,000 blanks": _put(
+            "file.csv",
+            lambda: "t,x,y,heading\n" + ("2020-01-01T00:00:00" + " " * 120_000 + "x,0,0,0\n") * 80,
         ),
         "tum: 600,000 rows": _put(
             "file.tum", lambda: "".join(f"{n} 0 0 0 0 0 0 1\n" for n in range(420_000))
+        ),
+        "tum: quaternions of 1e308": _put(
+            "file.tum",
+            lambda: "".join(f"{n} 0 0 0 1e308 1e308 1e308 1e308\n" for n in range(250_000)),
         ),
         "tum: one line": _put("file.tum", lambda: "0 " * 4_900_000),
         "tum: blanks": _put("file.tum", lambda: "0 0 0 0 0 0 0 1\n" + " " * 9_800_000),
