@@ -1,11 +1,12 @@
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from tests.sweep.swept_tables import write_table
-from turtlelog.errors import SweepError
+from turtlelog.errors import LogError, SweepError
 from turtlelog.scenario import flatten_scenario
 from turtlelog.sweep import (
     Sampling,
@@ -233,3 +234,12 @@ def test_rows_keep_their_numbers_in_a_table_that_was_filtered(tmp_path: Path) ->
 @pytest.mark.parametrize("cells", [None, [4, 4], ["4", "5"], [4, None]])
 def test_rows_that_no_number_tells_apart_are_counted(cells: list[object] | None) -> None:
     assert list(list_row_numbers(cells, 2)) == [0, 1]
+
+
+def test_a_plan_that_nests_too_deeply_is_no_plan(tmp_path: Path) -> None:
+    facts = {"kind": "sweep", "format": "1", "version": "0", "base": "", "plan": "[" * 100_000}
+    named = {f"turtlelog.{name}": text for name, text in facts.items()}
+    table = pa.table({"row": [0]}).replace_schema_metadata(named)
+    pq.write_table(table, tmp_path / "a.parquet")
+    with pytest.raises(LogError, match="expected the plan and the base of a sweep, found none"):
+        read_swept_results(tmp_path / "a.parquet")

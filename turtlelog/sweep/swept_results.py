@@ -243,7 +243,7 @@ def _parse_facts(
         plan, tables = json.loads(stored.facts["plan"]), parse_toml(stored.facts["base"])
         axes = [*((key,) for key in plan["grid"]), *([tuple(plan["zip"])] if plan["zip"] else [])]
         is_sampled = plan["sample"] is not None
-    except (KeyError, TypeError, ValueError) as err:
+    except (KeyError, TypeError, ValueError, RecursionError) as err:
         raise LogError(f"{path}: expected the plan and the base of a sweep, found none") from err
     missing = [key for keys in axes for key in keys if key not in stored.names]
     if missing:
