@@ -200,3 +200,17 @@ def test_what_is_read_is_held_to_what_there_is(read: str, line: str, tmp_path: P
     text = f"format = 1\n{read}\n{CHECK}"
     with pytest.raises(tl.errors.CheckError, match=line):
         tl.load_spec(write(tmp_path, text))
+
+
+@pytest.mark.parametrize(("count", "is_read"), [(5000, True), (5001, False)])
+def test_more_formulas_than_can_be_judged_in_seconds_are_refused(
+    tmp_path: Path, count: int, *, is_read: bool
+) -> None:
+    """Four parts each: always, speed, < and the number."""
+    checks = [f'[checks.c{number}]\nholds = "always(speed < 1)"\n' for number in range(count)]
+    path = write(tmp_path, "format = 1\n" + "".join(checks))
+    if is_read:
+        assert len(tl.load_spec(path).checks) == count
+        return
+    with pytest.raises(tl.CheckError, match=r"5,001 checks have more than 20,000 .* Split the"):
+        tl.load_spec(path)

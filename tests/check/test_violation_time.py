@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from tests.check.test_mutations import build
-from turtlelog.check import check_runs, parse_spec
+from turtlelog.check import check_runs, judge_formula, parse_spec
 from turtlelog.check.judge_formula import find_metric_violation
 from turtlelog.measure import list_metrics
 from turtlelog.run import slice_run
@@ -150,3 +151,19 @@ def test_what_holds_of_a_metric_is_violated_at_its_moment(text: str, first_s: fl
     spec = parse_spec({"checks": {"asked": {"holds": text}}})
     (result,) = check_runs(spec, [("kp10", RUN)])
     assert result.first_violation_s == pytest.approx(first_s, abs=1e-3)
+
+
+def test_many_bounds_on_one_metric_measure_each_part_of_a_run_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ends_ns: list[int] = []
+
+    def count(run: tl.Run, *words: Any, **options: Any) -> Mapping[str, tl.Metric]:
+        ends_ns.append(run.end_ns)
+        return tl.measure_run(run, *words, **options)
+
+    monkeypatch.setattr(judge_formula, "measure_run", count)
+    checks = {str(n): {"expect": f"run.path_length < {n / 10}"} for n in range(40)}
+    results = [*check_runs(parse_spec({"checks": checks}), [("a.mcap", RUN)])]
+    assert all(result.first_violation_s is not None for result in results)
+    assert len(ends_ns) == len({*ends_ns})

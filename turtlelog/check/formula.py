@@ -1,6 +1,7 @@
 """Formula and signals -> finding: does it hold, by what margin, and where is that decided."""
 
 import math
+from collections import ChainMap
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -193,8 +194,10 @@ def check_run(
     """
     expression = _parse(expression)
     others = {name: None for name in expression.names if find_kind(run, name) is not None}
-    known = {**list_signals(run.declaration), **list_metrics(run.declaration), **others}
-    check_names(expression, {**known, **run.parameters})
+    kinds: Any = others, list_metrics(run.declaration), list_signals(run.declaration)
+    known = ChainMap[str, Any](*kinds)  # no copy of 200 names for each of many checks
+    own: Any = run.parameters
+    check_names(expression, known.new_child(own))
     signals = read_signals(run, expression.names)
     window_ns = window_ns or find_span(run, expression.names)
     ending = find_ending(run) if window_ns[1] >= run.end_ns else RunEnding.SETTLED

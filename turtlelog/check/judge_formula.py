@@ -32,9 +32,18 @@ from turtlelog.measure import (
 )
 from turtlelog.run import Run, slice_run
 
+Grown = dict[tuple[str, int], float | None]
+"""The value of a metric, by its id and the number of the last pose: many checks ask for the same.
+"""
+
 
 def judge_check(
-    check: Check, run: Run, *, file: str, metrics: Mapping[str, Metric] | None = None
+    check: Check,
+    run: Run,
+    *,
+    file: str,
+    metrics: Mapping[str, Metric] | None = None,
+    grown: Grown | None = None,
 ) -> CheckResult:
     """Return what one check comes to; a metric without a value fails it, whatever the formula.
 
@@ -43,11 +52,13 @@ def judge_check(
         run: That it is to hold of.
         file: Its name.
         metrics: Those that the check names, if they have been measured.
+        grown: What metrics were at poses of this run; more of it is added.
 
     Raises:
         ExpressionError: Where a name is not there or the kinds do not go together.
     """
-    return _Judge(check, run, file, measure_named([check], run) if metrics is None else metrics)()
+    metrics = measure_named([check], run) if metrics is None else metrics
+    return _Judge(check, run, file, metrics, {} if grown is None else grown)()
 
 
 def measure_named(checks: Sequence[Check], run: Run) -> Mapping[str, Metric]:
@@ -59,8 +70,11 @@ def measure_named(checks: Sequence[Check], run: Run) -> Mapping[str, Metric]:
 
 
 class _Judge:
-    def __init__(self, check: Check, run: Run, file: str, metrics: Mapping[str, Metric]) -> None:
+    def __init__(
+        self, check: Check, run: Run, file: str, metrics: Mapping[str, Metric], grown: Grown
+    ) -> None:
         self._check, self._run, self._file, self._metrics = check, run, file, metrics
+        self._grown = grown
 
     def __call__(self) -> CheckResult:
         check, formula = self._check, self._check.formula
@@ -178,7 +192,8 @@ class _Judge:
         if isinstance(root, Comparison) and len(root.operands) == 2 and limit is not None:
             left = root.operands[0]
             if isinstance(left, Name) and left.name == metric.id:
-                return find_metric_violation(self._run, metric, root.operators[0], limit)
+                operator = root.operators[0]
+                return find_metric_violation(self._run, metric, operator, limit, grown=self._grown)
         return metric.at_s
 
 
@@ -194,7 +209,13 @@ def _has_several(formula: Expression) -> bool:
 
 
 def find_metric_violation(
-    run: Run, metric: Metric, operator: str, limit: float, settings: MeasureSettings | None = None
+    run: Run,
+    metric: Metric,
+    operator: str,
+    limit: float,
+    settings: MeasureSettings | None = None,
+    *,
+    grown: Grown | None = None,
 ) -> float | None:
     """Return when a metric first violates a limit, from the first sample [s].
 
@@ -207,7 +228,8 @@ def find_metric_violation(
     kind = list_metrics(run.declaration).get(metric.id)
     if kind is not None and operator in {"<", "<="} and metric.value is not None:
         if kind.grows:
-            return _find_growth(run, metric.id, operator, limit, settings)
+            grown = {} if grown is None else grown
+            return _find_growth(run, metric.id, operator, limit, settings, grown)
         if kind.is_awaited:
             return _find_start_s(run, part) + max(limit, 0.0)
     if metric.at_s is None and part == "final":
@@ -216,15 +238,22 @@ def find_metric_violation(
 
 
 def _find_growth(
-    run: Run, name: str, operator: str, limit: float, settings: MeasureSettings | None
+    run: Run,
+    name: str,
+    operator: str,
+    limit: float,
+    settings: MeasureSettings | None,
+    grown: Grown,
 ) -> float:
     first = int(np.searchsorted(run.poses.time_ns, run.start_ns, side="left"))
     last = len(run.poses) - 1
     while first < last:
         middle = (first + last) // 2
-        part = slice_run(run, end_ns=int(run.poses.time_ns[middle]))
-        part = replace(part, stop_reason=run.stop_reason)  # had it ended there
-        value = measure_run(part, settings, only=(name,))[name].value
+        if (name, middle) not in grown:
+            part = slice_run(run, end_ns=int(run.poses.time_ns[middle]))
+            part = replace(part, stop_reason=run.stop_reason)  # had it ended there
+            grown[name, middle] = measure_run(part, settings, only=(name,))[name].value
+        value = grown[name, middle]
         if value is not None and not OPERATORS[operator](value, limit):
             last = middle
         else:

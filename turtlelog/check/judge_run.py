@@ -7,7 +7,7 @@ from typing import Any
 
 from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_difference import match_run
-from turtlelog.check.judge_formula import judge_check, measure_named
+from turtlelog.check.judge_formula import Grown, judge_check, measure_named
 from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check, Spec
 from turtlelog.check.spec_file import require_reference
@@ -93,9 +93,10 @@ def judge_run(
         yield fail_recording(file, lost)
         return
     metrics = measure_named(spec.checks, run)
+    grown: Grown = {}
     for check in spec.checks:
         try:
-            yield judge_check(check, run, file=file, metrics=metrics)
+            yield judge_check(check, run, file=file, metrics=metrics, grown=grown)
         except ExpressionError as err:
             if not _names_parameters(check):
                 raise

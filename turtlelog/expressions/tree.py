@@ -167,17 +167,18 @@ class Expression:
         text: As it was written.
         source: Where it was written, for messages: an option, or a file and key.
         root: The whole tree.
+        names: Signals, metrics and parameters in order of first use.
     """
 
     text: str
     source: str
     root: Node
+    names: tuple[str, ...] = field(init=False, compare=False)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Signals, metrics and parameters in order of first use."""
+    def __post_init__(self) -> None:
+        # Once: each check asks for its names ten times.
         found = (node.name for node in iterate_nodes(self.root) if isinstance(node, Name))
-        return tuple(dict.fromkeys(found))
+        object.__setattr__(self, "names", tuple(dict.fromkeys(found)))
 
     @property
     def is_temporal(self) -> bool:
@@ -190,6 +191,8 @@ class Expression:
 
 def iterate_nodes(node: Node) -> Iterator[Node]:
     """Yield a node and all below it, in order of the text."""
-    yield node
-    for child in node.list_children():
-        yield from iterate_nodes(child)
+    left = [node]
+    while left:
+        node = left.pop()
+        yield node
+        left.extend(reversed(node.list_children()))

@@ -118,6 +118,7 @@ def explain_no_signal(run: Run, name: str) -> str:
 
 
 @lru_cache(maxsize=64)
+@lru_cache(maxsize=64)
 def list_signals(declaration: Declaration) -> Mapping[str, SignalKind]:
     """Return every signal that runs of a law can hold, by name: `SIGNALS`, then its states."""
     states = {
