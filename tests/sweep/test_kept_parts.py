@@ -1,7 +1,9 @@
 import signal
+import struct
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -345,3 +347,30 @@ def test_table_of_many_groups_holds_what_one_group_does(
     assert many == one
     assert many.columns[0].cells == list(range(40))
     assert load_row_scenario(output, 39) == load_row_scenario(tmp_path / "whole.parquet", 39)
+
+
+@pytest.mark.parametrize("count", [2**23 - 5, 2**23, 2**25])
+def test_part_of_equal_bytes_is_read_back_however_long(tmp_path: Path, count: int) -> None:
+    kept = KeptParts(tmp_path / "t.parquet", {}, str)
+    place = kept.add("a" * count)
+    assert kept.read(place) == "a" * count
+    kept.close()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        pytest.param(zlib.compress(b"\xdb\x00\x80\x00\x00" + b"a" * 2**23), id="longer"),
+        pytest.param(zlib.compress(b"\xc0"), id="another type"),
+        pytest.param(b"no zlib", id="not packed"),
+    ],
+)
+def test_part_that_no_sweep_wrote_is_one_line(tmp_path: Path, data: bytes) -> None:
+    kept = KeptParts(tmp_path / "t.parquet", {}, str)
+    place = kept.add("a")
+    with kept.path.open("r+b") as stream:
+        stream.seek(place)
+        stream.write(struct.pack("<II", len(data), zlib.crc32(data)) + data)
+    with pytest.raises(tl.SweepError, match=r"partial: a part .* Delete the file, then type"):
+        kept.read(place)
+    kept.close()

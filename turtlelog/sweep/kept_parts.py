@@ -20,6 +20,7 @@ from turtlelog.remote.urls import RemotePath
 from turtlelog.sweep.stored_table import has_result_file, read_result_facts
 
 T = TypeVar("T")
+U = TypeVar("U")
 
 _MAGIC: Final = b"turtlelog sweep 1\n"
 _FRAME: Final = struct.Struct("<II")
@@ -27,6 +28,11 @@ _FRAME: Final = struct.Struct("<II")
 
 _MOST_BYTES: Final = 2**30
 """Of one part: a length beyond is damage."""
+
+_SMALL_PART: Final = 2**23
+_MOST_PACKED: Final = 2
+"""What a larger part unpacks to at most, in its own bytes. A list takes eight bytes for each byte:
+a file of 10 MB takes 160 MB. What would pack better is not packed."""
 
 
 def name_partial(output: Path) -> Path:
@@ -157,7 +163,7 @@ class KeptParts(Generic[T]):
         parts = self._iterate_parts() if head == _MAGIC else iter(())
         packed = next(parts, (0, b""))[1]
         if packed:
-            found = msgspec.msgpack.decode(zlib.decompress(packed), type=dict[str, str])
+            found = self._decode(packed, msgspec.msgpack.Decoder(dict[str, str]))
             if found != facts and require is not None:
                 require(self.path, found)
             self.was_begun = found == facts
@@ -188,7 +194,7 @@ class KeptParts(Generic[T]):
         """Return the part that begins at a place.
 
         Raises:
-            SweepError: Where the disk is gone, or lost it meanwhile.
+            SweepError: Where the disk is gone or lost it meanwhile, or it is no part of this table.
         """
         try:
             self._stream.seek(place)
@@ -197,7 +203,21 @@ class KeptParts(Generic[T]):
             raise self._describe(err) from err
         except StopIteration as err:
             raise SweepError(f"{self.path}: expected what was kept, found it damaged") from err
-        return self._decoder.decode(zlib.decompress(packed))
+        return self._decode(packed, self._decoder)
+
+    def _decode(self, packed: bytes, decoder: msgspec.msgpack.Decoder[U]) -> U:
+        most = _count_most(packed)
+        unpacking = zlib.decompressobj()
+        try:
+            data = unpacking.decompress(packed, most + 1)
+            if len(data) <= most and unpacking.eof:
+                return decoder.decode(data)
+        except (zlib.error, msgspec.DecodeError, RecursionError):
+            pass
+        raise SweepError(
+            f"{self.path}: a part of it is none that this command wrote, or is damaged. Delete the"
+            " file, then type the same command again"
+        )
 
     def add(self, part: T) -> int:
         """Keep a part, and return where it begins.
@@ -235,7 +255,14 @@ class KeptParts(Generic[T]):
 
 def _frame(data: bytes) -> bytes:
     packed = zlib.compress(data, 1)
+    if len(data) > _count_most(packed):
+        packed = zlib.compress(data, 0)
     return _FRAME.pack(len(packed), zlib.crc32(packed)) + packed
+
+
+def _count_most(packed: bytes) -> int:
+    """Return how many bytes a part unpacks to at most."""
+    return max(_SMALL_PART, _MOST_PACKED * len(packed))
 
 
 _BINARY: Final = getattr(os, "O_BINARY", 0)
