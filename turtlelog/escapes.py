@@ -30,7 +30,14 @@ schemes have up to 20 letters; without a limit a long word is searched from each
 URL: Final = re.compile(rf"(?:{_SCHEME}::){{0,8}}{_SCHEME}://")
 """`simplecache::https://` is one within the other, rarely in a third; the limit is as above."""
 
-_IN_TEXT: Final = re.compile(URL.pattern + r"[^\s'\"<>`]*(?<![.,;:!?)])")
+_LOGIN: Final = (
+    r"(?:[^\s/?#]{0,1000}@"  # up to the last @ before the path
+    r"|[^\s:/?#@'\"<>`\[]{1,200}:(?!\d*(?!\w))(?:\S{0,1000}@|[^/?#\n]{0,200}@))?"
+)
+"""User and password in a sentence. A password may have quotes; behind `user:` also `/`, or blanks.
+A number behind the colon is a port. Without the limits a long word is searched from each URL."""
+
+_IN_TEXT: Final = re.compile(URL.pattern + _LOGIN + r"[^\s'\"<>`]*(?<![.,;:!?)])")
 """A URL within a sentence, whose marks are behind it."""
 
 _LINK: Final = re.compile(rf"::(?={_SCHEME}(?:::|://))")

@@ -90,7 +90,31 @@ def test_a_message_is_shown_without_what_is_secret_in_its_url(text: str, shown: 
     assert hide_secrets(text, "s3://key:SE/CRET@bucket/x?sig=a%3DSIG&b=1") == shown
 
 
-@pytest.mark.parametrize("part", ["a", "ab::", "s3://h::"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(f"u:pa{sign}SECRET" for sign in "'\"<>`@:,;"),
+        *("u:12'SECRET", "u:SE/CR'SECRET", "u:SE'CR/SECRET", "u:SE CR SECRET", "'SECRET"),
+    ],
+)
+def test_no_letter_of_a_password_ends_what_is_hidden(text: str) -> None:
+    assert hide_secrets(f"no http://{text}@host/x, as said") == "no http://host/x, as said"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "see 'http://host/x', or ask me@b",
+        "see 'http://host:80/x','me@b'",
+        "no answer of tcp://host:8786: ask me@b",
+        "no file http://host: ask me@b",
+    ],
+)
+def test_a_name_with_an_at_behind_a_url_stays(text: str) -> None:
+    assert hide_secrets(text) == text
+
+
+@pytest.mark.parametrize("part", ["a", "ab::", "s3://h::", "s3://h:a", "s3://u:'a "])
 def test_secrets_are_looked_for_in_time_linear_in_the_length(part: str) -> None:
     start_s = time.process_time()
     hide_secrets(part * (100_000 // len(part)))
