@@ -1,5 +1,6 @@
 """The user's own small files as text and as TOML: read within bounds, and written."""
 
+import csv
 import errno
 import os
 import re
@@ -115,6 +116,18 @@ def iterate_lines(text: str, *, comments: bool = True) -> Iterator[tuple[int, st
         end = len(text) if end < 0 else end
         yield number, text[start:end].removesuffix("\r")
         start, number = end + 1, number + 1
+
+
+def describe_csv_error(err: csv.Error) -> str:
+    """Return what is wrong with a cell, and what to look for."""
+    text = str(err)
+    if text.startswith("field larger"):
+        most = f"a cell of more than {csv.field_size_limit():,} characters"
+    elif text == "unexpected end of data":
+        most = "a cell that goes on to the end of the file"
+    else:
+        return text
+    return f"{most}; look for a quote that no other closes, and delete it"
 
 
 def parse_toml(text: str) -> dict[str, Any]:

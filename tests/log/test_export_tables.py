@@ -1,4 +1,5 @@
 import csv
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from pyarrow import parquet
 from tests.log.runs import simulate_short_run
 from turtlelog.errors import LogError
 from turtlelog.log.exporters import export_csv, export_parquet
+from turtlelog.log.importers.exported_tables import import_tables
 from turtlelog.run import Event, Run
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
@@ -105,3 +107,40 @@ def test_an_unknown_table_is_named(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"expected one of poses, commands, .* found pose"):
         export_parquet(simulate_short_run(), tmp_path / "a.parquet", table="pose")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("letters", [131_072, 131_073])
+def test_a_cell_that_is_too_long_is_named_with_its_row(tmp_path: Path, letters: int) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_text("time_ns,x_m,y_m,heading_rad\n0,0,0,0\n1,0,0," + "0" * letters + "\n")
+    said = r"poses\.csv: behind row 1: expected cells, found a cell of more than 131,072 characters"
+    if letters == 131_072:
+        assert len(import_tables(path).poses) == 2
+        return
+    with pytest.raises(LogError, match=rf"{said}; look for a quote that no other closes"):
+        import_tables(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "found"),
+    [
+        ("clock", "[]", "Expected `object | null`, got `array`"),
+        ("clock", "{}", "Object missing required field `used`"),
+        ("clock", '{"used": "sun"}', "Invalid enum value 'sun' - at `$.used`"),
+        ("goal_m_m_rad", "[1]", "Expected `array` of length 3, got 1"),
+        ("scenario", "7", "Expected `object | null`, got `int`"),
+        ("stop_reason", "[" * 10**5, "no JSON"),
+    ],
+)
+def test_odd_metadata_are_one_line_without_python(
+    tmp_path: Path, name: str, text: str, found: str
+) -> None:
+    (path,) = export_parquet(simulate_short_run(), tmp_path / "poses.parquet", table="poses")
+    table = parquet.read_table(path)
+    metadata = {**table.schema.metadata, f"turtlelog.{name}".encode(): text.encode()}
+    parquet.write_table(table.replace_schema_metadata(metadata), path)
+    said = (
+        f"poses.parquet: the metadata turtlelog.{name} are not as turtlelog writes them ({found})"
+    )
+    with pytest.raises(LogError, match=re.escape(said)):
+        import_tables(path)

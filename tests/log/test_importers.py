@@ -220,7 +220,11 @@ def test_json_that_is_no_log_is_one_line(text: bytes, message: str, tmp_path: Pa
         ("0.75", "x", r"time\[1\]: expected a number, found 'x'"),
         ("0.75", "nan", r"time\[1\]: expected a finite number, found nan"),
         ("ROTACIONAR", "", r"state\[0\]: expected one of ROTACIONAR"),
-        ("ROTACIONAR", '"ROT', r"expected CSV, found: "),
+        (
+            "ROTACIONAR",
+            '"ROT',
+            r"expected CSV, found a cell that goes on to the end of the file; look for a quote",
+        ),
         ("ROTACIONAR", "\0", r"log\.csv: "),
     ],
 )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import MeasureError
 from turtlelog.paths import Path as TrackedPath, PathFollower
 from turtlelog.remote.urls import make_path
-from turtlelog.text_files import read_text_file
+from turtlelog.text_files import describe_csv_error, read_text_file
 
 Values = NDArray[np.float64]
 
@@ -152,6 +152,7 @@ def read_reference_path(path: str | Path) -> NDArray[np.float64]:
         rows = [(line, row) for line, row in enumerate(csv.reader(text), start=1) if row]
     except (OSError, UnicodeDecodeError, csv.Error) as err:
         reason = err.strerror if isinstance(err, OSError) else "no CSV text"
+        reason = describe_csv_error(err) if isinstance(err, csv.Error) else reason
         raise MeasureError(f"{path}: expected a file of points, found: {reason}") from err
     if rows and _parse(rows[0][1]) is None and any(map(str.isalpha, "".join(rows[0][1]))):
         rows = rows[1:]

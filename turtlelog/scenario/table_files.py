@@ -16,7 +16,7 @@ from turtlelog.errors import ScenarioError
 from turtlelog.laws.open_loop import MOST_ROWS
 from turtlelog.paths import MOST_POINTS
 from turtlelog.scenario.describe import describe_value
-from turtlelog.text_files import read_text_file
+from turtlelog.text_files import describe_csv_error, read_text_file
 
 _FILE: Final = "file"
 
@@ -117,7 +117,8 @@ def read_columns_of_numbers(path: Path, kind: TableFile) -> dict[str, list[float
         names = [*kind.columns] if is_unnamed else _read_names(next(lines, []), kind, path)
         return _read_rows(lines, names, kind, path)
     except csv.Error as err:
-        raise ScenarioError(f"{path}: line {lines.line_num}: expected CSV, found: {err}") from err
+        found = describe_csv_error(err)
+        raise ScenarioError(f"{path}: line {lines.line_num}: expected CSV, found {found}") from err
 
 
 def _read_names(cells: list[str], kind: TableFile, path: Path) -> list[str]:

@@ -3,11 +3,12 @@
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
-from itertools import islice
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,6 +38,7 @@ from turtlelog.run import (
 )
 from turtlelog.run.columns import PAIRS
 from turtlelog.run.tables import Table
+from turtlelog.text_files import describe_csv_error
 
 TABLE_SUFFIXES: Final = (".csv", ".parquet")
 _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
@@ -182,12 +184,12 @@ def _read_csv(path: Path) -> Table:
         size = stream.seek(0, 2)
         stream.seek(0)
         rows = filter(None, csv.reader(text))
-        head, count = next(rows, []), 0
+        head, count = [*chain(*_take_rows(rows, 0, most=1))], 0
         require_few_columns(len(head))
         known = _list_known(find_table(head), head)
         # Arrays of parts of the rows: as texts the cells would take ten times as much.
         parts: dict[str, list[NDArray[Any]]] = {name: [] for name in head if name in known}
-        while part := [*islice(rows, _ROWS_AT_ONCE)]:
+        while part := _take_rows(rows, count):
             _require_rows(part, count, len(head), size)
             for name, cells in zip(head, zip(*part, strict=True), strict=True):
                 if name in known:
@@ -198,6 +200,18 @@ def _read_csv(path: Path) -> Table:
         name: np.concatenate(arrays) if arrays else _parse(name, nothing, 0)
         for name, arrays in parts.items()
     }
+
+
+def _take_rows(
+    rows: Iterator[list[str]], before: int, *, most: int = _ROWS_AT_ONCE
+) -> list[list[str]]:
+    part: list[list[str]] = []
+    try:
+        part.extend(islice(rows, most))
+    except csv.Error as err:
+        found = describe_csv_error(err)
+        raise LogError(f"behind row {before + len(part)}: expected cells, found {found}") from err
+    return part
 
 
 def _require_rows(part: Sequence[Sequence[str]], before: int, width: int, size: int) -> None:
@@ -263,7 +277,7 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
     declaration = parse_declaration(facts["declaration"]) if "declaration" in facts else None
     is_declared = declaration is not None
     samples, declaration = _build_samples(tables.get("samples"), declaration)
-    goal = json.loads(facts.get("goal_m_m_rad", "null"))
+    goal = _parse_fact(facts, "goal_m_m_rad", tuple[float, float, float | None] | None)
     absent = [name for name in ("commands", "samples", "events") if name not in tables]
     # Of poses alone no loop is known: which acts when stands in the samples.
     absent += [] if is_declared and "samples" in tables else ["declaration"]
@@ -279,15 +293,33 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
         goal_xy_m=None if goal is None else (goal[0], goal[1]),
         goal_heading_rad=None if goal is None else goal[2],
         declaration=declaration,
-        parameters=json.loads(facts.get("scenario", "{}")),
-        scenario_is_complete=json.loads(facts.get("scenario_is_complete", "false")),
-        stop_reason=json.loads(facts.get("stop_reason", "null")),
-        clock=Clock(**json.loads(facts["clock"])) if "clock" in facts else None,
+        parameters=_parse_fact(facts, "scenario", dict[str, Any] | None) or {},
+        scenario_is_complete=_parse_fact(facts, "scenario_is_complete", bool | None) or False,
+        stop_reason=_parse_fact(facts, "stop_reason", str | None),
+        clock=_parse_fact(facts, "clock", Clock | None),
         events=tuple(
             Event(time_ns=int(time_ns), kind=kind, text=text)
             for time_ns, kind, text in zip(*events.values(), strict=True)
         ),
         absent=tuple(absent),
+    )
+
+
+def _parse_fact(facts: Mapping[str, str], name: str, kind: Any) -> Any:
+    """Return what the metadata of a Parquet file say of the run, None where they do not.
+
+    Raises:
+        LogError: Where they say something else than was written.
+    """
+    try:
+        return msgspec.convert(json.loads(facts.get(name, "null")), type=kind)
+    except msgspec.ValidationError as err:
+        found = str(err)
+    except (ValueError, RecursionError):
+        found = "no JSON"
+    raise LogError(
+        f"the metadata turtlelog.{name} are not as turtlelog writes them ({found}). Write the table"
+        " again: turtlelog convert RECORDING -o TABLE.parquet"
     )
 
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.importers.paper_log import NUMBERS, PaperLog, build_columns, require_number
-from turtlelog.text_files import iterate_lines
+from turtlelog.text_files import describe_csv_error, iterate_lines
 
 _PARAMETERS: Final = MappingProxyType(
     {
@@ -170,7 +170,7 @@ def _iterate_rows(text: str) -> Iterator[list[str]]:
         lines = (line for _, line in iterate_lines(text))
         yield from filter(None, csv.reader(lines, strict=True))
     except csv.Error as err:
-        raise LogError(f"expected CSV, found: {err}") from err
+        raise LogError(f"expected CSV, found {describe_csv_error(err)}") from err
 
 
 def _parse(value: str) -> object:

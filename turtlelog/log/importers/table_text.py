@@ -13,7 +13,7 @@ import numpy as np
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import open_file
 from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
-from turtlelog.text_files import BLANKS_AND_COMMENTS, iterate_lines
+from turtlelog.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
 
 TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 """The columns of a TUM trajectory, which has no header: time, position, quaternion."""
@@ -246,7 +246,9 @@ def _split_lines(
                 raise LogError("expected one row per line, found a quoted cell over several")
             yield numbers.pop(), row
     except csv.Error as err:
-        raise LogError(f"line {numbers[0]}: expected cells, found: {err}") from err
+        raise LogError(
+            f"line {numbers[0]}: expected cells, found {describe_csv_error(err)}"
+        ) from err
 
 
 def _split_line(line: str, delimiter: str) -> list[str]:
