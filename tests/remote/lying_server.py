@@ -273,3 +273,17 @@ def long_web_page(_: Request) -> Iterator[bytes]:
     yield say(200, "Content-Length: 60000000")
     yield b"<!DOCTYPE html><html>" + b"<p>Log in</p>" * 10**4
     yield from repeat(b"<p>Log in</p>" * 5000)
+
+
+def long_footer(length: int) -> Answer:
+    """Return the answers of a Parquet file of 2^40 bytes that ends with a footer of so many."""
+
+    def answer(asked: Request) -> Iterator[bytes]:
+        size, ending = 2**40, length.to_bytes(4, "little") + b"PAR1"
+        start, end = asked.start or 0, asked.end or 0
+        place = f"Content-Range: bytes {start}-{end - 1}/{size}"
+        yield say(206, place, f"Content-Length: {end - start}")
+        data = b"PAR1" + bytes(end - start - 4) if not start else bytes(end - start)
+        yield data[: -len(ending)] + ending if end == size else data
+
+    return answer

@@ -116,6 +116,26 @@ def test_a_table_without_end_is_not_read_into_memory() -> None:
     assert server.sent < LEAST_TAKEN
 
 
+@pytest.mark.parametrize(
+    ("length", "is_fetched"), [(2**23, True), (2**23 + 1, False), (2**32 - 1, False)]
+)
+def test_a_footer_is_not_fetched_because_the_file_is_said_to_be_large(
+    length: int, *, is_fetched: bool
+) -> None:
+    said = (
+        "found a footer that is damaged"
+        if is_fetched
+        else r"expected a footer of up to 8,388,608 .*; download the file, then"
+    )
+    with (
+        LyingServer(answer=lies.long_footer(length)) as server,
+        pytest.raises(tl.LogError, match=said),
+    ):
+        tl.read_run(server.url("x.parquet"))
+    assert (server.sent > LEAST_TAKEN) is is_fetched
+    assert server.sent < 3 * 2**23
+
+
 @pytest.mark.parametrize(("count", "is_followed"), [(5, True), (6, False)])
 def test_five_redirects_are_followed(count: int, *, is_followed: bool) -> None:
     with LyingServer(answer=lies.after_hops(count)) as server:

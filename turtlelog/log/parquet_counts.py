@@ -91,13 +91,16 @@ class PageClaim:
     encoding: int
 
 
-def read_footer_claims(stream: BinaryIO, *, most_bytes: int, most_parts: int) -> FooterClaims:
+def read_footer_claims(
+    stream: BinaryIO, *, most_bytes: int, most_parts: int, advice: str = ""
+) -> FooterClaims:
     """Return what the footer of a Parquet file says.
 
     Args:
         stream: The file.
         most_bytes: Of the footer.
         most_parts: Columns, groups and other structs that it may list.
+        advice: What to do where it has more bytes; ends the line.
 
     Raises:
         DamageError: Where it is no footer, or larger than that.
@@ -111,7 +114,9 @@ def read_footer_claims(stream: BinaryIO, *, most_bytes: int, most_parts: int) ->
     if length > size - _ENDING:
         raise DamageError(f"expected a complete Parquet file, found {size:,} bytes of it")
     if length > most_bytes:
-        raise DamageError(f"expected a footer of up to {most_bytes:,} bytes, found {length:,}")
+        raise DamageError(
+            f"expected a footer of up to {most_bytes:,} bytes, found {length:,}{advice}"
+        )
     stream.seek(size - _ENDING - length)
     footer = _Thrift(stream.read(length), most_parts).read_struct(_FOOTER)
     groups = footer.get(4, [])

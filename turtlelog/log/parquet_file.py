@@ -18,6 +18,7 @@ from turtlelog.log.parquet_counts import (
     iterate_pages,
     read_footer_claims,
 )
+from turtlelog.remote.urls import RemotePath, make_path
 
 MOST_ROWS: Final = 350_000
 """Rows of a small file: libraries leave 120 MB of its memory, and commands take up to 310 bytes a
@@ -41,6 +42,12 @@ _FOOTER_BYTES: Final = (2**21, 1 / 16)
 _FOOTER_PARTS: Final = (2**16, 1 / 128)
 """Bytes and structs of the footer likewise. Each column of each group takes 740 bytes in Arrow, and
 100 or more in a file that other programs wrote."""
+
+_REMOTE_FOOTER_BYTES: Final = 2**23
+"""Bytes of the footer behind a URL, where a server may claim any size of the file: read, copied and
+decoded they take up to 80 MB."""
+_REMOTE_FOOTER_PARTS: Final = 2**17
+"""Structs likewise: they take up to 100 MB in Arrow."""
 
 _DEEPEST: Final = 32
 """How far columns lie within structs and lists: those of ROS messages do 6 times."""
@@ -88,10 +95,14 @@ class ParquetFile:
         parquet = load_library("pyarrow.parquet")
         with open_file(path) as stream:
             self._size = stream.seek(0, 2)
+            is_remote = isinstance(make_path(path), RemotePath)
+            most_bytes = grow_bound(_FOOTER_BYTES, self._size)
+            most_parts = grow_bound(_FOOTER_PARTS, self._size)
             self._claims = read_footer_claims(
                 stream,
-                most_bytes=grow_bound(_FOOTER_BYTES, self._size),
-                most_parts=grow_bound(_FOOTER_PARTS, self._size),
+                most_bytes=min(most_bytes, _REMOTE_FOOTER_BYTES) if is_remote else most_bytes,
+                most_parts=min(most_parts, _REMOTE_FOOTER_PARTS) if is_remote else most_parts,
+                advice="; download the file, then name the copy" if is_remote else "",
             )
             if self._claims.depth > _DEEPEST:
                 raise LogError(
@@ -99,7 +110,13 @@ class ParquetFile:
                     f" {_DEEPEST}. Write a table of flat columns"
                 )
             stream.seek(0)
-            self.metadata = parquet.read_metadata(stream)
+            try:
+                self.metadata = parquet.read_metadata(stream)
+            except (OSError, ValueError) as err:  # Arrow's, with the names of its own errors
+                raise DamageError(
+                    "expected a complete Parquet file, found a footer that is damaged; copy the"
+                    " file again from its source"
+                ) from err
         self.schema = self.metadata.schema.to_arrow_schema()
         self.group_rows: Sequence[int] = self._claims.group_rows
         self.row_count = self._claims.row_count
