@@ -19,11 +19,11 @@ test: .venv/compiled
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime"
 	$(BIN)/python -m pytest -n 2 -m realtime $$(grep -rl realtime tests --include='test_*.py')
 
-# Once, at the same time: each worker of the tests would compile them for itself.
-LOOPS := $(wildcard turtlelog/simulate/compiled/*.py turtlelog/sweep/*batch*.py)
+# Once: each worker of the tests would compile them for itself.
+LOOPS := $(wildcard turtlelog/*.py turtlelog/effects/*.py turtlelog/laws/*.py turtlelog/plants/*.py) \
+	$(wildcard turtlelog/simulate/*.py turtlelog/sweep/*batch*.py)
 .venv/compiled: .venv/installed-dev $(LOOPS)
-	$(BIN)/python -c "import turtlelog.sweep.sequential_batch" & \
-		$(BIN)/python -c "import turtlelog.simulate.compiled.any_loop"; wait
+	$(BIN)/python -m tests.compile_loops
 	@touch $@
 
 check: .venv/installed-dev

@@ -15,7 +15,7 @@ import turtlelog as tl
 from benchmarks.table import Cost, Row, run_alone, time_commands
 from turtlelog.measure import measure_run
 from turtlelog.scenario import Scenario
-from turtlelog.sweep.batch import BATCH, MeasuredRows, measure_rows
+from turtlelog.sweep.batch import MeasuredRows, find_batch, measure_rows
 
 METRICS = (
     *("rotate.settling_time", "translate.settling_time", "translate.overshoot"),
@@ -70,9 +70,10 @@ def run_rows(base: Scenario, columns: Mapping[str, Sequence[Any]]) -> MeasuredRo
 
 
 def measure(share: float = 1.0) -> Iterator[Row]:
-    if BATCH.load() is None:
-        return
     bases = list_bases()
+    loops = find_batch(bases[0])
+    if loops is None or loops.load() is None:
+        return
     gains = np.linspace(0.5, 12.0, max(round(ROWS * share), ALONE)).tolist()
     some = gains[:: max(len(gains) // ALONE, 1)]
     # The first row of a process is interpreted, as it says what the others are worth.

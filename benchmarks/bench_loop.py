@@ -17,8 +17,8 @@ from benchmarks.table import Cost, Row, run_alone, time_calls
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.scenario import resolve_scenario
 from turtlelog.simulate import iterate_ticks
-from turtlelog.simulate.compiled.runner import KernelRunner
-from turtlelog.simulate.many import LOOP
+from turtlelog.simulate.compiled_run import CompiledRunner
+from turtlelog.simulate.many import find_loop
 
 SECONDS = 1600.0  # of simulated time: 100,000 samples
 TICK_NS = 16_000_000
@@ -73,11 +73,12 @@ def run_bare_loop(rows: NDArray[np.float64]) -> None:
 
 def measure_compiled(scenario: tl.scenario.Scenario) -> Iterator[Row]:
     """Yield the row of many runs; none without numba."""
-    kernel = LOOP.load()
+    scenario = resolve_scenario(scenario)
+    plant, runner = scenario.plant.facts, CompiledRunner()
+    loops = find_loop(scenario, plant)
+    kernel = None if loops is None else loops.load()
     if kernel is None:
         return
-    scenario = resolve_scenario(scenario)
-    plant, runner = scenario.plant.facts, KernelRunner()
     samples = len(tl.simulate_run(scenario).samples)
     bare_loop = import_module("numba").njit(run_bare_loop, cache=False)
     rows = np.empty((samples, 11))

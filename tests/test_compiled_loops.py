@@ -1,15 +1,17 @@
 import ast
-import importlib
 import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from types import ModuleType
+from typing import Final
 
+import numpy as np
 import pytest
 
-from turtlelog.compiled_loops import CompiledLoops
+from turtlelog.compiled_loops import CompiledLoops, is_kept, remove_others
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}"
 COMPILED = """
@@ -31,13 +33,18 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "some_loops.py"
 
 
+def find_cost_s(function: str = "") -> float:
+    kept = partial(is_kept, "some_loops", function)
+    return CompiledLoops(object, kept, cost_s=1.0, first_s=9.0).cost_s
+
+
 def test_loops_cost_more_before_they_are_in_the_cache(module: Path) -> None:
-    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 9.0
+    assert find_cost_s() == 9.0
     cache = module.parent / "__pycache__" / f"some_loops.run-1.{PYTHON}.nbi"
     cache.parent.mkdir(exist_ok=True)
     cache.touch()
     os.utime(module, (1e9, 1e9))
-    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 1.0
+    assert find_cost_s() == 1.0
 
 
 def test_loops_cost_more_where_their_source_has_changed_since(module: Path) -> None:
@@ -45,7 +52,7 @@ def test_loops_cost_more_where_their_source_has_changed_since(module: Path) -> N
     cache.parent.mkdir(exist_ok=True)
     cache.touch()
     os.utime(cache, (1e9, 1e9))
-    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 9.0
+    assert find_cost_s() == 9.0
 
 
 def test_loops_cost_more_where_a_file_beside_them_has_changed_since(module: Path) -> None:
@@ -54,22 +61,64 @@ def test_loops_cost_more_where_a_file_beside_them_has_changed_since(module: Path
     cache.touch()
     for path, time_s in ((module, 1e9), (cache, 1.1e9)):
         os.utime(path, (time_s, time_s))
-    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 1.0
+    assert find_cost_s() == 1.0
     (module.parent / "steps.py").touch()
-    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 9.0
+    assert find_cost_s() == 9.0
 
 
 def test_loops_that_cost_the_same_either_way_are_loaded_at_once(module: Path) -> None:
-    loops = CompiledLoops(module.stem, cost_s=1.0)
+    loops = CompiledLoops(object, lambda: is_kept(module.stem), cost_s=1.0)
     assert loops.expect(1, 0.9) is None
     assert loops.find() is None
+
+
+@pytest.mark.parametrize(("function", "cost_s"), [("loop_p_12", 1.0), ("loop_p_13", 9.0)])
+def test_a_function_is_kept_by_its_name_whatever_changes_beside_it(
+    module: Path, function: str, cost_s: float
+) -> None:
+    cache = module.parent / "__pycache__" / f"some_loops.loop_p_12-11.{PYTHON}.nbi"
+    cache.parent.mkdir(exist_ok=True)
+    cache.touch()
+    for path, time_s in ((module, 1e9), (cache, 1.1e9)):
+        os.utime(path, (time_s, time_s))
+    (module.parent / "steps.py").touch()
+    assert find_cost_s(function) == cost_s
+    os.utime(module, (1.2e9, 1.2e9))
+    assert find_cost_s(function) == 9.0
+
+
+def test_older_versions_of_a_function_are_removed(module: Path) -> None:
+    cache = module.parent / "__pycache__"
+    cache.mkdir(exist_ok=True)
+    names = ["loop_p_11-11.py.nbi", "loop_p_11-11.py.1.nbc", "loop_p_12-11.py.nbi"]
+    names += ["loop_p_12-11.py.1.nbc", "loop_pid_11-11.py.nbi", "loop_p_11-11.py.txt"]
+    for name in names:
+        (cache / f"some_loops.{name}").touch()
+    remove_others("some_loops", "loop_p", "loop_p_12")
+    assert {path.name.partition(".")[2] for path in cache.iterdir()} == {*names[2:]}
+
+
+def test_loops_that_cannot_be_compiled_say_why() -> None:
+    pytest.importorskip("numba")
+    loops = CompiledLoops(lambda: int("no number"), lambda: True, cost_s=1.0)
+    assert (loops.problem, loops.expect(2, 1.0), loops.find()) == (None, None, None)
+    assert loops.problem == "invalid literal for int() with base 10: 'no number'"
+
+
+@pytest.mark.parametrize("error", [ImportError, RuntimeError, OSError])
+def test_a_numba_that_cannot_load_or_keep_loops_is_no_problem(error: type[Exception]) -> None:
+    def load() -> None:
+        raise error
+
+    loops = CompiledLoops(load, lambda: True, cost_s=1.0)
+    assert (loops.load(), loops.problem) == (None, None)
 
 
 def test_an_index_of_another_python_is_of_no_use(module: Path) -> None:
     cache = module.parent / "__pycache__" / "some_loops.run-1.py27.nbi"
     cache.parent.mkdir(exist_ok=True)
     cache.touch()
-    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 9.0
+    assert find_cost_s() == 9.0
 
 
 @pytest.mark.parametrize("place", ["beside", "NUMBA_CACHE_DIR", "user"])
@@ -84,32 +133,43 @@ def test_loops_are_found_where_numba_keeps_them(
         pytest.skip("the user's cache is known on Linux alone")
     elif place == "user":
         (module.parent / "__pycache__").write_text("no folder", encoding="utf-8")
-    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 9.0
+    assert find_cost_s() == 9.0
     subprocess.run([sys.executable, "-c", "import some_loops"], cwd=module.parent, check=True)
-    assert CompiledLoops("some_loops", cost_s=1.0, first_s=9.0).cost_s == 1.0
+    assert find_cost_s() == 1.0
 
 
 PARTS = """
-from turtlelog.compiled_loops import COMPILING, CompiledLoops
+from importlib import import_module
+
+from turtlelog.compiled_loops import COMPILING, CompiledLoops, import_beside, is_kept
+
+PARTS = "first_part", "second_part"
+
+def load():
+    return import_module(PARTS[0]), import_beside(PARTS[1])
 
 if __name__ == "__main__":
-    loops = CompiledLoops("whole", cost_s=1.0, first_s=9.0, parts=("first_part", "second_part"))
+    loops = CompiledLoops(
+        load,
+        lambda: all(map(is_kept, PARTS)),
+        cost_s=1.0,
+        first_s=9.0,
+        beside=PARTS[1:],
+    )
     cost_s, whole = loops.cost_s, loops.load()
     assert not COMPILING.is_set()
-    hits = (sum(part.double.stats.cache_hits.values()) for part in (whole.first, whole.second))
+    hits = (sum(part.double.stats.cache_hits.values()) for part in whole)
     print(cost_s, *hits)
 """
 
 
 @pytest.mark.parametrize("executable", ["sys.executable", "''"])
-def test_parts_compile_side_by_side_and_here_where_no_process_starts(
+def test_modules_compile_side_by_side_and_here_where_no_process_starts(
     tmp_path: Path, executable: str
 ) -> None:
     pytest.importorskip("numba")
     for name in ("first_part", "second_part"):
         (tmp_path / f"{name}.py").write_text(COMPILED, "utf-8")
-    whole = "import first_part as first, second_part as second\n"
-    (tmp_path / "whole.py").write_text(whole, "utf-8")
     script = f"import sys\nsys.executable = {executable}\n{PARTS}"
     found = []
     for _ in range(2):
@@ -167,17 +227,8 @@ def test_a_constant_of_another_file_is_compiled_anew(tmp_path: Path) -> None:
     assert found == [["3.0", "0"], ["3.0", "1"], ["4.0", "0"]]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "simulate.compiled.sequential_loop",
-        "simulate.compiled.any_loop",
-        "sweep.batch_kernel",
-    ],
-)
-def test_every_file_that_a_kernel_takes_from_is_summed_up(name: str) -> None:
-    pytest.importorskip("numba")
-    kernel = importlib.import_module(f"turtlelog.{name}")
+def test_every_file_that_the_measurement_takes_from_is_summed_up() -> None:
+    kernel = pytest.importorskip("turtlelog.sweep.batch_kernel", exc_type=ImportError)
     summed_up = {module.__name__ for module in kernel.SOURCES}
     for module in (kernel, *kernel.SOURCES):
         if module is kernel or is_compiled(module):
@@ -189,6 +240,11 @@ def is_compiled(module: ModuleType) -> bool:
     return any(type(value).__name__ == "CPUDispatcher" for value in vars(module).values())
 
 
+IN_SIGNATURE: Final = ModuleType, np.dtype
+"""What code is not changed by: a module's name alone, and a record's type, which numba's cache
+knows from the signature."""
+
+
 def list_taken(module: ModuleType) -> Iterator[str]:
     """Yield the modules of which a module takes something by its name."""
     for node in ast.walk(ast.parse(Path(str(module.__file__)).read_text("utf-8"))):
@@ -197,5 +253,5 @@ def list_taken(module: ModuleType) -> Iterator[str]:
         if not str(node.module).startswith("turtlelog."):
             continue
         names = [getattr(module, one.asname or one.name) for one in node.names]
-        if any(not isinstance(name, ModuleType) for name in names):
+        if any(not isinstance(name, IN_SIGNATURE) for name in names):
             yield str(node.module)

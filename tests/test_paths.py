@@ -8,9 +8,9 @@ from hypothesis import assume, given, strategies as st
 from numpy.typing import NDArray
 
 from turtlelog.errors import PathError
+from turtlelog.path_pieces import REACH_M, locate_on
 from turtlelog.paths import (
     MOST_POINTS,
-    REACH_M,
     Path,
     PathFollower,
     restore_path,
@@ -189,7 +189,7 @@ def test_straight_on_from_a_corner_is_outside_of_it_on_every_lap(
     lap, leg = divmod(corner - 1, 3)
     piece = triangle.pieces[leg]
     corner_m = lap * triangle.length_m + piece.start_m + piece.length_m
-    x_m, y_m = piece.locate(piece.length_m + past_m)[:2]
+    x_m, y_m = locate_on(piece, piece.length_m + past_m)[:2]
     found = triangle.find_nearest(x_m, y_m, corner_m - 0.2, corner_m + 0.2)
     assert (found.arc_m, found.offset_m) == pytest.approx((corner_m, -past_m))
 

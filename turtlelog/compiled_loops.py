@@ -1,9 +1,9 @@
-"""Whether compiled loops are worth loading; everything works without them."""
+"""Whether compiled code is worth loading; everything works without it."""
 
 import os
 import sys
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from functools import cached_property
 from importlib import import_module
@@ -31,39 +31,46 @@ COMPILING: Final = Event()
 
 
 class CompiledLoops:
-    """A module of loops that numba compiles, loaded once they would have saved what they cost.
+    """Compiled code, loaded once it would have saved what it costs.
 
     So no process takes more than twice as long as if it had known before how much it has to do.
+
+    Attributes:
+        problem: Why it could not be compiled, None where it could or was not tried.
     """
 
     def __init__(
         self,
-        module: str,
+        load: Callable[[], Any],
+        is_kept: Callable[[], bool],
         *,
         cost_s: float,
         first_s: float | None = None,
-        parts: Sequence[str] = (),
+        beside: Sequence[str] = (),
     ) -> None:
-        """Take the module and what it costs.
+        """Take what loads the code and what it costs.
 
         Args:
-            module: Its name.
-            cost_s: What numba's import and the loops take from their cache [s].
-            first_s: What they take before they are in it [s]; None: hardly more.
-            parts: Modules whose loops it puts together, where it has none of its own: they compile
-                side by side.
+            load: Returns the code. It may raise ImportError or RuntimeError, and what numba raises.
+            is_kept: Whether numba's cache has it.
+            cost_s: What numba's import and the code take from its cache [s].
+            first_s: What they take before it is in it [s]; None: hardly more.
+            beside: Modules that compile what it needs when they are imported, each in a process;
+                `load` takes them by `import_beside`.
         """
-        self._module, self._parts, self._cached_s = module, parts or (module,), cost_s
+        self._load, self._is_kept, self._cached_s = load, is_kept, cost_s
         self._first_s = cost_s if first_s is None else first_s
+        self._beside = beside
         self._loading = Lock()
         self._saved_s = 0.0
         self._loops: Any = None
+        self.problem: str | None = None
 
     def expect(self, count: int, saving_s: float) -> Any:
-        """Add work that is done or will be: so many items, and what the loops save of each [s].
+        """Add work that is done or will be: so many items, and what the code saves of each [s].
 
         Returns:
-            The compiled loops once all work together is worth loading them, otherwise None.
+            The code once all work together is worth loading it, otherwise None.
         """
         with self._loading:
             before, self._saved_s = self._saved_s, self._saved_s + count * saving_s
@@ -74,70 +81,103 @@ class CompiledLoops:
 
     @cached_property
     def cost_s(self) -> float:
-        """What the loops take to load [s]: more where numba's cache lacks any of them."""
-        return self._cached_s if all(map(_is_kept, self._parts)) else self._first_s
+        """What the code takes to load [s]: more where numba's cache lacks any of it."""
+        return self._cached_s if self._is_kept() else self._first_s
 
     def find(self) -> Any:
-        """Return the compiled loops where they are loaded, otherwise None."""
+        """Return the code where it is loaded, otherwise None."""
         return self._loops
 
     def load(self) -> Any:
-        """Return the compiled loops; None without numba, and where it cannot keep what it compiles.
+        """Return the code; None without numba, and where it cannot keep what it compiles.
 
-        Without a place for its cache, beside the module or of the user, numba would compile them
-        anew in every process.
+        Without a place for its cache, beside the module or of the user, numba would compile anew in
+        every process.
         """
         try:
             if import_module("numba").config.DISABLE_JIT:
                 return None
-            if lacking := [part for part in self._parts if not _is_kept(part)]:
-                COMPILING.set()
-                _compile(lacking)
-            return import_module(self._module)
+            with ExitStack() as processes:
+                if not self._is_kept():
+                    COMPILING.set()
+                    _start(self._beside, processes)
+                return self._load()
         # A numba for another numpy raises ImportError, a cache that cannot be written RuntimeError.
         except (ImportError, RuntimeError, OSError):
+            return None
+        except Exception as err:
+            self.problem = str(err)
             return None
         finally:
             COMPILING.clear()
 
 
+_BESIDE: Final[dict[str, Any]] = {}
+"""The processes that compile a module, by its name."""
+
 _IMPORT: Final = "import sys; sys.path[:] = sys.argv[2:]; __import__(sys.argv[1])"
 
 
-def _compile(modules: Sequence[str]) -> None:
-    """Compile the loops of modules into numba's cache: the first here, each other in a process."""
+def _start(modules: Sequence[str], processes: ExitStack) -> None:
+    """Compile what modules have into numba's cache, each in a process that is waited for."""
     import subprocess  # most commands never come here
 
-    with ExitStack() as processes:
-        for module in modules[1:]:
-            # Where no process starts, or one fails, its loops are compiled where they are imported.
-            with suppress(OSError, ValueError):
-                command = [sys.executable, "-c", _IMPORT, module, *sys.path]
-                nowhere = subprocess.DEVNULL
-                processes.enter_context(
-                    subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere)
-                )
-        for module in modules[:1]:
-            import_module(module)
+    for module in modules:
+        # Where no process starts, or one fails, the module compiles where it is imported.
+        with suppress(OSError, ValueError):
+            command = [sys.executable, "-c", _IMPORT, module, *sys.path]
+            nowhere = subprocess.DEVNULL
+            _BESIDE[module] = processes.enter_context(
+                subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere)
+            )
 
 
-def _is_kept(module: str) -> bool:
-    """Whether numba's cache has the loops of a module.
+def import_beside(module: str) -> Any:
+    """Return a module, once the process that compiles what it has is done, if there is one."""
+    if (process := _BESIDE.pop(module, None)) is not None:
+        process.wait()
+    return import_module(module)
+
+
+def is_kept(module: str, function: str = "") -> bool:
+    """Whether numba's cache has what a module compiles, or a function of it, without loading it.
 
     What is older than a file beside the module may have to be compiled again.
+
+    Args:
+        module: Its name.
+        function: Its name, which tells by itself what it was compiled of; empty: any.
     """
     found = find_spec(module)
     source = Path((found and found.origin) or "").absolute()
     python = f"py{sys.version_info.major}{sys.version_info.minor}"
     try:
-        changed_s = max(file.stat().st_mtime for file in source.parent.glob("*.py"))
+        files = [source] if function else source.parent.glob("*.py")
+        changed_s = max(file.stat().st_mtime for file in files)
         return any(
             index.stat().st_mtime >= changed_s
             for folder in _list_cache_folders(source)
-            for index in folder.glob(f"{source.stem}.*.{python}*.nbi")
+            for index in folder.glob(f"{source.stem}.{function}*.{python}*.nbi")
         )
     except OSError:
         return False
+
+
+def remove_others(module: str, function: str, kept: str) -> None:
+    """Remove what numba's cache has of older versions of a function.
+
+    Args:
+        module: Its name.
+        function: How the name begins of it and of its older versions.
+        kept: Its name.
+    """
+    found = find_spec(module)
+    source = Path((found and found.origin) or "").absolute()
+    for folder in _list_cache_folders(source):
+        with suppress(OSError):
+            for file in folder.glob(f"{source.stem}.{function}_*.nb?"):
+                if kept not in file.name:
+                    file.unlink(missing_ok=True)
 
 
 def _list_cache_folders(source: Path) -> list[Path]:

@@ -1,15 +1,32 @@
-"""Pieces of constant curvature that a path is made of: straight lines and arcs of circles."""
+"""Pieces of constant curvature that a path is made of, and where a robot is on them.
+
+The functions run plain and compiled: they read the fields of `PathPiece` and `PathNumbers`.
+`pieces` are those of a path in order; behind those of an open path stand its tangents, at the end
+and at the beginning. What is called a way is a length along a piece, from its own start. The arc
+length of a piece grows by the length of a closed path with every lap.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
-from turtlelog.angles import wrap_angle
+from turtlelog.arithmetic import called, ceil, fmod, hypot, least, most, nearest, wrap_angle
 
 ROUNDING_M: Final = 1e-9
 """How far a way may be wrong by rounding [m]: where two pieces meet, a circle may seem to be left
 behind the end of the one and before the start of the other."""
+
+REACH_M: Final = 0.5
+"""How far along the path from the last nearest point the next is looked for, either way [m].
+
+Far more than a robot drives from one pose to the next, and short of where a path that is as large
+as the world comes back to itself: at a crossing the robot stays on its branch."""
+
+Position = tuple[float, float]
+Point = tuple[float, float, float, float]
+"""x [m], y [m], heading [rad] and curvature [1/m], as of a `PathPoint`."""
 
 
 class PathPoint(NamedTuple):
@@ -31,8 +48,6 @@ class PathPoint(NamedTuple):
 class PathPiece(NamedTuple):
     """A straight piece, or an arc where the curvature is not 0.
 
-    What its methods call a way is a length along it, from its own start.
-
     Attributes:
         number: Its place in the path, from 0.
         start_m: Arc length of its start from the beginning of the path [m].
@@ -51,21 +66,9 @@ class PathPiece(NamedTuple):
     heading_rad: float
     curvature_1_m: float
 
-    def locate(self, way_m: float) -> PathPoint:
-        """Return the point at a way, also beyond the ends of the piece."""
-        heading, curvature = self.heading_rad, self.curvature_1_m
-        if curvature == 0.0:
-            x_m = self.x_m + way_m * math.cos(heading)
-            y_m = self.y_m + way_m * math.sin(heading)
-            return PathPoint(x_m, y_m, wrap_angle(heading), 0.0)
-        end = heading + curvature * way_m
-        x_m = self.x_m + (math.sin(end) - math.sin(heading)) / curvature
-        y_m = self.y_m - (math.cos(end) - math.cos(heading)) / curvature
-        return PathPoint(x_m, y_m, wrap_angle(end), curvature)
-
     def go_straight(self, way_m: float) -> "PathPiece":
         """Return the tangent at a way as a straight piece without an end."""
-        start = self.locate(way_m)
+        start = PathPoint(*locate_on(self, way_m))
         return PathPiece(
             self.number,
             self.start_m + way_m,
@@ -76,70 +79,26 @@ class PathPiece(NamedTuple):
             0.0,
         )
 
-    def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> float:
-        """Return the way to the point between two ways that is nearest to a position [m]."""
-        curvature = self.curvature_1_m
-        if curvature == 0.0:
-            cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
-            way_m = (x_m - self.x_m) * cos + (y_m - self.y_m) * sin
-            return min(max(way_m, low_m), high_m)
-        middle_m = (low_m + high_m) / 2.0
-        turned = self._turn_to(x_m, y_m)
-        # The same direction is met once a turn: that nearest to the middle of the stretch.
-        turn_m = 2.0 * math.pi / abs(curvature)
-        way_m = turned / curvature
-        way_m += turn_m * round((middle_m - way_m) / turn_m)
-        return min(max(way_m, low_m), high_m)
 
-    def find_exit(self, x_m: float, y_m: float, radius_m: float, low_m: float) -> float | None:
-        """Return the first way from `low_m` on at which the piece leaves a circle [m].
+@dataclass(slots=True)
+class PathNumbers:
+    """A path, beside its pieces.
 
-        None if it does not within its length. Both ends count by `ROUNDING_M` more.
-        """
-        curvature = self.curvature_1_m
-        if curvature == 0.0:
-            cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
-            ahead_m, left_m = x_m - self.x_m, y_m - self.y_m
-            way_m = ahead_m * cos + left_m * sin
-            aside_m = left_m * cos - ahead_m * sin
-            square = radius_m * radius_m - aside_m * aside_m
-            if square < 0.0:
-                return None
-            way_m += math.sqrt(square)
-        else:
-            way_m = self._find_exit_of_arc(x_m, y_m, radius_m, low_m)
-        if not low_m - ROUNDING_M <= way_m <= self.length_m + ROUNDING_M:
-            return None
-        return min(max(way_m, low_m), self.length_m)
+    Attributes:
+        count: How many pieces it has; 0: there is no path.
+        is_closed: Whether it ends where it begins.
+        length_m: Its length, once around where it is closed [m].
+        reach_m: How far along the path from the nearest point the next is looked for [m].
+        has_speed: Whether the reference moves by time.
+        speed_m_s: How fast [m/s].
+    """
 
-    def _find_exit_of_arc(self, x_m: float, y_m: float, radius_m: float, low_m: float) -> float:
-        """Return the first way from `low_m` on at which the circle of an arc leaves another [m].
-
-        Infinite if it never does.
-        """
-        curvature = self.curvature_1_m
-        arc_radius_m = 1.0 / abs(curvature)
-        center_x_m, center_y_m = self._find_center()
-        center_away_m = math.hypot(x_m - center_x_m, y_m - center_y_m)
-        if center_away_m == 0.0:
-            return math.inf
-        squares = arc_radius_m * arc_radius_m + center_away_m * center_away_m
-        cosine = (squares - radius_m * radius_m) / (2.0 * arc_radius_m * center_away_m)
-        if not -1.0 <= cosine <= 1.0:
-            return math.inf
-        way_m = (self._turn_to(x_m, y_m) + math.copysign(math.acos(cosine), curvature)) / curvature
-        turn_m = 2.0 * math.pi * arc_radius_m
-        return way_m + turn_m * math.ceil((low_m - ROUNDING_M - way_m) / turn_m)
-
-    def _find_center(self) -> tuple[float, float]:
-        x_m = self.x_m - math.sin(self.heading_rad) / self.curvature_1_m
-        return x_m, self.y_m + math.cos(self.heading_rad) / self.curvature_1_m
-
-    def _turn_to(self, x_m: float, y_m: float) -> float:
-        """Return by how much an arc has turned where it is nearest to a position [rad]."""
-        center_x_m, center_y_m = self._find_center()
-        away = math.atan2(y_m - center_y_m, x_m - center_x_m)
-        return away + math.copysign(math.pi / 2.0, self.curvature_1_m) - self.heading_rad
+    count: int = 0
+    is_closed: bool = False
+    length_m: float = 0.0
+    reach_m: float = 0.0
+    has_speed: bool = False
+    speed_m_s: float = 0.0
 
 
 def join_points(points: Sequence[tuple[float, float]]) -> Iterator[PathPiece]:
@@ -150,3 +109,265 @@ def join_points(points: Sequence[tuple[float, float]]) -> Iterator[PathPiece]:
         heading = math.atan2(end_y_m - y_m, end_x_m - x_m)
         yield PathPiece(number, start_m, length_m, x_m, y_m, heading, 0.0)
         start_m += length_m
+
+
+@called
+def locate_on(piece: Any, way_m: float) -> Point:
+    """Return the point at a way, also beyond the ends of the piece."""
+    heading, curvature = piece.heading_rad, piece.curvature_1_m
+    if curvature == 0.0:
+        x_m = piece.x_m + way_m * math.cos(heading)
+        return x_m, piece.y_m + way_m * math.sin(heading), wrap_angle(heading), 0.0
+    end = heading + curvature * way_m
+    x_m = piece.x_m + (math.sin(end) - math.sin(heading)) / curvature
+    y_m = piece.y_m - (math.cos(end) - math.cos(heading)) / curvature
+    return x_m, y_m, wrap_angle(end), curvature
+
+
+@called
+def find_nearest_on(piece: Any, x_m: float, y_m: float, low_m: float, high_m: float) -> float:
+    """Return the way to the point between two ways that is nearest to a position [m]."""
+    curvature = piece.curvature_1_m
+    if curvature == 0.0:
+        cos, sin = math.cos(piece.heading_rad), math.sin(piece.heading_rad)
+        way_m = (x_m - piece.x_m) * cos + (y_m - piece.y_m) * sin
+    else:
+        middle_m = (low_m + high_m) / 2.0
+        # The same direction is met once a turn: that nearest to the middle of the stretch.
+        turn_m = 2.0 * math.pi / abs(curvature)
+        way_m = _turn_to(piece, x_m, y_m) / curvature
+        way_m += turn_m * nearest((middle_m - way_m) / turn_m)
+    return least(most(way_m, low_m), high_m)
+
+
+def _find_center(piece: Any) -> Position:
+    x_m = piece.x_m - math.sin(piece.heading_rad) / piece.curvature_1_m
+    return x_m, piece.y_m + math.cos(piece.heading_rad) / piece.curvature_1_m
+
+
+def _turn_to(piece: Any, x_m: float, y_m: float) -> float:
+    """Return by how much an arc has turned where it is nearest to a position [rad]."""
+    center_x_m, center_y_m = _find_center(piece)
+    away = math.atan2(y_m - center_y_m, x_m - center_x_m)
+    turned: float = away + math.copysign(math.pi / 2.0, piece.curvature_1_m) - piece.heading_rad
+    return turned
+
+
+@called
+def find_exit(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float) -> float:
+    """Return the first way from `low_m` on at which the piece leaves a circle [m].
+
+    NaN if it does not within its length. Both ends count by `ROUNDING_M` more.
+    """
+    if piece.curvature_1_m == 0.0:
+        cos, sin = math.cos(piece.heading_rad), math.sin(piece.heading_rad)
+        ahead_m, left_m = x_m - piece.x_m, y_m - piece.y_m
+        way_m = ahead_m * cos + left_m * sin
+        aside_m = left_m * cos - ahead_m * sin
+        square = radius_m * radius_m - aside_m * aside_m
+        if square < 0.0:
+            return math.nan
+        way_m += math.sqrt(square)
+    else:
+        way_m = _find_exit_of_arc(piece, x_m, y_m, radius_m, low_m)
+    if not low_m - ROUNDING_M <= way_m <= piece.length_m + ROUNDING_M:
+        return math.nan
+    return least(most(way_m, low_m), piece.length_m)
+
+
+@called
+def _find_exit_of_arc(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float) -> float:
+    """Return the first way from `low_m` on at which the circle of an arc leaves another [m].
+
+    Infinite if it never does.
+    """
+    curvature = piece.curvature_1_m
+    arc_radius_m = 1.0 / abs(curvature)
+    center_x_m, center_y_m = _find_center(piece)
+    center_away_m = hypot(x_m - center_x_m, y_m - center_y_m)
+    if center_away_m == 0.0:
+        return math.inf
+    squares = arc_radius_m * arc_radius_m + center_away_m * center_away_m
+    cosine = (squares - radius_m * radius_m) / (2.0 * arc_radius_m * center_away_m)
+    if not -1.0 <= cosine <= 1.0:
+        return math.inf
+    turned = _turn_to(piece, x_m, y_m) + math.copysign(math.acos(cosine), curvature)
+    way_m: float = turned / curvature
+    turn_m = 2.0 * math.pi * arc_radius_m
+    turns = ceil((low_m - ROUNDING_M - way_m) / turn_m)
+    way_m += turn_m * turns
+    return way_m
+
+
+@called
+def find_piece(path: Any, pieces: Any, arc_m: float) -> int:
+    """Return the number of the last piece that starts at an arc length or before it."""
+    low, high = 0, path.count
+    while low < high:
+        middle = (low + high) // 2
+        if arc_m < pieces[middle].start_m:
+            high = middle
+        else:
+            low = middle + 1
+    return max(low - 1, 0)
+
+
+def find_on_first_lap(path: Any, arc_m: float) -> float:
+    """Return the arc length of the same point on the first lap of a closed path [m].
+
+    The end of a lap is the beginning of the next. An open path has one lap, without an end.
+    """
+    length_m = path.length_m
+    if not path.is_closed or 0.0 <= arc_m < length_m:
+        return arc_m
+    arc_m = fmod(arc_m, length_m)
+    arc_m += length_m if arc_m < 0.0 else 0.0
+    return 0.0 if arc_m > length_m - ROUNDING_M else arc_m
+
+
+@called
+def locate(path: Any, pieces: Any, arc_m: float) -> Point:
+    """Return the point at an arc length [m].
+
+    Beyond its ends a closed path goes round again, and an open one goes straight on.
+    """
+    length_m, count = path.length_m, path.count
+    if arc_m == length_m:  # the end, in the direction in which it is reached
+        last = pieces[count - 1]
+        return locate_on(last, last.length_m)
+    if not 0.0 <= arc_m < length_m:
+        if not path.is_closed:
+            tangent = pieces[count + 1 if arc_m < 0.0 else count]
+            beyond = pieces[0 if arc_m < 0.0 else count - 1]
+            end_m = 0.0 if arc_m < 0.0 else beyond.length_m
+            return locate_on(tangent, arc_m - beyond.start_m - end_m)
+        arc_m = find_on_first_lap(path, arc_m)
+    # At a corner the next leg counts, also where a later lap is rounded to just before it.
+    piece = pieces[find_piece(path, pieces, arc_m + ROUNDING_M)]
+    return locate_on(piece, arc_m - piece.start_m)
+
+
+@called
+def _find_side(path: Any, pieces: Any, position: Position, way_m: float, number: int) -> float:
+    """Return a number that is positive where a position is on the left of the path.
+
+    `number` is the first piece that has the nearest point, `way_m` the way to it.
+    """
+    piece, count = pieces[number], path.count
+    point = locate_on(piece, way_m)
+    cos, sin = math.cos(point[2]), math.sin(point[2])
+    if way_m == 0.0 or way_m == piece.length_m:  # noqa: PLR1714  (a set is no number)
+        # At a corner both directions count: outside of it either may point at the position.
+        is_end = way_m > 0.0
+        other = number + (1 if is_end else -1)
+        if not path.is_closed and not 0 <= other < count:
+            heading = locate_on(piece, piece.length_m if is_end else 0.0)[2]
+        else:
+            beside = pieces[other % count]
+            heading = locate_on(beside, 0.0 if is_end else beside.length_m)[2]
+        cos, sin = cos + math.cos(heading), sin + math.sin(heading)
+    side: float = cos * (position[1] - point[1]) - sin * (position[0] - point[0])
+    return side
+
+
+@called
+def find_nearest(
+    path: Any, pieces: Any, position: Position, low_m: float, high_m: float
+) -> tuple[float, float]:
+    """Return where a position is with respect to the stretch between two arc lengths.
+
+    Arc length of the nearest point, and the distance from there, positive on the left [m]. The
+    stretch of an open path is cut at its ends; a closed one goes round, so that an arc length may
+    be negative or beyond the length. Of points at equal distance the first counts.
+    """
+    x_m, y_m = position
+    length_m = path.length_m
+    if not path.is_closed:
+        low_m, high_m = most(low_m, 0.0), least(high_m, length_m)
+    best_m, best_way_m, best, best_start_m = math.inf, low_m, 0, pieces[0].start_m
+    first, after, from_lap, to_lap = 0, path.count, 0, 0
+    is_part = not path.is_closed or 0.0 < low_m <= high_m < length_m
+    if is_part:
+        first = find_piece(path, pieces, low_m)
+        # A stretch that begins at a corner belongs to the piece before it, too.
+        first -= 1 if first > 0 and pieces[first].start_m == low_m else 0
+        after = find_piece(path, pieces, high_m) + 1
+    else:
+        from_lap, to_lap = math.floor(low_m / length_m), math.floor(high_m / length_m)
+    for lap in range(from_lap, to_lap + 1):
+        for number in range(first, after):
+            piece = pieces[number]
+            start_m = piece.start_m + lap * length_m
+            if not is_part and not (start_m <= high_m and start_m + piece.length_m >= low_m):
+                continue
+            begin_m, end_m = most(low_m - start_m, 0.0), least(high_m - start_m, piece.length_m)
+            way_m = find_nearest_on(piece, x_m, y_m, begin_m, end_m)
+            point = locate_on(piece, way_m)
+            away_m = hypot(x_m - point[0], y_m - point[1])
+            if away_m < best_m:
+                best_m, best_way_m, best, best_start_m = away_m, way_m, number, start_m
+    side = _find_side(path, pieces, position, best_way_m, best)
+    return best_start_m + best_way_m, math.copysign(best_m, side)
+
+
+@called
+def find_ahead(
+    path: Any, pieces: Any, position: Position, lookahead_m: float, from_m: float
+) -> Point:
+    """Return the first point from an arc length on that is a lookahead away from a position.
+
+    Where the path at `from_m` is further away than that, the point there; where no point of a
+    closed path is that far away, the point that is a lookahead further along it.
+    """
+    x_m, y_m = position
+    near = locate(path, pieces, from_m)
+    if hypot(x_m - near[0], y_m - near[1]) >= lookahead_m:
+        return near
+    from_m, count = find_on_first_lap(path, from_m), path.count
+    first = find_piece(path, pieces, from_m)
+    # Behind the last piece of an open path stands its tangent; of a closed one the first is next.
+    after = count + first + 1 if path.is_closed else count + 1
+    for place in range(first, after):
+        wraps = path.is_closed and place >= count
+        piece = pieces[place - count if wraps else place]
+        start_m = piece.start_m + path.length_m if wraps else piece.start_m
+        way_m = find_exit(piece, x_m, y_m, lookahead_m, most(from_m - start_m, 0.0))
+        if not math.isnan(way_m):
+            return locate_on(piece, way_m)
+    return locate(path, pieces, from_m + lookahead_m)
+
+
+@called
+def follow(
+    path: Any, pieces: Any, arc_m: float, position: Position, due_m: float
+) -> tuple[float, float, float]:
+    """Return where a robot is that was at an arc length before, NaN before it came to the path.
+
+    The robot first has to come to the path: to its beginning, where it is open and no time belongs
+    to it; to the stretch that the reference has passed, by time; to a closed path anywhere. From
+    then on the nearest point is looked for within `REACH_M` of the one before, so that a path that
+    crosses itself is followed in its order.
+
+    Args:
+        path: `PathNumbers`.
+        pieces: Of the path.
+        arc_m: Before [m].
+        position: x and y [m].
+        due_m: How far the reference is, by time [m]; NaN: no time belongs to it.
+
+    Returns:
+        Arc length of the nearest point, its distance as of `find_nearest`, and what is `arc_m` for
+        the next position [m].
+    """
+    if math.isnan(arc_m):
+        joins_anywhere = path.is_closed and math.isnan(due_m)
+        last_m = due_m
+        if math.isnan(due_m):
+            last_m = path.length_m if joins_anywhere else 0.0
+        arc_m, offset_m = find_nearest(path, pieces, position, 0.0, last_m)
+        if not (joins_anywhere or abs(offset_m) <= REACH_M):
+            return arc_m, offset_m, math.nan
+    # It may stand ahead of the reference.
+    low_m, high_m = arc_m - path.reach_m, arc_m + path.reach_m
+    arc_m, offset_m = find_nearest(path, pieces, position, low_m, high_m)
+    return arc_m, offset_m, arc_m

@@ -5,7 +5,6 @@ nearest point and the point a lookahead away are closed forms.
 """
 
 import math
-from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
@@ -14,19 +13,26 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import PathError
-from turtlelog.path_pieces import ROUNDING_M, PathPiece, PathPoint, join_points
+from turtlelog.path_pieces import (
+    REACH_M,
+    PathNumbers,
+    PathPiece,
+    PathPoint,
+    find_ahead,
+    find_nearest,
+    find_nearest_on,
+    find_on_first_lap,
+    follow,
+    join_points,
+    locate,
+    locate_on,
+)
 
 PathKind = Literal["line", "polygon", "waypoints", "circle", "figure-eight"]
 
 MOST_POINTS: Final = 3000
 """Points of a path. In the scenario's text each takes up to 56 bytes: 164 KiB of the 256 KiB that a
 recording's scenario may have. The rest is for lists of the law."""
-
-REACH_M: Final = 0.5
-"""How far along the path from the last nearest point the next is looked for, either way [m].
-
-Far more than a robot drives from one pose to the next, and short of where a path that is as large
-as the world comes back to itself: at a crossing the robot stays on its branch."""
 
 CORNER_RAD: Final = math.radians(1.0)
 """From this change of direction on a bend between two pieces is a corner: less is the bend of a
@@ -232,28 +238,14 @@ class Path:
 
         Beyond its ends a closed path goes round again, and an open one goes straight on.
         """
-        length_m = self.length_m
-        if arc_m == length_m:  # the end, in the direction in which it is reached
-            return self.pieces[-1].locate(self.pieces[-1].length_m)
-        arc_m = self.find_on_first_lap(arc_m)
-        if not self.is_closed and not 0.0 <= arc_m <= length_m:
-            piece = self.pieces[0 if arc_m < 0.0 else -1]
-            end_m = 0.0 if arc_m < 0.0 else piece.length_m
-            return piece.go_straight(end_m).locate(arc_m - piece.start_m - end_m)
-        # At a corner the next leg counts, also where a later lap is rounded to just before it.
-        piece = self.pieces[self._find_piece(arc_m + ROUNDING_M)]
-        return piece.locate(arc_m - piece.start_m)
+        return PathPoint(*locate(self.numbers, self.ways, arc_m))
 
     def find_on_first_lap(self, arc_m: float) -> float:
         """Return the arc length of the same point on the first lap of a closed path [m].
 
         The end of a lap is the beginning of the next. An open path has one lap, without an end.
         """
-        if not self.is_closed or 0.0 <= arc_m < self.length_m:
-            return arc_m
-        arc_m = math.fmod(arc_m, self.length_m)
-        arc_m += self.length_m if arc_m < 0.0 else 0.0
-        return 0.0 if arc_m > self.length_m - ROUNDING_M else arc_m
+        return find_on_first_lap(self.numbers, arc_m)
 
     def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> PathPlace:
         """Return where a position is with respect to the stretch between two arc lengths.
@@ -261,20 +253,7 @@ class Path:
         The stretch of an open path is cut at its ends; a closed one goes round, so that an arc
         length may be negative or beyond the length. Of points at equal distance the first counts.
         """
-        if not self.is_closed:
-            low_m, high_m = max(low_m, 0.0), min(high_m, self.length_m)
-        best_m, best = math.inf, (low_m, self.pieces[0])
-        for piece in self._list_pieces(low_m, high_m):
-            start_m = piece.start_m
-            ends_m = max(low_m - start_m, 0.0), min(high_m - start_m, piece.length_m)
-            way_m = piece.find_nearest(x_m, y_m, *ends_m)
-            point = piece.locate(way_m)
-            away_m = math.hypot(x_m - point.x_m, y_m - point.y_m)
-            if away_m < best_m:
-                best_m, best = away_m, (way_m, piece)
-        way_m, piece = best
-        side = self._find_side(x_m, y_m, way_m, piece)
-        return PathPlace(piece.start_m + way_m, math.copysign(best_m, side))
+        return PathPlace(*find_nearest(self.numbers, self.ways, (x_m, y_m), low_m, high_m))
 
     def find_point(self, point: tuple[float, float, float]) -> float:
         """Return the arc length of a point of the path, x [m], y [m] and direction [rad] [m].
@@ -284,8 +263,8 @@ class Path:
         x_m, y_m, heading_rad = point
         best_m, best = math.inf, 0.0
         for piece in self.pieces:
-            way_m = piece.find_nearest(x_m, y_m, 0.0, piece.length_m)
-            found = piece.locate(way_m)
+            way_m = find_nearest_on(piece, x_m, y_m, 0.0, piece.length_m)
+            found = PathPoint(*locate_on(piece, way_m))
             away_m = math.hypot(x_m - found.x_m, y_m - found.y_m)
             away_m += abs(wrap_angle(heading_rad - found.heading_rad))  # 1 m for 1 rad
             if away_m < best_m:
@@ -298,16 +277,8 @@ class Path:
         Where the path at `from_m` is further away than that, the point there; where no point of a
         closed path is that far away, the point that is a lookahead further along it.
         """
-        near = self.locate(from_m)
-        if math.hypot(x_m - near.x_m, y_m - near.y_m) >= lookahead_m:
-            return near
-        from_m = self.find_on_first_lap(from_m)
-        for piece in self._iterate_on(from_m):
-            low_m = max(from_m - piece.start_m, 0.0)
-            way_m = piece.find_exit(x_m, y_m, lookahead_m, low_m)
-            if way_m is not None:
-                return piece.locate(way_m)
-        return self.locate(from_m + lookahead_m)
+        found = find_ahead(self.numbers, self.ways, (x_m, y_m), lookahead_m, from_m)
+        return PathPoint(*found)
 
     @cached_property
     def pieces(self) -> tuple[PathPiece, ...]:
@@ -318,60 +289,24 @@ class Path:
         return tuple(join_points(points))
 
     @cached_property
-    def _starts_m(self) -> list[float]:
-        return [piece.start_m for piece in self.pieces]
+    def ways(self) -> tuple[PathPiece, ...]:
+        """Its pieces, then the tangents at its end and at its beginning."""
+        first, last = self.pieces[0], self.pieces[-1]
+        return (*self.pieces, last.go_straight(last.length_m), first.go_straight(0.0))
 
-    def _find_piece(self, arc_m: float) -> int:
-        return max(bisect_right(self._starts_m, arc_m) - 1, 0)
-
-    def _list_pieces(self, low_m: float, high_m: float) -> Iterator[PathPiece]:
-        """Yield the pieces that a stretch touches; of a closed path those of every lap."""
-        length_m = self.length_m
-        if not self.is_closed or 0.0 < low_m <= high_m < length_m:
-            first = self._find_piece(low_m)
-            # A stretch that begins at a corner belongs to the piece before it, too.
-            first -= first > 0 and self._starts_m[first] == low_m
-            yield from self.pieces[first : self._find_piece(high_m) + 1]
-            return
-        for lap in range(math.floor(low_m / length_m), math.floor(high_m / length_m) + 1):
-            for piece in self.pieces:
-                start_m = piece.start_m + lap * length_m
-                if start_m <= high_m and start_m + piece.length_m >= low_m:
-                    yield piece._replace(start_m=start_m)
-
-    def _iterate_on(self, from_m: float) -> Iterator[PathPiece]:
-        """Yield the pieces from an arc length on: once around, or to the end and straight on.
-
-        That of a closed path is on the first lap.
-        """
-        first = self._find_piece(from_m)
-        yield from self.pieces[first:]
-        if self.is_closed:
-            for piece in self.pieces[: first + 1]:
-                yield piece._replace(start_m=piece.start_m + self.length_m)
-        else:
-            yield self.pieces[-1].go_straight(self.pieces[-1].length_m)
-
-    def _find_side(self, x_m: float, y_m: float, way_m: float, piece: PathPiece) -> float:
-        """Return a number that is positive where a position is on the left of the path.
-
-        `piece` is the first that has the nearest point, `way_m` the way to it.
-        """
-        point = piece.locate(way_m)
-        cos, sin = math.cos(point.heading_rad), math.sin(point.heading_rad)
-        if way_m in (0.0, piece.length_m):
-            # At a corner both directions count: outside of it either may point at the position.
-            heading = self._find_heading_beyond(piece, is_end=way_m > 0.0)
-            cos, sin = cos + math.cos(heading), sin + math.sin(heading)
-        return cos * (y_m - point.y_m) - sin * (x_m - point.x_m)
-
-    def _find_heading_beyond(self, piece: PathPiece, *, is_end: bool) -> float:
-        """Return the direction of the path just beyond an end of a piece [rad]."""
-        number = piece.number + (1 if is_end else -1)
-        if not self.is_closed and not 0 <= number < len(self.pieces):
-            return piece.locate(piece.length_m if is_end else 0.0).heading_rad
-        other = self.pieces[number % len(self.pieces)]
-        return other.locate(0.0 if is_end else other.length_m).heading_rad
+    @cached_property
+    def numbers(self) -> PathNumbers:
+        """What functions of paths and loops read of it, beside its pieces."""
+        # A quarter of a short closed path: the way round the other side is further.
+        reach_m = min(REACH_M, self.length_m / 4.0) if self.is_closed else REACH_M
+        return PathNumbers(
+            count=len(self.pieces),
+            is_closed=self.is_closed,
+            length_m=self.length_m,
+            reach_m=reach_m,
+            has_speed=self.speed_m_s is not None,
+            speed_m_s=self.speed_m_s or 0.0,
+        )
 
 
 PATH_KEYS: Final = tuple(f"path.{one.name}" for one in fields(Path))
@@ -395,25 +330,15 @@ class PathFollower:
 
     def __init__(self, path: Path, arc_m: float | None = None) -> None:
         """Begin off the path, or at an arc length [m]."""
-        self._path = path
-        # A quarter of a short closed path: the way round the other side is further.
-        self.reach_m = min(REACH_M, path.length_m / 4.0) if path.is_closed else REACH_M
-        self.arc_m = arc_m
+        self._path, self.arc_m, self.reach_m = path, arc_m, path.numbers.reach_m
 
     def advance(self, x_m: float, y_m: float, due_m: float | None = None) -> PathPlace:
         """Return where the robot is now; `due_m` is how far the reference is, by time [m]."""
-        if self.arc_m is not None:
-            low_m, high_m = self.arc_m - self.reach_m, self.arc_m + self.reach_m
-            place = self._path.find_nearest(x_m, y_m, low_m, high_m)
-            self.arc_m = place.arc_m
-            return place
-        joins_anywhere = due_m is None and self._path.is_closed
-        last_m = self._path.length_m if joins_anywhere else due_m or 0.0
-        place = self._path.find_nearest(x_m, y_m, 0.0, last_m)
-        if not (joins_anywhere or abs(place.offset_m) <= REACH_M):
-            return place
-        self.arc_m = place.arc_m
-        return self.advance(x_m, y_m)  # It may stand ahead of the reference.
+        path, before_m = self._path, math.nan if self.arc_m is None else self.arc_m
+        due_m = math.nan if due_m is None else due_m
+        arc_m, offset_m, next_m = follow(path.numbers, path.ways, before_m, (x_m, y_m), due_m)
+        self.arc_m = None if math.isnan(next_m) else next_m
+        return PathPlace(arc_m, offset_m)
 
 
 def restore_path(parameters: Mapping[str, Any]) -> Path | None:

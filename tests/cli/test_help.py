@@ -98,7 +98,10 @@ def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> N
         ),
         (["theory", "--kp", "1", "--kp=2"], "--kp: expected it once, found it 2 times"),
         (["replay", "--law", "a", "b", "c"], "--law: expected at most 2 words, found 3"),
-        (["list", "metric"], "KIND: expected metrics, signals, presets, laws, mechanisms or"),
+        (
+            ["list", "metric"],
+            "KIND: expected metrics, signals, presets, laws, plants, mechanisms or",
+        ),
         (["help", "explane"], "turtlelog help: expected explain or replay"),
         (["frob\x1b[2J"], "found 'frob\\x1b[2J'"),
         (["theory", "a", "n" * 999], f"found '{'n' * 60}...'"),

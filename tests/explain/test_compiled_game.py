@@ -1,26 +1,31 @@
-from typing import Any
+from typing import Any, Final
 
 import pytest
 
 from tests.effects_cases import build_case
+from turtlelog.compiled_loops import CompiledLoops
 from turtlelog.explain.game import Game, Outcome
-from turtlelog.simulate.many import LOOP
+from turtlelog.scenario import resolve_scenario
+from turtlelog.simulate.many import find_loop
+
+SCENARIO: Final = build_case("noise", "loss", preset="paper", max_duration_s=4.0)
 
 
-def play(monkeypatch: pytest.MonkeyPatch, kernel: Any) -> list[Outcome]:
-    monkeypatch.setattr(LOOP, "_loops", kernel)
-    monkeypatch.setattr(LOOP, "_saved_s", 1e9)
-    scenario = build_case("noise", "loss", preset="paper", max_duration_s=4.0)
-    game = Game(scenario, "final.heading_error")
+def play(monkeypatch: pytest.MonkeyPatch, loop: CompiledLoops, kernel: Any) -> list[Outcome]:
+    monkeypatch.setattr(loop, "_loops", kernel)
+    monkeypatch.setattr(loop, "_saved_s", 1e9)
+    game = Game(SCENARIO, "final.heading_error")
     return [found for out in ([], ["noise"], ["loss"]) for found in game.take_out_each(out)]
 
 
-def test_outcomes_of_the_compiled_loop_are_those_of_the_interpreted_one(
+def test_outcomes_of_the_compiled_loop_are_those_of_the_plain_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     pytest.importorskip("numba")
-    kernel = LOOP.load()
+    loop = find_loop(resolve_scenario(SCENARIO), SCENARIO.plant.facts)
+    assert loop is not None
+    kernel = loop.load()
     assert kernel is not None
-    interpreted = play(monkeypatch, None)
-    assert len({found.value for found in interpreted}) > 64
-    assert play(monkeypatch, kernel) == interpreted
+    plain = play(monkeypatch, loop, None)
+    assert len({found.value for found in plain}) > 64
+    assert play(monkeypatch, loop, kernel) == plain

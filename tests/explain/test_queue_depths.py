@@ -8,7 +8,7 @@ import pytest
 from turtlelog.explain import resimulation
 from turtlelog.explain.resimulation import Depths, QueueGauge, list_lost_commands
 from turtlelog.scenario import Scenario, get_preset, override_scenario
-from turtlelog.simulate import iterate_ticks, simulate_run
+from turtlelog.simulate import PlainLoop, iterate_ticks, simulate_run
 
 DEEP = {"loop.command_queue": 90, "loop.pose_queue": 90}
 
@@ -72,11 +72,11 @@ def test_of_runs_whose_queues_are_deep_enough_one_is_simulated(
 ) -> None:
     needed, asked = gauge(build()), []
 
-    def iterate(scenario: Scenario) -> Any:
+    def simulate(scenario: Scenario) -> PlainLoop:
         asked.append(scenario)
-        return iterate_ticks(scenario)
+        return PlainLoop(scenario)
 
-    monkeypatch.setattr(resimulation, "iterate_ticks", iterate)
+    monkeypatch.setattr(resimulation, "PlainLoop", simulate)
     shallow = build(**{"loop.command_queue": needed.commands - less})
     counts = list_lost_commands([build(), shallow])
     assert len(asked) == simulated

@@ -11,9 +11,9 @@ from turtlelog.laws import Pose
 from turtlelog.laws.open_loop import (
     LARGEST,
     MOST_ROWS,
+    PART as OPEN_LOOP,
     TAPS,
     USED_KEYS,
-    OpenLoop,
     OpenLoopParameters,
     generate_bits,
 )
@@ -34,7 +34,7 @@ def change(**law: Any) -> tl.Scenario:
 
 def command(parameters: OpenLoopParameters, times_s: list[float]) -> list[tuple[float, float]]:
     """Return speed and turn rate at times since the first sample, which is at 1 s."""
-    law = OpenLoop(parameters)
+    law = OPEN_LOOP(parameters)
     law.reset(POSE, None, None)
     law.step(1_000_000_000, POSE)
     found = [law.step(1_000_000_000 + round(time_s * 1e9), POSE) for time_s in times_s]
@@ -280,7 +280,7 @@ def test_wrong_parameter_is_refused(law: dict[str, Any], line: str) -> None:
 
 
 def test_law_forgets_its_run() -> None:
-    law = OpenLoop(OpenLoopParameters(signal="ramp"))
+    law = OPEN_LOOP(OpenLoopParameters(signal="ramp"))
     for first_ns in (0, 7 * TICK_NS):
         law.reset(POSE, None, None)
         assert law.step(first_ns, POSE).turn_rate_rad_s == 0.0

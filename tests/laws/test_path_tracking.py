@@ -7,8 +7,8 @@ import pytest
 import turtlelog as tl
 from turtlelog.errors import LawError, ScenarioError
 from turtlelog.laws import Pose
-from turtlelog.laws.kanayama import Kanayama, KanayamaParameters
-from turtlelog.laws.pure_pursuit import PurePursuit, PurePursuitParameters
+from turtlelog.laws.kanayama import PART as KANAYAMA, KanayamaParameters
+from turtlelog.laws.pure_pursuit import PART as PURE_PURSUIT, PurePursuitParameters
 from turtlelog.paths import Path
 from turtlelog.scenario import build_scenario
 
@@ -100,7 +100,7 @@ def test_by_arc_length_the_reference_is_the_nearest_point_and_the_speed_is_the_l
 
 
 def test_pure_pursuit_adds_speed_where_it_is_behind() -> None:
-    law = PurePursuit(PurePursuitParameters(kp_along=2.0))
+    law = PURE_PURSUIT(PurePursuitParameters(kp_along=2.0))
     law.reset(
         Pose(1.0, 5.0, 0.0),
         None,
@@ -111,7 +111,7 @@ def test_pure_pursuit_adds_speed_where_it_is_behind() -> None:
 
 
 def test_kanayama_answers_as_its_equation_says() -> None:
-    law = Kanayama(KanayamaParameters(kx=2.0, ky=3.0, ktheta=4.0))
+    law = KANAYAMA(KanayamaParameters(kx=2.0, ky=3.0, ktheta=4.0))
     path = Path(kind="line", points=((1.0, 5.0), (10.0, 5.0)), speed_m_s=0.5)
     law.reset(Pose(1.0, 5.0, 0.0), None, path)
     law.step(0, Pose(1.0, 5.0, 0.0))

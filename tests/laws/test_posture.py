@@ -11,7 +11,7 @@ import turtlelog as tl
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import LawError, ScenarioError
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.laws.posture import Posture, PostureParameters, compute_sine_ratio
+from turtlelog.laws.posture import PART as POSTURE, PostureParameters
 
 PUBLISHED = {"law.gamma": 3.0, "law.k": 6.0, "law.h": 1.0}
 FREE = {
@@ -31,7 +31,7 @@ def answer(pose: Pose, goal: Goal, **gains: float) -> Decision:
 
 
 def answer_later(start: Pose, pose: Pose, goal: Goal, **gains: float) -> Decision:
-    law = Posture(PostureParameters(**gains))
+    law = POSTURE(PostureParameters(**gains))
     law.reset(start, goal, None)
     return law.step(0, pose)
 
@@ -205,9 +205,13 @@ def test_sampled_loop_follows_the_continuous_equations_at_a_finer_clock() -> Non
     assert math.dist(state[:2], (9.0, 5.0)) < 0.05
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-300, 0.99e-4, 1.01e-4, -0.99e-4, 1e-3, 1.0, math.pi])
+@pytest.mark.parametrize("angle", [0.0, 1e-300, 0.99e-4, 1.01e-4, -0.99e-4, 1e-3, 1.0, -math.pi])
 def test_sine_ratio_is_right_on_both_sides_of_its_series(angle: float) -> None:
-    assert compute_sine_ratio(angle) == pytest.approx(float(np.sinc(angle / math.pi)), abs=2e-16)
+    # With next to no k the turn rate is cos(alpha) sin(alpha) / alpha (alpha + phi).
+    goal = Goal(1.0, 0.0, -0.5)
+    found = answer(Pose(0.0, 0.0, -angle), goal, gamma=1.0, k=1e-300, h=1.0).turn_rate_rad_s
+    ratio = float(np.sinc(angle / math.pi))
+    assert found == pytest.approx(math.cos(angle) * ratio * (angle + 0.5), abs=1.2e-16)
 
 
 def test_goal_without_heading_is_reached_along_the_line_from_the_start() -> None:
@@ -252,14 +256,14 @@ def test_heading_tolerance_knows_full_turns() -> None:
 
 @pytest.mark.parametrize(("time_ns", "reason"), [(2_000_000_000, None), (2_000_000_001, "timeout")])
 def test_run_ends_after_its_timeout(time_ns: int, reason: str | None) -> None:
-    law = Posture(PostureParameters(timeout_s=2.0))
+    law = POSTURE(PostureParameters(timeout_s=2.0))
     law.reset(Pose(1.0, 1.0, 0.0), Goal(9.0, 9.0), None)
     law.step(0, Pose(1.0, 1.0, 0.0))
     assert law.step(time_ns, Pose(1.0, 1.0, 0.0)).stop_reason == reason
 
 
 def test_law_forgets_its_run() -> None:
-    law = Posture(PostureParameters(timeout_s=1.0))
+    law = POSTURE(PostureParameters(timeout_s=1.0))
     for _ in range(2):
         law.reset(Pose(1.0, 1.0, 0.0), Goal(9.0, 9.0), None)
         assert law.step(5_000_000_000, Pose(1.0, 1.0, 0.0)).stop_reason is None
@@ -304,7 +308,7 @@ def test_largest_gains_give_finite_commands() -> None:
 
 def test_law_without_a_goal_says_so() -> None:
     with pytest.raises(LawError, match=r"\Aexpected a goal, found none\Z"):
-        Posture(PostureParameters()).reset(Pose(1.0, 1.0, 0.0), None, None)
+        POSTURE(PostureParameters()).reset(Pose(1.0, 1.0, 0.0), None, None)
 
 
 def test_scenario_keeps_its_law_in_its_text() -> None:

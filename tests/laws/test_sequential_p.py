@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from turtlelog.laws import Decision, Goal, Pose, SequentialP, SequentialPParameters
+from turtlelog.laws.asked import AskedLaw
 from turtlelog.plants.turtlesim import TICK_NS
 
 START, GOAL = Pose(5.5, 5.5, 0.0), Goal(2.0, 10.0)
@@ -13,7 +14,7 @@ BEARING_RAD = math.atan2(4.5, -3.5)
 SECOND_NS = 1_000_000_000
 
 
-def begin_run(start: Pose = START, goal: Goal = GOAL, **parameters: Any) -> SequentialP:
+def begin_run(start: Pose = START, goal: Goal = GOAL, **parameters: Any) -> AskedLaw:
     as_built: dict[str, Any] = {"projection": "bearing", "wrap_error": False}
     law = SequentialP(SequentialPParameters(**(as_built | parameters)))
     law.reset(start, goal, None)
@@ -21,7 +22,7 @@ def begin_run(start: Pose = START, goal: Goal = GOAL, **parameters: Any) -> Sequ
     return law
 
 
-def begin_translation(start: Pose = START, goal: Goal = GOAL, **parameters: Any) -> SequentialP:
+def begin_translation(start: Pose = START, goal: Goal = GOAL, **parameters: Any) -> AskedLaw:
     law = begin_run(start, goal, **parameters)
     law.step(0, Pose(start.x_m, start.y_m, math.atan2(goal.y_m - start.y_m, goal.x_m - start.x_m)))
     return law
@@ -33,7 +34,7 @@ def stand_from_goal(*, ahead_m: float = 0.0, aside_m: float = 0.0) -> Pose:
     return Pose(x_m, GOAL.y_m - ahead_m * sin - aside_m * cos, BEARING_RAD)
 
 
-def step_often(law: SequentialP, pose: Pose, samples: int) -> list[str | None]:
+def step_often(law: AskedLaw, pose: Pose, samples: int) -> list[str | None]:
     return [law.step(sample * TICK_NS, pose).stop_reason for sample in range(samples)]
 
 
@@ -240,7 +241,7 @@ def test_nothing_limits_how_long_rotating_may_take() -> None:
     assert begin_run().step(1000 * SECOND_NS, START).stop_reason is None
 
 
-def reset_and_translate(law: SequentialP, time_ns: int) -> None:
+def reset_and_translate(law: AskedLaw, time_ns: int) -> None:
     law.reset(START, GOAL, None)
     law.step(time_ns, START)
     law.step(time_ns, Pose(START.x_m, START.y_m, BEARING_RAD))

@@ -10,6 +10,7 @@ import turtlelog as tl
 from tests.laws.sequential_runs import LINEAR, build_run, keep_law, simulate
 from turtlelog.errors import ScenarioError
 from turtlelog.laws import Goal, Pose, SequentialPID, SequentialPIDParameters
+from turtlelog.laws.asked import AskedLaw
 from turtlelog.scenario import PRESETS, build_scenario, override_scenario
 
 TICK_NS = 16_000_000
@@ -17,7 +18,7 @@ START, GOAL = Pose(5.0, 5.0, 0.0), Goal(2.0, 9.0)
 BEARING_RAD = math.atan2(4.0, -3.0)
 
 
-def begin_rotation(limit: float = math.inf, **parameters: Any) -> SequentialPID:
+def begin_rotation(limit: float = math.inf, **parameters: Any) -> AskedLaw:
     law = SequentialPID(SequentialPIDParameters(**parameters))
     law.take_limits(math.inf, limit)
     law.reset(START, GOAL, None)
@@ -25,7 +26,7 @@ def begin_rotation(limit: float = math.inf, **parameters: Any) -> SequentialPID:
     return law
 
 
-def turn(law: SequentialPID, tick: float, heading_rad: float) -> tuple[float, tuple[float, ...]]:
+def turn(law: AskedLaw, tick: float, heading_rad: float) -> tuple[float, tuple[float, ...]]:
     decision = law.step(int(tick * TICK_NS), Pose(5.0, 5.0, heading_rad))
     return decision.turn_rate_rad_s, decision.states
 

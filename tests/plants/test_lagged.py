@@ -1,31 +1,52 @@
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
-from turtlelog.plants import LaggedRobot, lagged
+from turtlelog.plants import lagged
+from turtlelog.plants.lagged import PART, LaggedKeys
 
 Command = tuple[int, float, float]
 Values = NDArray[np.float64]
 SECOND_NS = 1_000_000_000
 
 
-@dataclass(frozen=True, kw_only=True)
-class Numbers:
-    speed_gain: float | None = None
-    speed_dead_time_s: float | None = None
-    speed_lag_s: float | None = None
-    turn_gain: float | None = None
-    turn_dead_time_s: float | None = None
-    turn_lag_s: float | None = None
+class Robot:
+    """The plant from (0, 0, 0) on, driven as the loop drives it."""
+
+    def __init__(self, keys: LaggedKeys) -> None:
+        self._settings = SimpleNamespace(plant=keys)
+        self._state = PART.begin(keys, 0.0, 0.0, 0.0, is_rounded=False)
+        self._rows = SimpleNamespace(waiting={}, new=[SimpleNamespace(waiting=PART.Waiting)])
+
+    def take_command(self, time_ns: int, speed_m_s: float, turn_rate_rad_s: float) -> None:
+        PART.hold(self._settings, self._state, self._rows, time_ns, speed_m_s, turn_rate_rad_s)
+
+    def push(self, time_ns: int, speed_m_s: float, turn_rate_rad_s: float) -> None:
+        """Move to a time [ns] and add these rates from then on."""
+        self.advance(time_ns)
+        PART.push(self._settings, self._state, speed_m_s, turn_rate_rad_s)
+
+    def advance(self, time_ns: int) -> None:
+        assert PART.move(self._settings, self._state, self._rows, time_ns)
+
+    @property
+    def state(self) -> tuple[float, float, float, float, float]:
+        found: tuple[float, float, float, float, float] = PART.read(self._state)
+        return found
+
+    @property
+    def hit_wall(self) -> bool:
+        return bool(self._state.hit_wall)
 
 
-def drive(numbers: Numbers, commands: list[Command], *ends_ns: int) -> LaggedRobot:
+def drive(keys: LaggedKeys, commands: list[Command], *ends_ns: int) -> Robot:
     """Return a robot from (0, 0, 0) that took these commands, moved to one time after the other."""
-    robot = LaggedRobot(numbers, x_m=0.0, y_m=0.0)
+    robot = Robot(keys)
     for command in commands:
         robot.take_command(*command)
     for end_ns in ends_ns:
@@ -34,17 +55,17 @@ def drive(numbers: Numbers, commands: list[Command], *ends_ns: int) -> LaggedRob
 
 
 def test_speed_way_and_heading_follow_a_step_by_their_closed_forms() -> None:
-    numbers = Numbers(speed_gain=0.9, speed_lag_s=0.1, speed_dead_time_s=0.08)
-    robot = drive(numbers, [(0, 2.0, 0.0)], 330_000_000)
+    keys = LaggedKeys(speed_gain=0.9, speed_lag_s=0.1, speed_dead_time_s=0.08)
+    robot = drive(keys, [(0, 2.0, 0.0)], 330_000_000)
     rate, way_m = 1.8 * (1 - math.exp(-2.5)), 1.8 * (0.25 - 0.1 * (1 - math.exp(-2.5)))
     assert robot.state == pytest.approx((way_m, 0.0, 0.0, rate, 0.0), abs=1e-15)
-    numbers = Numbers(turn_gain=0.9, turn_lag_s=0.1, turn_dead_time_s=0.08)
-    robot = drive(numbers, [(0, 0.0, 2.0)], 330_000_000)
+    keys = LaggedKeys(turn_gain=0.9, turn_lag_s=0.1, turn_dead_time_s=0.08)
+    robot = drive(keys, [(0, 0.0, 2.0)], 330_000_000)
     assert robot.state == pytest.approx((0.0, 0.0, way_m, 0.0, rate), abs=1e-15)
 
 
 def test_robot_without_lag_and_dead_time_drives_the_circle_of_its_command_at_once() -> None:
-    robot = drive(Numbers(), [(0, 2.0, 0.5)], 0)
+    robot = drive(LaggedKeys(), [(0, 2.0, 0.5)], 0)
     assert robot.state == (0.0, 0.0, 0.0, 2.0, 0.5)
     robot.advance(3 * SECOND_NS)
     expected = (4 * math.sin(1.5), 4 * (1 - math.cos(1.5)), 1.5, 2.0, 0.5)
@@ -53,15 +74,15 @@ def test_robot_without_lag_and_dead_time_drives_the_circle_of_its_command_at_onc
 
 @pytest.mark.parametrize("turn_rate", [1e-3, 1e-9, 1e-15, 1e-300, 0.0])
 def test_circle_becomes_a_line_without_a_jump_as_the_turn_rate_goes_to_0(turn_rate: float) -> None:
-    x_m, y_m, *_ = drive(Numbers(), [(0, 1.0, turn_rate)], SECOND_NS).state
+    x_m, y_m, *_ = drive(LaggedKeys(), [(0, 1.0, turn_rate)], SECOND_NS).state
     assert x_m == pytest.approx(1.0 - turn_rate**2 / 6, abs=1e-13)
     assert y_m == pytest.approx(turn_rate / 2 - turn_rate**3 / 24, rel=1e-13)
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.1])
 def test_dead_time_ends_at_its_nanosecond(lag_s: float) -> None:
-    numbers = Numbers(speed_dead_time_s=0.0800000004, speed_lag_s=lag_s)
-    robot = drive(numbers, [(SECOND_NS, 1.0, 0.0)], 1_079_999_999)
+    keys = LaggedKeys(speed_dead_time_s=0.0800000004, speed_lag_s=lag_s)
+    robot = drive(keys, [(SECOND_NS, 1.0, 0.0)], 1_079_999_999)
     assert robot.state[0] == robot.state[3] == 0.0
     robot.advance(1_080_000_000)
     assert robot.state[3] == (0.0 if lag_s else 1.0)
@@ -71,20 +92,18 @@ def test_dead_time_ends_at_its_nanosecond(lag_s: float) -> None:
 
 
 def test_axes_have_dead_times_of_their_own() -> None:
-    numbers = Numbers(speed_dead_time_s=0.2, turn_dead_time_s=0.1)
+    keys = LaggedKeys(speed_dead_time_s=0.2, turn_dead_time_s=0.1)
     commands = [(0, 1.0, 1.0)]
-    assert drive(numbers, commands, 150_000_000).state[3:] == (0.0, 1.0)
-    assert drive(numbers, commands, 200_000_000).state[3:] == (1.0, 1.0)
+    assert drive(keys, commands, 150_000_000).state[3:] == (0.0, 1.0)
+    assert drive(keys, commands, 200_000_000).state[3:] == (1.0, 1.0)
 
 
 def test_pushes_add_to_the_rates_at_once_and_until_the_next_push() -> None:
-    numbers = Numbers(speed_lag_s=0.1, speed_dead_time_s=0.2)
-    robot = drive(numbers, [(0, 1.0, 0.0)])
+    keys = LaggedKeys(speed_lag_s=0.1, speed_dead_time_s=0.2)
+    robot = drive(keys, [(0, 1.0, 0.0)])
     robot.push(100_000_000, 0.5, 0.25)
-    robot.push(150_000_000, -0.5, 0.0)
-    robot.advance(100_000_000)
     assert robot.state == (0.0, 0.0, 0.0, 0.5, 0.25)
-    robot.advance(150_000_000)
+    robot.push(150_000_000, -0.5, 0.0)
     assert robot.state[2:] == pytest.approx((0.0125, 0.5, 0.0), abs=1e-15)
     robot.advance(SECOND_NS)
     assert robot.state[3] == pytest.approx(0.5 - math.exp(-8), abs=1e-14)
@@ -92,7 +111,7 @@ def test_pushes_add_to_the_rates_at_once_and_until_the_next_push() -> None:
 
 def test_heading_stays_within_a_turn_and_keeps_its_digits_over_many() -> None:
     # 100 s at 2 pi, on the circle that closes with every turn
-    robot = drive(Numbers(), [(0, 1.0, 2 * math.pi)], *range(0, 100 * SECOND_NS, 50_000_000))
+    robot = drive(LaggedKeys(), [(0, 1.0, 2 * math.pi)], *range(0, 100 * SECOND_NS, 50_000_000))
     robot.advance(100 * SECOND_NS)
     assert robot.state[:3] == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
     assert not robot.hit_wall
@@ -100,16 +119,23 @@ def test_heading_stays_within_a_turn_and_keeps_its_digits_over_many() -> None:
 
 def test_lag_that_is_next_to_none_is_as_none() -> None:
     commands = [(0, 1.0, 2.0), (SECOND_NS // 2, -1.0, 3.0)]
-    instant = drive(Numbers(), commands, SECOND_NS).state
+    instant = drive(LaggedKeys(), commands, SECOND_NS).state
     for lag_s in (1e-12, 1e-300, 5e-324):
-        numbers = Numbers(speed_lag_s=lag_s, turn_lag_s=lag_s)
-        assert drive(numbers, commands, SECOND_NS).state == pytest.approx(instant, abs=2e-11)
+        keys = LaggedKeys(speed_lag_s=lag_s, turn_lag_s=lag_s)
+        assert drive(keys, commands, SECOND_NS).state == pytest.approx(instant, abs=2e-11)
 
 
-PLAIN = Numbers(**{field.name: float(field.name.endswith("gain")) for field in fields(Numbers)})
+PLAIN = LaggedKeys(
+    speed_gain=1.0,
+    speed_dead_time_s=0.0,
+    speed_lag_s=0.0,
+    turn_gain=1.0,
+    turn_dead_time_s=0.0,
+    turn_lag_s=0.0,
+)
 LAGS = st.sampled_from([0.0, 1e-6, 1e-3, 0.02, 0.1, 0.4, 2.0])
-NUMBERS = st.builds(
-    Numbers,
+KEYS = st.builds(
+    LaggedKeys,
     speed_gain=st.floats(0.5, 1.5),
     speed_dead_time_s=st.sampled_from([0.0, 0.08, 0.123456789]),
     speed_lag_s=LAGS,
@@ -136,24 +162,24 @@ def list_commands(steps: list[Command]) -> tuple[list[Command], int]:
 
 
 @settings(max_examples=40)
-@given(numbers=NUMBERS, steps=STEPS)
-def test_pose_is_that_of_superposed_step_responses(numbers: Numbers, steps: list[Command]) -> None:
+@given(keys=KEYS, steps=STEPS)
+def test_pose_is_that_of_superposed_step_responses(keys: LaggedKeys, steps: list[Command]) -> None:
     commands, end_ns = list_commands(steps)
-    x_m, y_m, heading_rad, speed, turn_rate = drive(numbers, commands, end_ns).state
-    expected = superpose(numbers, commands, end_ns)
+    x_m, y_m, heading_rad, speed, turn_rate = drive(keys, commands, end_ns).state
+    expected = superpose(keys, commands, end_ns)
     assert (x_m, y_m) == pytest.approx(expected[:2], abs=1e-12)
     assert math.remainder(heading_rad - expected[2], math.tau) == pytest.approx(0.0, abs=1e-13)
     assert (speed, turn_rate) == pytest.approx((abs(expected[3]), expected[4]), abs=1e-13)
 
 
 @settings(max_examples=40)
-@given(numbers=NUMBERS, steps=STEPS, cuts=st.lists(st.floats(0, 1), min_size=1, max_size=20))
+@given(keys=KEYS, steps=STEPS, cuts=st.lists(st.floats(0, 1), min_size=1, max_size=20))
 def test_stops_on_the_way_change_nothing(
-    numbers: Numbers, steps: list[Command], cuts: list[float]
+    keys: LaggedKeys, steps: list[Command], cuts: list[float]
 ) -> None:
     commands, end_ns = list_commands(steps)
     stops_ns = sorted(round(cut * end_ns) for cut in cuts)
-    whole, split = (drive(numbers, commands, *at, end_ns).state for at in ((), stops_ns))
+    whole, split = (drive(keys, commands, *at, end_ns).state for at in ((), stops_ns))
     turned = math.remainder(whole[2] - split[2], math.tau)
     assert (*split[:2], turned, *split[3:]) == pytest.approx(
         (*whole[:2], 0.0, *whole[3:]), abs=1e-12
@@ -163,31 +189,31 @@ def test_stops_on_the_way_change_nothing(
 def test_pieces_four_times_as_long_would_miss_the_nanometre(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    numbers, commands = replace(PLAIN, speed_lag_s=2.0, turn_lag_s=0.02), [(0, 2.0, 10.0)]
-    expected = superpose(numbers, commands, 3 * SECOND_NS)[:2]
+    keys, commands = replace(PLAIN, speed_lag_s=2.0, turn_lag_s=0.02), [(0, 2.0, 10.0)]
+    expected = superpose(keys, commands, 3 * SECOND_NS)[:2]
     for longest, is_right in ((2.0, True), (8.0, False)):
         monkeypatch.setattr(lagged, "LONGEST_PIECE", longest)
-        found = drive(numbers, commands, 3 * SECOND_NS).state[:2]
+        found = drive(keys, commands, 3 * SECOND_NS).state[:2]
         assert (found == pytest.approx(expected, abs=1e-9)) is is_right
 
 
 def test_loop_that_runs_away_does_not_take_forever() -> None:
     # 1e9 rad in one advance: some 100,000,000 pieces if each were followed
-    robot = drive(Numbers(turn_lag_s=0.1), [(0, 1.0, 1e9)], SECOND_NS)
+    robot = drive(LaggedKeys(turn_lag_s=0.1), [(0, 1.0, 1e9)], SECOND_NS)
     assert all(map(math.isfinite, robot.state))
 
 
-def test_missing_numbers_are_those_of_a_robot_that_does_as_it_is_told() -> None:
+def test_missing_keys_are_those_of_a_robot_that_does_as_it_is_told() -> None:
     commands = [(0, 1.0, 0.5)]
-    assert drive(PLAIN, commands, SECOND_NS).state == drive(Numbers(), commands, SECOND_NS).state
+    assert drive(PLAIN, commands, SECOND_NS).state == drive(LaggedKeys(), commands, SECOND_NS).state
 
 
-def superpose(numbers: Numbers, commands: list[Command], end_ns: int) -> tuple[float, ...]:
+def superpose(keys: LaggedKeys, commands: list[Command], end_ns: int) -> tuple[float, ...]:
     """Return the pose and the rates as sums of step responses, integrated on a fine grid."""
 
     def respond(axis: str, row: int, time_ns: Values) -> tuple[Values, Values]:
-        gain, lag_s = (getattr(numbers, f"{axis}_{name}") for name in ("gain", "lag_s"))
-        dead_ns = round(getattr(numbers, f"{axis}_dead_time_s") * 1e9)
+        gain, lag_s = (getattr(keys, f"{axis}_{name}") for name in ("gain", "lag_s"))
+        dead_ns = round(getattr(keys, f"{axis}_dead_time_s") * 1e9)
         rate, way, held = np.zeros_like(time_ns), np.zeros_like(time_ns), 0.0
         for command in commands:
             since_s = (time_ns - (command[0] + dead_ns)) / 1e9
@@ -199,7 +225,7 @@ def superpose(numbers: Numbers, commands: list[Command], end_ns: int) -> tuple[f
         return rate, way
 
     nodes, weights = np.polynomial.legendre.leggauss(16)
-    edges_ns = split_time(numbers, commands, end_ns)
+    edges_ns = split_time(keys, commands, end_ns)
     half_ns = np.diff(edges_ns)[:, None] / 2
     time_ns = edges_ns[:-1, None] + half_ns * (1 + nodes)
     along = respond("speed", 1, time_ns)[0] * np.exp(1j * respond("turn", 2, time_ns)[1])
@@ -209,12 +235,10 @@ def superpose(numbers: Numbers, commands: list[Command], end_ns: int) -> tuple[f
     return place.real, place.imag, float(turn[1][0]), float(speed[0]), float(turn[0][0])
 
 
-def split_time(numbers: Numbers, commands: list[Command], end_ns: int) -> Values:
+def split_time(keys: LaggedKeys, commands: list[Command], end_ns: int) -> Values:
     """Return the edges of pieces that are short beside every lag and turn [ns]."""
-    dead_times = {
-        round(getattr(numbers, f"{axis}_dead_time_s") * 1e9) for axis in ("speed", "turn")
-    }
-    lags_s = [lag_s for lag_s in (numbers.speed_lag_s, numbers.turn_lag_s) if lag_s]
+    dead_times = {round(getattr(keys, f"{axis}_dead_time_s") * 1e9) for axis in ("speed", "turn")}
+    lags_s = [lag_s for lag_s in (keys.speed_lag_s, keys.turn_lag_s) if lag_s]
     grid_ns = [np.linspace(0.0, end_ns, 50 + end_ns // 50_000_000)]
     for switch_ns in {command[0] + dead_ns for command in commands for dead_ns in dead_times}:
         grid_ns += [switch_ns + lag_s * 1e9 * np.arange(0.0, 40.0) for lag_s in lags_s]

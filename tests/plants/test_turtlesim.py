@@ -3,7 +3,8 @@ import math
 import pytest
 from hypothesis import given, strategies as st
 
-from turtlelog.plants import Turtle, round_to_float32
+from turtlelog.arithmetic import to_float32
+from turtlelog.plants import Turtle
 from turtlelog.plants.turtlesim import SPAWN_XY_M, TICK_S, WORLD_SIZE_M
 
 SOURCE_PI = 3.14159265
@@ -21,8 +22,8 @@ def drive(turtle: Turtle, ticks: int = 1) -> tuple[float, float, float]:
 
 
 def test_world_is_499_45ths_of_a_metre_in_32_bits() -> None:
-    assert round_to_float32(499 / 45) == WORLD_SIZE_M
-    assert round_to_float32(WORLD_SIZE_M / 2) == SPAWN_XY_M
+    assert to_float32(499 / 45) == WORLD_SIZE_M
+    assert to_float32(WORLD_SIZE_M / 2) == SPAWN_XY_M
 
 
 def test_turtle_without_a_command_stands_still() -> None:
@@ -31,7 +32,7 @@ def test_turtle_without_a_command_stands_still() -> None:
 
 def test_turtle_spawns_in_32_bits() -> None:
     turtle = spawn(0.1, 5.0, 0.1)
-    assert turtle.state[:3:2] == (round_to_float32(0.1), round_to_float32(0.1))
+    assert turtle.state[:3:2] == (to_float32(0.1), to_float32(0.1))
 
 
 def test_turtle_turns_before_it_moves_along_the_new_heading() -> None:
@@ -77,12 +78,12 @@ def test_heading_wraps_with_the_pi_of_the_source(turn_rate_rad_s: float) -> None
     start_rad = math.copysign(3.14, turn_rate_rad_s)
     turtle = spawn(heading_rad=start_rad)
     turtle.take_command(0.0, turn_rate_rad_s)
-    beyond_rad = round_to_float32(start_rad) + turn_rate_rad_s * TICK_S
+    beyond_rad = to_float32(start_rad) + turn_rate_rad_s * TICK_S
     assert drive(turtle)[2] == beyond_rad - math.copysign(2 * SOURCE_PI, beyond_rad)
 
 
 def test_heading_of_pi_itself_is_beyond_the_pi_of_the_source() -> None:
-    start_rad = round_to_float32(math.pi)
+    start_rad = to_float32(math.pi)
     assert drive(spawn(heading_rad=math.pi))[2] == start_rad - 2 * SOURCE_PI
 
 
@@ -95,14 +96,14 @@ def test_heading_stays_in_one_turn(heading_rad: float, turn_rate_rad_s: float) -
 
 
 def test_y_is_kept_downward_from_a_32_bit_height() -> None:
-    down_m = round_to_float32(WORLD_SIZE_M - round_to_float32(0.1))
-    assert drive(spawn(y_m=0.1))[1] == WORLD_SIZE_M - down_m != round_to_float32(0.1)
+    down_m = to_float32(WORLD_SIZE_M - to_float32(0.1))
+    assert drive(spawn(y_m=0.1))[1] == WORLD_SIZE_M - down_m != to_float32(0.1)
 
 
 def test_position_is_integrated_downward_in_double_precision() -> None:
     turtle = spawn(heading_rad=1.0)
     turtle.take_command(0.1, 0.0)
-    heading_rad, down_m = round_to_float32(1.0), round_to_float32(WORLD_SIZE_M - 5.0)
+    heading_rad, down_m = to_float32(1.0), to_float32(WORLD_SIZE_M - 5.0)
     for _ in range(50):
         down_m -= math.sin(heading_rad) * 0.1 * TICK_S
     assert drive(turtle, 50)[1] == WORLD_SIZE_M - down_m

@@ -134,6 +134,35 @@ def test_a_wrong_reference_is_refused(suite: pytest.Pytester, text: str, message
     result.stdout.fnmatch_lines([message])
 
 
+def test_a_law_that_is_a_part_is_simulated(suite: pytest.Pytester) -> None:
+    body = """
+from dataclasses import replace
+import pytest
+from turtlelog.errors import CheckError
+from turtlelog.laws import SequentialP
+
+def step(settings, state, table, row, time_ns, pose):
+    return SequentialP.step(settings, state, table, row, time_ns, pose)
+
+Own = replace(SequentialP, step=step)
+
+def test_built_in(turtlelog_simulate):
+    recording = turtlelog_simulate(law=SequentialP, kp=2)
+    assert recording.run.parameters["law.kind"] == "sequential-p"
+    assert recording.run.parameters["law.kp_linear"] == 2.0
+
+def test_own(turtlelog_simulate):
+    recording = turtlelog_simulate(law=Own)
+    assert recording.run.parameters["law.kind"].endswith(":Own")
+    assert recording.phase("rotate").overshoot < 5
+
+def test_unknown_place(turtlelog_simulate):
+    with pytest.raises(CheckError, match="law: expected a class at the top of a module, or path"):
+        turtlelog_simulate(law=replace(Own, name="nowhere"))
+"""
+    run(suite, body, marker='"runs/kp4.mcap"').assert_outcomes(passed=3)
+
+
 def test_a_law_of_today_is_held_to_the_recorded_answers(suite: pytest.Pytester) -> None:
     body = """
 from turtlelog import load_scenario

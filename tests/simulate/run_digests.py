@@ -83,6 +83,7 @@ def digest_run(number: int, simulate: Simulate = simulate_run) -> tuple[list[int
     except SimulationError as err:
         return [_digest(str(err))] * len(PARTS), [math.nan] * len(_ENDS)
     values = list_values(run)
+    values["parameters"] = sorted(values["parameters"].items())  # their order says nothing
     columns: dict[str, dict[str, Any]] = {name: {} for name in PARTS}
     for key, value in values.items():
         part = key.partition(".")[0]

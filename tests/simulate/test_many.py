@@ -1,7 +1,8 @@
 import dataclasses
 import math
 import random
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -18,45 +19,48 @@ from tests.simulate.random_scenarios import (
 from tests.simulate.run_values import list_values
 from turtlelog.compiled_loops import CompiledLoops
 from turtlelog.errors import SimulationError
+from turtlelog.laws import find_law
 from turtlelog.plants import TURTLESIM, Plant
 from turtlelog.run import Run
-from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
-from turtlelog.simulate import simulate_many, simulate_run
-from turtlelog.simulate.compiled.fields import (
-    AXIS_KEYS,
-    CHOICES,
-    DERIVED,
-    DERIVED_REAL,
-    READ_ELSEWHERE,
-    REAL,
-    ROBOT_KEYS,
-    WHOLE,
-    WITHOUT_EFFECT,
-    is_compiled,
+from turtlelog.scenario import (
+    Scenario,
+    get_preset,
+    override_scenario,
+    resolve_scenario,
 )
-from turtlelog.simulate.compiled.law_fields import PLAIN_KEYS, SIGNAL_KEYS, TABLE_KEYS
-from turtlelog.simulate.compiled.runner import KernelRunner
-from turtlelog.simulate.many import ANY_LOOP, COST_S, LOOP, find_loop, find_saving
+from turtlelog.simulate import declare_scenario, simulate_many, simulate_run
+from turtlelog.simulate.compiled_run import CompiledRunner
+from turtlelog.simulate.many import COST_S, find_loop, find_saving
+from turtlelog.simulate.settings import build_settings
+from turtlelog.simulate.twins import Twins, build_dtype
 
 PRESETS: Final = ("paper", "textbook")
 
-Kernels = Mapping[CompiledLoops, Any]
 
-
-@pytest.fixture(scope="module")
-def kernels() -> Mapping[CompiledLoops, Any]:
+@pytest.fixture(scope="module", autouse=True)
+def has_numba() -> None:
     pytest.importorskip("numba")
-    found = {loop: loop.load() for loop in (LOOP, ANY_LOOP)}
-    assert None not in found.values()
+
+
+def find_loops(scenario: Scenario, plant: Plant | None = None) -> CompiledLoops:
+    scenario = resolve_scenario(scenario)
+    found = find_loop(scenario, scenario.plant.facts if plant is None else plant)
+    assert found is not None
     return found
 
 
-def require_same(kernels: Kernels, scenario: Scenario, plant: Plant | None = None) -> None:
+@cache
+def load_loop(loops: CompiledLoops) -> Any:
+    found = loops.load()
+    assert found is not None
+    return found
+
+
+def require_same(scenario: Scenario, plant: Plant | None = None) -> None:
     scenario = resolve_scenario(scenario)
     plant = scenario.plant.facts if plant is None else plant
-    loop = find_loop(scenario, plant)
-    assert loop is not None
-    run = KernelRunner().simulate(kernels[loop], scenario, plant)
+    loop = load_loop(find_loops(scenario, plant))
+    run = CompiledRunner().simulate(loop, scenario, plant)
     try:
         again = simulate_run(scenario, plant)
     except SimulationError:
@@ -68,93 +72,88 @@ def require_same(kernels: Kernels, scenario: Scenario, plant: Plant | None = Non
 
 
 @pytest.mark.parametrize("block", range(10))
-def test_compiled_loop_is_the_interpreted_one_bit_for_bit(kernels: Kernels, block: int) -> None:
+def test_compiled_loop_is_the_plain_one_bit_for_bit(block: int) -> None:
     for seed in range(block * 20, block * 20 + 20):
-        require_same(kernels, build_random(seed))
+        require_same(build_random(seed))
 
 
 @pytest.mark.parametrize("effect", DRAWN_EFFECTS)
 @pytest.mark.parametrize("preset", PRESETS)
-def test_compiled_loop_has_every_effect(kernels: Kernels, preset: str, effect: str) -> None:
+def test_compiled_loop_has_every_effect(preset: str, effect: str) -> None:
     changes = {"max_duration_s": 8.0, "loop.period_ticks": 1, **EFFECTS[effect]}
-    require_same(kernels, override_scenario(get_preset(preset), changes))
+    require_same(override_scenario(get_preset(preset), changes))
 
 
 @pytest.mark.parametrize("block", range(4))
 @pytest.mark.parametrize("kind", OTHER_LAWS)
-def test_compiled_loop_has_every_law(kernels: Kernels, kind: str, block: int) -> None:
+def test_compiled_loop_has_every_law(kind: str, block: int) -> None:
     for seed in range(block * 10, block * 10 + 10):
-        require_same(kernels, build_other(kind, seed))
+        require_same(build_other(kind, seed))
 
 
 @pytest.mark.parametrize("kind", ["kanayama", "pure-pursuit"])
 @pytest.mark.parametrize("corners", [3, 4, 6])
-def test_compiled_loop_drives_on_into_the_next_lap(
-    kernels: Kernels, kind: str, corners: int
-) -> None:
+def test_compiled_loop_drives_on_into_the_next_lap(kind: str, corners: int) -> None:
     turns = [2.0 * math.pi * number / corners for number in range(corners)]
     points = tuple((5.0 + math.cos(turn), 5.0 + math.sin(turn)) for turn in turns)
     changes = {"path.kind": "polygon", "path.points": points, "law.kind": kind}
     start = {"start.x_m": 5.0 + math.cos(math.pi / corners), "start.y_m": 5.4}
     scenario = override_scenario(get_preset("textbook"), changes | start)
     assert simulate_run(scenario).stop_reason == "path_end"
-    require_same(kernels, scenario)
+    require_same(scenario)
 
 
 @pytest.mark.parametrize("effect", DRAWN_EFFECTS)
-def test_compiled_robot_is_the_interpreted_one_with_every_effect(
-    kernels: Kernels, effect: str
-) -> None:
+def test_compiled_robot_is_the_plain_one_with_every_effect(effect: str) -> None:
     draw = random.Random(effect)
     for preset in PRESETS:
         changes: dict[str, Any] = {"max_duration_s": 8.0, **EFFECTS["lagged"], **EFFECTS[effect]}
         changes |= {**build_robot(draw), "loop.period_ticks": 1}
         changes["loop.queue_policy"] = draw.choice(["one-per-tick", "newest"])
-        require_same(kernels, override_scenario(get_preset(preset), changes))
+        require_same(override_scenario(get_preset(preset), changes))
 
 
-def test_compiled_robot_is_pushed_on_every_edge(kernels: Kernels) -> None:
+def test_compiled_robot_is_pushed_on_every_edge() -> None:
     for from_s, to_s in ((0.05, 0.1), (0.06, 0.07), (0.0, math.inf), (0.11, 0.2)):
         changes = {"disturbance.speed_m_s": 0.3, "disturbance.turn_rate_rad_s": 0.2}
         changes |= {"disturbance.from_s": from_s, "disturbance.to_s": to_s, "max_duration_s": 1.0}
         robot = {**EFFECTS["lagged"], "disturbance.noise_speed": 0.01}
-        require_same(kernels, override_scenario(get_preset("textbook"), {**robot, **changes}))
+        require_same(override_scenario(get_preset("textbook"), {**robot, **changes}))
 
 
-def test_compiled_loop_has_the_events_of_walls_and_pauses(kernels: Kernels) -> None:
+def test_compiled_loop_has_the_events_of_walls_and_pauses() -> None:
     wall = override_scenario(
         get_preset("paper"),
         {"goal.x_m": 11.0, "goal.y_m": 11.0, "disturbance.speed_m_s": 2.0, "max_duration_s": 20.0},
     )
     assert {event.kind for event in simulate_run(wall).events} >= {"wall_hit", "poses_dropped"}
-    require_same(kernels, wall)
+    require_same(wall)
 
 
-def test_compiled_loop_runs_on_a_finer_clock(kernels: Kernels) -> None:
-    require_same(kernels, get_preset("paper"), TURTLESIM.refine(8))
+def test_compiled_loop_runs_on_a_finer_clock() -> None:
+    require_same(get_preset("paper"), TURTLESIM.refine(8))
 
 
-def test_what_the_compiled_loop_cannot_end_is_interpreted(kernels: Kernels) -> None:
+def test_what_the_compiled_loop_cannot_end_runs_plain() -> None:
     unanswered = override_scenario(
         get_preset("paper"), {"loop.start_backlog": 9, "max_duration_s": 0.1}
     )
-    require_same(kernels, unanswered)
+    require_same(unanswered)
     blown = override_scenario(
         get_preset("textbook"),
         {"law.kp_linear": 1e308, "law.kp_angular": 1e308, "limits.turn_rate_rad_s": math.inf},
     )
     with pytest.raises(SimulationError):
         simulate_run(blown)
-    require_same(kernels, blown)
+    require_same(blown)
 
 
 def test_hypotenuse_is_that_of_cpython() -> None:
-    functions = pytest.importorskip("turtlelog.simulate.compiled.functions", exc_type=ImportError)
     draw = np.random.default_rng(1)
     sides = draw.normal(size=(2, 1_000_000)) * 10.0 ** draw.integers(-9, 9, size=(2, 1_000_000))
     sides[:, :500_000] = draw.uniform(-11.1, 11.1, size=(2, 500_000))
     sides[:, :250_000] = sides[:, :250_000].astype(np.float32)
-    found = map_compiled_pairs(functions.find_hypot, *sides)
+    found = map_compiled_pairs(Twins().compile(math.hypot), *sides)
     expected = np.array([*map(math.hypot, *sides.tolist())])
     assert np.flatnonzero(found != expected).tolist() == []
     # The libm's differs: of this test another hypotenuse would fail.
@@ -243,35 +242,46 @@ def list_keys(value: Any, prefix: str = "") -> Iterator[str]:
             yield prefix + field.name
 
 
-KNOWN_KEYS: Final = {
-    *CHOICES,
-    *WHOLE,
-    *REAL,
-    *(key for pair in AXIS_KEYS.values() for key in pair),
-    *ROBOT_KEYS,
-    *(key for keys in (*DERIVED.values(), *DERIVED_REAL.values()) for key in keys),
-    *PLAIN_KEYS,
-    *SIGNAL_KEYS,
-    *TABLE_KEYS,
-    *READ_ELSEWHERE,
-    *WITHOUT_EFFECT,
+READ_BEFORE: Final = {
+    *("name", "max_duration_s", "seed", "plant.kind"),
+    *("start.x_m", "start.y_m", "start.heading_rad", "start.precision"),
 }
+"""Keys of which the scene, the first state and the random numbers are made."""
+
+OF_PATHS: Final = {
+    *("path.kind", "path.points", "path.closed"),
+    *("path.center_x_m", "path.center_y_m", "path.size_m"),
+}
+"""Those of which the pieces of a path are made."""
+
+OF_LAWS: Final = {
+    "sequential-p": {"law.schedule"},
+    "sequential-pid": {"law.schedule"},
+    "posture": set(),
+    "kanayama": OF_PATHS,
+    "pure-pursuit": OF_PATHS,
+    "open-loop": {
+        *("law.signal", "law.axis", "law.start_s", "law.duration_s", "law.width_s"),
+        *("law.order", "law.register", "law.bit_s"),
+        *("law.time_s", "law.speed_m_s", "law.turn_rate_rad_s"),
+    },
+}
+"""Those of which a law makes numbers of its own, and a table."""
 
 
-@pytest.mark.parametrize("kind", ["sequential-p", "sequential-pid", *OTHER_LAWS])
-def test_every_key_of_a_scenario_is_compiled(kind: str) -> None:
+@pytest.mark.parametrize("kind", OF_LAWS)
+def test_every_key_of_a_scenario_is_a_number_of_the_loop(kind: str) -> None:
     scenario = build_other(kind, 1) if kind in OTHER_LAWS else build_random(1)
-    scenario = override_scenario(scenario, {"law.kind": kind})
-    assert {*list_keys(scenario)} - KNOWN_KEYS == set()
-
-
-def test_every_key_that_the_compiled_loop_knows_is_one_of_a_scenario() -> None:
-    laws = ["sequential-p", "sequential-pid", *OTHER_LAWS]
-    scenarios = [build_other(kind, 1) if kind in OTHER_LAWS else build_random(1) for kind in laws]
-    scenarios.append(build_other("kanayama", 1))
-    keys = {key for one in scenarios for key in list_keys(one)}
-    keys |= {*list_keys(override_scenario(get_preset("textbook"), {"law.kind": "sequential-pid"}))}
-    assert KNOWN_KEYS - keys == set()
+    changes = {"law.kind": kind, **EFFECTS["lagged"]}
+    scenario = resolve_scenario(override_scenario(scenario, changes))
+    shape, _, _ = build_settings(
+        scenario, find_law(kind), declare_scenario(scenario), scenario.plant.facts
+    )
+    names = build_dtype(shape.Settings)
+    numbers = {f"{one}.{name}" for one in names.names or () for name in names[one].names or ()}
+    # A scenario without a path has no keys of one; the open loop has a number of the same name.
+    wanted = {*list_keys(scenario)} - {"path", "law.kind"}
+    assert wanted - numbers == READ_BEFORE | OF_LAWS[kind]
 
 
 @pytest.mark.parametrize(
@@ -282,24 +292,25 @@ def test_every_key_that_the_compiled_loop_knows_is_one_of_a_scenario() -> None:
     ],
     ids=["own law", "long"],
 )
-def test_scenario_that_is_not_covered_is_interpreted(changes: Mapping[str, Any]) -> None:
+def test_scenario_that_is_not_covered_runs_plain(changes: Mapping[str, Any]) -> None:
     scenario = resolve_scenario(override_scenario(get_preset("textbook"), changes))
-    assert not is_compiled(scenario, scenario.plant.facts)
+    assert find_loop(scenario, scenario.plant.facts) is None
 
 
-def load(monkeypatch: pytest.MonkeyPatch, kernels: Kernels) -> None:
-    for loop in (LOOP, ANY_LOOP):
-        monkeypatch.setattr(loop, "_loops", kernels.get(loop))
-        monkeypatch.setattr(loop, "_saved_s", 1e9)
+def load(monkeypatch: pytest.MonkeyPatch, scenarios: Sequence[Scenario], *, found: bool) -> None:
+    """Have the compiled loops of scenarios at hand, or not to be had."""
+    for loops in map(find_loops, scenarios):
+        monkeypatch.setattr(loops, "_loops", load_loop(loops) if found else None)
+        monkeypatch.setattr(loops, "_saved_s", 1e9)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_many_runs_come_in_order_and_are_those_of_single_runs(
-    monkeypatch: pytest.MonkeyPatch, kernels: Kernels, threads: int
+    monkeypatch: pytest.MonkeyPatch, threads: int
 ) -> None:
-    load(monkeypatch, kernels)
     lagged = override_scenario(get_preset("textbook"), EFFECTS["lagged"])
     scenarios = [build_random(3), lagged, *map(build_random, range(4, 12))]
+    load(monkeypatch, scenarios, found=True)
     found = simulate_many(scenarios, threads=threads)
     for run, scenario in zip(found, scenarios, strict=True):
         assert isinstance(run, Run)
@@ -318,9 +329,9 @@ def test_many_runs_give_the_error_of_one_in_its_place() -> None:
 
 
 def test_run_that_the_compiled_loop_cannot_end_counts_as_interpreted(
-    monkeypatch: pytest.MonkeyPatch, kernels: Kernels
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    load(monkeypatch, kernels)
+    load(monkeypatch, [get_preset("paper")], found=True)
     failing = override_scenario(
         get_preset("paper"), {"loop.start_backlog": 9, "max_duration_s": 0.1}
     )
@@ -329,8 +340,8 @@ def test_run_that_the_compiled_loop_cannot_end_counts_as_interpreted(
     assert (found.compiled, found.interpreted) == (1, 1)
 
 
-def test_without_numba_many_runs_are_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
-    load(monkeypatch, {})
+def test_without_numba_many_runs_are_plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    load(monkeypatch, [get_preset("paper")], found=False)
     found = simulate_many([get_preset("paper")] * 2)
     assert [type(run) for run in found] == [Run, Run]
     assert (found.compiled, found.interpreted) == (0, 2)
@@ -340,13 +351,14 @@ def test_compiled_loop_is_loaded_where_it_saves_what_it_costs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     loads: list[None] = []
-    monkeypatch.setattr(LOOP, "_loops", None)
-    monkeypatch.setattr(LOOP, "load", lambda: loads.append(None))
-    monkeypatch.setitem(LOOP.__dict__, "cost_s", COST_S)
     scenario = get_preset("paper")
+    loops = find_loops(scenario)
+    monkeypatch.setattr(loops, "_loops", None)
+    monkeypatch.setattr(loops, "load", lambda: loads.append(None))
+    monkeypatch.setitem(loops.__dict__, "cost_s", COST_S)
     saved_s = len(simulate_run(scenario).samples) * find_saving(scenario)
     for runs, expected in ((int(COST_S / saved_s) - 1, 0), (int(COST_S / saved_s) + 1, 1)):
-        monkeypatch.setattr(LOOP, "_saved_s", 0.0)
+        monkeypatch.setattr(loops, "_saved_s", 0.0)
         next(simulate_many([scenario] * runs))
         assert len(loads) == expected
 

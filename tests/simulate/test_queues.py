@@ -1,34 +1,49 @@
+from dataclasses import replace
+
 import pytest
 
-from turtlelog.laws import Decision
-from turtlelog.simulate import CommandQueue, Sample
+from turtlelog.scenario import LoopSettings, Scenario
+from turtlelog.simulate import PlainLoop, SampleRow, loop
 
 
-def make_command(number: int) -> Sample:
-    decision = Decision(
-        speed_m_s=0.0,
-        turn_rate_rad_s=0.0,
-        phase="rotate",
-        bearing_rad=0.0,
-        heading_error_rad=0.0,
-        error_x_m=0.0,
-        error_y_m=0.0,
-    )
-    return Sample(0, number, number, decision, 0, 0.0, 0.0, 0.0, 0)
+class Queue:
+    """The plant's queue of a loop without a controller: commands are put and taken by hand."""
+
+    def __init__(self, *, depth: int = 7, newest_only: bool = False, delay_ticks: int = 0) -> None:
+        settings = LoopSettings(
+            command_queue=depth,
+            queue_policy="newest" if newest_only else "one-per-tick",
+            transport_delay_ticks=delay_ticks,
+        )
+        self._loop = PlainLoop(replace(Scenario(), loop=settings))
+        self._names: list[int] = []
+
+    def put(self, tick: int, name: int) -> None:
+        made, number = self._loop, len(self._names)
+        self._names.append(name)
+        made.rows.samples[number] = SampleRow(sequence=number)
+        loop.publish(made.settings, made.state, made.rows, made.parts, tick, number)
+
+    def take(self, tick: int) -> int | None:
+        found = loop.take(self._loop.settings, self._loop.now, self._loop.rows, tick)
+        return None if found < 0 else self._names[found]
+
+    @property
+    def dropped(self) -> int:
+        return int(self._loop.now.commands_dropped)
 
 
-def make_queue(*, depth: int = 7, newest_only: bool = False, delay_ticks: int = 0) -> CommandQueue:
-    return CommandQueue(depth=depth, newest_only=newest_only, delay_ticks=delay_ticks)
+def make_queue(*, depth: int = 7, newest_only: bool = False, delay_ticks: int = 0) -> Queue:
+    return Queue(depth=depth, newest_only=newest_only, delay_ticks=delay_ticks)
 
 
-def put_commands(queue: CommandQueue, tick: int, *numbers: int) -> None:
-    for number in numbers:
-        queue.put(tick, make_command(number))
+def put_commands(queue: Queue, tick: int, *names: int) -> None:
+    for name in names:
+        queue.put(tick, name)
 
 
-def take_commands(queue: CommandQueue, ticks: range) -> list[int | None]:
-    taken = [queue.take(tick) for tick in ticks]
-    return [None if command is None else command.sequence for command in taken]
+def take_commands(queue: Queue, ticks: range) -> list[int | None]:
+    return [queue.take(tick) for tick in ticks]
 
 
 def test_empty_queue_has_no_command() -> None:
@@ -61,7 +76,7 @@ def test_backlog_never_drains_while_one_command_comes_per_tick() -> None:
     delays = []
     for tick in range(1, 50):
         command = queue.take(tick)
-        delays.append(tick + 4 - (command.sequence if command else 0))
+        delays.append(tick + 4 - (command or 0))
         put_commands(queue, tick, tick + 4)
     assert set(delays) == {5}
 

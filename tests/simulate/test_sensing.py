@@ -8,10 +8,10 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.effects_cases import build_case
+from turtlelog.arithmetic import round_to_step
 from turtlelog.errors import SimulationError
 from turtlelog.run import Run
 from turtlelog.simulate import simulate_run
-from turtlelog.simulate.sensing import round_to_step
 
 Values = NDArray[np.float64]
 

@@ -9,13 +9,40 @@ from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from tests.effects_cases import build_case
+from turtlelog.arithmetic import clip
+from turtlelog.effects.acceleration import (
+    Follower,
+    follow_with_acceleration,
+    follow_with_jerk,
+)
 from turtlelog.run import Run
 from turtlelog.simulate import iterate_ticks, simulate_run
-from turtlelog.simulate.shaping import AccelerationLimiter, JerkLimiter
 
 PERIOD_S = 0.016
 
 Values = NDArray[np.floating[Any]]
+
+
+class AccelerationLimiter:
+    """Follows one command, clipped, with a bounded change per second."""
+
+    def __init__(self, limit: float, largest: float) -> None:
+        self._limit, self._largest, self._state = limit, largest, Follower()
+
+    def follow(self, wanted: float, dt_s: float) -> float:
+        clipped = clip(wanted, self._limit)
+        return follow_with_acceleration(self._state, self._largest, clipped, dt_s)
+
+
+class JerkLimiter:
+    """Follows one command, clipped, with a bounded acceleration and jerk."""
+
+    def __init__(self, limit: float, largest: float, jerk: float) -> None:
+        self._limit, self._rates, self.state = limit, (largest, jerk), Follower()
+
+    def follow(self, wanted: float, dt_s: float) -> float:
+        clipped = clip(wanted, self._limit)
+        return follow_with_jerk(self.state, self._limit, self._rates, clipped, dt_s)
 
 
 def simulate_step(amplitude: float = 0.8, duration_s: float = 2.0, **changes: Any) -> Run:
@@ -167,7 +194,7 @@ def test_jerk_limiter_keeps_all_limits_while_the_target_moves(
         assert abs(mean) <= 2.0 + 1e-9
         # The mean acceleration of an interval is that of its begin, changed by at most jerk * dt.
         assert abs(mean - acceleration) <= 10.0 * dt_s + 1e-9
-        value, acceleration = now, limiter._acceleration
+        value, acceleration = now, limiter.state.rate
 
 
 def test_samples_of_one_time_leave_the_command_alone() -> None:

@@ -13,8 +13,7 @@ from turtlelog.paths import Path
 from turtlelog.plants import TURTLESIM
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
-from turtlelog.simulate import LawDriver, Sample, simulate_run
-from turtlelog.simulate.controller import Controller, build_controller
+from turtlelog.simulate import PlainLoop, SampleRow, TickRow, loop, simulate_run
 
 TICK_NS = TURTLESIM.period_ns
 
@@ -55,27 +54,29 @@ class Blocking:
         )
 
 
-def make_controller(law: Blocking, **changes: Any) -> Controller:
+def make_controller(law: Blocking, **changes: Any) -> PlainLoop:
     scenario: Scenario = build_case(**changes)
-    driver = LawDriver(replace(scenario, law=replace(scenario.law, parameters=None)), law)
-    return build_controller(scenario, driver, TURTLESIM)
+    law_choice = replace(scenario.law, parameters=None)
+    return PlainLoop(replace(scenario, law=law_choice), law=law)
 
 
-def run_controller(controller: Controller, ticks: int) -> tuple[list[Sample], list[Sample]]:
+def run_controller(made: PlainLoop, ticks: int) -> tuple[list[SampleRow], list[SampleRow]]:
     """Return the samples computed and those published, each in the tick that owns its time."""
-    computed: list[Sample] = []
-    published: list[Sample] = []
+    now, rows = made.now, made.rows
     for tick in range(ticks):
-        controller.receive(tick, Pose(float(tick), 0.0, 0.0))
-        answered, sent = controller.answer(tick, tick * TICK_NS)
-        computed += answered
-        published += sent
-        assert all(tick == sample.time_ns // TICK_NS for sample in answered)
-        assert all(tick == sample.published_ns // TICK_NS for sample in sent)
-    return computed, published
+        before, sent = now.samples, now.published
+        row = rows.ticks[tick] = TickRow(float(tick))
+        now.ticks += 1
+        loop.receive(made.settings, made.state, rows, made.parts, row, tick)
+        loop.answer(made.settings, made.state, rows, made.parts, tick)
+        times = [rows.samples[number].time_ns for number in range(before, now.samples)]
+        times += [rows.samples[number].published_ns for number in range(sent, now.published)]
+        assert all(tick == time_ns // TICK_NS for time_ns in times)
+    samples = [rows.samples[number] for number in range(now.samples)]
+    return samples, samples[: now.published]
 
 
-def list_times_ms(samples: list[Sample]) -> list[float]:
+def list_times_ms(samples: list[SampleRow]) -> list[float]:
     return [sample.time_ns / 1e6 for sample in samples]
 
 
@@ -163,4 +164,4 @@ def test_delayed_poses_beyond_the_queue_are_dropped() -> None:
     controller = make_controller(Blocking(at=0, ticks=5), **changes)
     computed, _ = run_controller(controller, 7)
     assert [s.pose_sequence for s in computed] == [0, 4, 5, 6]
-    assert controller.dropped == 3
+    assert controller.now.poses_dropped == 3

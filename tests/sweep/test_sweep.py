@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 import turtlelog as tl
-from turtlelog.simulate import many
+from turtlelog.scenario import resolve_scenario
+from turtlelog.simulate.many import find_loop
 from turtlelog.sweep import (
     ResultTable,
     RowRecords,
@@ -76,13 +77,15 @@ def test_table_is_the_same_on_two_cores_and_in_the_compiled_loop(
 ) -> None:
     base = tl.override_scenario(tl.load_scenario("paper-kp4"), NOISY)
     grid = ("law.kp_linear=-1:4:0.5", "seed=0:2")
-    monkeypatch.setattr(many.LOOP, "find", lambda: None)
+    loops = find_loop(resolve_scenario(base), base.plant.facts)
+    assert loops is not None
+    monkeypatch.setattr(loops, "find", lambda: None)
     sweep_scenario(base, tmp_path / "one.parquet", *grid)
     sweep_scenario(base, tmp_path / "two.parquet", *grid, jobs=2)
     monkeypatch.undo()
-    loaded = many.LOOP.load()
+    loaded = loops.load()
     if loaded is not None:
-        monkeypatch.setattr(many.LOOP, "find", lambda: loaded)
+        monkeypatch.setattr(loops, "find", lambda: loaded)
         sweep_scenario(base, tmp_path / "compiled.parquet", *grid)
     tables = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert len(tables) == 2 + (loaded is not None)
@@ -96,7 +99,8 @@ COVERED = ["translate.overshoot", "rotate.settling_time", "final.position_error"
 def test_table_is_the_same_from_the_compiled_batch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str
 ) -> None:
-    loops = batch.find_batch(tl.load_scenario(preset), ())
+    loops = batch.find_batch(tl.load_scenario(preset))
+    assert loops is not None
     kernel = loops.load()
     if kernel is None:
         pytest.skip("numba is not installed")

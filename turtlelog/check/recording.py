@@ -31,7 +31,7 @@ from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression
 from turtlelog.identify import AxisModel, Estimate, RobotModel, identify_robot
-from turtlelog.laws import Law
+from turtlelog.laws import AnyLaw, Law, LawPart
 from turtlelog.log import ReadChoice, ReadOptions, read_as_chosen, write_recording
 from turtlelog.measure import find_metric_kind, list_ids_like, list_metrics
 from turtlelog.remote.urls import make_path
@@ -302,7 +302,7 @@ class SimulatedRuns:
         self,
         scenario: str | Path | Scenario | None = None,
         *,
-        law: type[Law] | str | None = None,
+        law: AnyLaw | str | None = None,
         kp: float | None = None,
         changes: Mapping[str, Any] | None = None,
         step_budget_s: float | None = STEP_BUDGET_S,
@@ -312,7 +312,7 @@ class SimulatedRuns:
         Args:
             scenario: A preset, a file, or the scenario itself. Without one `paper`, and with a law
                 `textbook`.
-            law: The law that drives, a class or what names one, as `my_law.py:MyLaw`.
+            law: The law that drives, a class, a `LawPart` or what names one, as `my_law.py:MyLaw`.
             kp: All gains that the law declares.
             changes: Other values by dotted key, as in `{"law.pause_ticks": 0}`.
             step_budget_s: Time that the law may compute for one answer [s]; None: as long as it
@@ -340,10 +340,17 @@ class SimulatedRuns:
 
 
 def _name_law(law: object) -> str:
-    """Return the name by which the class of a law is found again, here and in a recording."""
+    """Return the name by which a law is found again, here and in a recording."""
     module, name = getattr(law, "__module__", None), getattr(law, "__qualname__", None)
+    if isinstance(law, LawPart):
+        from turtlelog.laws import LAWS  # most checks need no law
+
+        if LAWS.get(law.name) is law:
+            return law.name
+        module = law.step.__module__
+        name = next((key for key, one in vars(sys.modules[module]).items() if one is law), None)
     if (
-        not isinstance(law, type)
+        not isinstance(law, type | LawPart)
         or getattr(sys.modules.get(str(module)), str(name), None) is not law
     ):
         expected = "a class at the top of a module, or path.py:Class"

@@ -82,7 +82,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "list": (
             "KIND",
-            "List the names of metrics, signals, presets, laws, mechanisms or figures.",
+            "List the names of metrics, signals, presets, laws, plants, mechanisms or figures.",
         ),
     },
     "Check": {

@@ -1,5 +1,6 @@
 """`turtlelog list`: the names that commands, checks and scenarios take; completion offers them."""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -10,7 +11,7 @@ from turtlelog.cli.output import format_table, print_json, print_text
 if TYPE_CHECKING:
     from cyclopts.completion import CompletionContext
 
-Kind = Literal["metrics", "signals", "presets", "laws", "mechanisms", "figures"]
+Kind = Literal["metrics", "signals", "presets", "laws", "plants", "mechanisms", "figures"]
 Entries = list[dict[str, Any]]
 
 _PRESETS: Final = {
@@ -28,12 +29,12 @@ _NOTES: Final[Mapping[str, str]] = {
     " `turtlelog metrics FILE --all` shows the metrics of a recording.",
     "signals": "And the states of a law, by their names.",
     "mechanisms": "Of any loop, and of the law that is named.",
-    "laws": "And laws of your own: FILE.py:Class.",
+    "laws": "And laws of your own: FILE.py:NAME.",
 }
 
 
 def list_(kind: Kind, /, *, json: bool = False) -> None:
-    """List the names of metrics, signals, presets, laws, mechanisms or figures.
+    """List the names of metrics, signals, presets, laws, plants, mechanisms or figures.
 
     Example: turtlelog list metrics
 
@@ -98,9 +99,22 @@ def _list_laws() -> Entries:
         {
             "name": name,
             "parameters": [*law.Parameters.__dataclass_fields__],
-            "meaning": (law.__doc__ or "").partition("\n")[0],
+            "meaning": law.meaning,
         }
         for name, law in LAWS.items()
+    ]
+
+
+def _list_plants() -> Entries:
+    from turtlelog.plants import PLANTS
+
+    return [
+        {
+            "name": name,
+            "parameters": [one.name for one in dataclasses.fields(part.Keys)],
+            "meaning": part.meaning,
+        }
+        for name, part in PLANTS.items()
     ]
 
 
@@ -127,6 +141,7 @@ _LISTS: Final[Mapping[Kind, Callable[[], Entries]]] = {
     "signals": _list_signals,
     "presets": _list_presets,
     "laws": _list_laws,
+    "plants": _list_plants,
     "mechanisms": _list_mechanisms,
     "figures": _list_figures,
 }

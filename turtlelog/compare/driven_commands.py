@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +14,7 @@ from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
 from turtlelog.run import CommandColumns, Run
 from turtlelog.run.columns import take_rows
 from turtlelog.scenario import Scenario
-from turtlelog.simulate.random_streams import RANDOM_KEYS, list_streams
+from turtlelog.simulate.streams import RANDOM_KEYS, list_streams
 
 _FADED: Final = 1e-3
 """Share of an earlier rate below which it no longer counts."""
@@ -88,7 +87,7 @@ def find_known(run: Run, scenario: Scenario) -> int:
 def silence(scenario: Scenario) -> Scenario:
     """Return a scenario without its random effects."""
     tables: dict[str, dict[str, float]] = {}
-    for key in chain.from_iterable(RANDOM_KEYS.values()):
+    for key in sorted(RANDOM_KEYS):
         table, _, name = key.partition(".")
         tables.setdefault(table, {})[name] = 0.0
     changes: dict[str, Any] = {
@@ -102,7 +101,7 @@ def is_random(scenario: Scenario) -> bool:
 
     Sensed poses are never lost or late there.
     """
-    return bool(list_streams(scenario) - {"dropout", "sensing_jitter"})
+    return bool(list_streams(scenario) - {"dropout_lose_pose", "jitter_pose_travel"})
 
 
 def _counts_commands(scenario: Scenario) -> bool:
@@ -126,8 +125,9 @@ def _find_delay(scenario: Scenario, axis: Axis, left: float) -> float:
         if axis == "speed"
         else (plant.turn_dead_time_s, plant.turn_lag_s)
     )
-    transport_s = loop.transport_delay_s + loop.transport_delay_ticks * plant.facts.period_s
-    return transport_s + (dead_time_s or 0.0) - math.log(left) * (lag_s or 0.0)
+    transport_s: float = loop.transport_delay_s + loop.transport_delay_ticks * plant.facts.period_s
+    delay_s: float = transport_s + (dead_time_s or 0.0) - math.log(left) * (lag_s or 0.0)
+    return delay_s
 
 
 def _stands(run: Run, axis: Axis, earlier: NDArray[np.bool_], seen_s: float) -> bool:

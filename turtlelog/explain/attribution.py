@@ -65,7 +65,8 @@ def find_grain(scenario: Scenario, declaration: Declaration, metric: str, value:
 def find_sample_period_s(scenario: Scenario) -> float:
     """Return the usual time between two answers [s]."""
     loop = scenario.loop
-    return loop.period_s or loop.period_ticks * scenario.plant.facts.period_s
+    period_s: float = loop.period_s or loop.period_ticks * scenario.plant.facts.period_s
+    return period_s
 
 
 def _find_tolerated(scenario: Scenario, declaration: Declaration, metric: str, unit: str) -> Grain:

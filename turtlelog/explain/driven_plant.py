@@ -199,7 +199,7 @@ def _drive(trace: Trace, guess: Any, samples: int, *, reads_alike: bool) -> Valu
     poses: list[tuple[float, float, float]] = []
     read: list[int] = []
     for tick in iterate_ticks(scenario):
-        poses.append((tick.pose.x_m, tick.pose.y_m, tick.pose.heading_rad))
+        poses.append((tick.row.x_m, tick.row.y_m, tick.row.heading_rad))
         read += [sample.pose_sequence for sample in tick.computed]
     if len(read) != samples or (reads_alike and not _reads_as_logged(trace, np.array(read))):
         return None

@@ -1,18 +1,18 @@
 """What an implementation adds to the ideal loop: one table of data for each scenario.
 
-The loop's own mechanisms stand here, those of a law in the law. Each says how a scenario is without
+Those of an effect stand in its file, those of a law in the law. Each says how a scenario is without
 it. Sampling is the clock's: without it the same scenario is simulated on a finer one.
 """
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final
 
+from turtlelog.effects import EFFECTS
 from turtlelog.errors import ExplainError, suggest_names
-from turtlelog.laws import find_law, list_mechanisms, list_sample_counters
-from turtlelog.loops import PUSH_KEYS, Mechanism
+from turtlelog.laws import find_law, list_mechanisms, list_sample_counters, name_law
+from turtlelog.loops import Mechanism
 from turtlelog.run import Run
 from turtlelog.scenario import (
     Scenario,
@@ -21,7 +21,7 @@ from turtlelog.scenario import (
     resolve_scenario,
 )
 from turtlelog.simulate import simulate_run
-from turtlelog.simulate.random_streams import RANDOM_KEYS
+from turtlelog.simulate.streams import RANDOM_KEYS, STREAMS
 
 FINER: Final = 8
 """Steps that a tick is divided into without sampling: 2 ms each."""
@@ -30,145 +30,30 @@ SAMPLING: Final = "sampling"
 """The property that no setting is: without it the plant has a finer clock."""
 
 LOOP_MECHANISMS: Final = (
-    Mechanism(
-        name="queue",
-        kind="effect",
-        neutral={"loop.queue_policy": "newest", "loop.start_backlog": 1},
-        meaning="the newest command wins, and no backlog at the start",
-    ),
-    Mechanism(
-        name="delay",
-        kind="effect",
-        neutral={
-            "loop.transport_delay_ticks": 0,
-            "loop.transport_delay_s": 0.0,
-            "sensing.delay_s": 0.0,
-        },
-        meaning="no delay of commands and poses",
-    ),
-    Mechanism(
-        name="jitter",
-        kind="effect",
-        neutral={"loop.jitter_s": 0.0, "sensing.jitter_s": 0.0},
-        meaning="no jitter of commands and poses, nor the mean delay that it adds",
-    ),
-    Mechanism(
-        name="loss",
-        kind="effect",
-        neutral={"loop.loss_probability": 0.0},
-        meaning="every command arrives",
-    ),
-    Mechanism(
-        name="repeat",
-        kind="effect",
-        neutral={"loop.repeat_probability": 0.0},
-        meaning="no command arrives twice",
-    ),
-    Mechanism(
-        name="late",
-        kind="effect",
-        neutral={"loop.late_probability": 0.0},
-        meaning="no command is late",
-    ),
-    Mechanism(
-        name="noise",
-        kind="effect",
-        neutral={"sensing.noise_position_m": 0.0, "sensing.noise_heading_rad": 0.0},
-        meaning="poses are read without noise",
-    ),
-    Mechanism(
-        name="bias",
-        kind="effect",
-        neutral={"sensing.bias_position_m": 0.0, "sensing.bias_heading_rad": 0.0},
-        meaning="poses are read without bias",
-    ),
-    Mechanism(
-        name="quantum",
-        kind="effect",
-        neutral={"sensing.quantum_position_m": 0.0, "sensing.quantum_heading_rad": 0.0},
-        meaning="poses are read unrounded",
-    ),
-    Mechanism(
-        name="dropout",
-        kind="effect",
-        neutral={"sensing.dropout_probability": 0.0},
-        meaning="every pose arrives",
-    ),
-    Mechanism(
-        name="outlier",
-        kind="effect",
-        neutral={"sensing.outlier_probability": 0.0},
-        meaning="no pose is an outlier",
-    ),
-    Mechanism(
-        name="disturbance",
-        kind="effect",
-        neutral=dict.fromkeys(PUSH_KEYS, 0.0),
-        meaning="nothing pushes the robot",
-    ),
-    Mechanism(
-        name="saturation",
-        kind="property",
-        neutral={"limits.speed_m_s": math.inf, "limits.turn_rate_rad_s": math.inf},
-        meaning="no limit of speed and turn rate",
-    ),
-    Mechanism(
-        name="acceleration",
-        kind="property",
-        neutral={"limits.acceleration_m_s2": math.inf, "limits.turn_acceleration_rad_s2": math.inf},
-        meaning="no limit of acceleration",
-    ),
-    Mechanism(
-        name="jerk",
-        kind="property",
-        neutral={"limits.jerk_m_s3": math.inf, "limits.turn_jerk_rad_s3": math.inf},
-        meaning="no limit of jerk",
-    ),
-    Mechanism(
-        name="shaping",
-        kind="property",
-        neutral={
-            "shaping.low_pass_s": 0.0,
-            "shaping.dead_zone_speed_m_s": 0.0,
-            "shaping.dead_zone_turn_rate_rad_s": 0.0,
-            "shaping.quantum_speed_m_s": 0.0,
-            "shaping.quantum_turn_rate_rad_s": 0.0,
-        },
-        meaning="commands as the law wants them, up to the limits",
-    ),
+    *(mechanism for effect in EFFECTS for mechanism in effect.mechanisms),
     Mechanism(
         name=SAMPLING,
         kind="property",
         neutral={},
         meaning=f"a clock {FINER} times finer, each pose answered, delays unchanged",
     ),
-    Mechanism(
-        name="float32",
-        kind="property",
-        neutral={"loop.pose_precision": "float64"},
-        meaning="poses of 64 bits",
-    ),
 )
 """What lies between law and plant, whatever the law. Dead time and lag of a robot are its own."""
 
 RANDOM_EFFECTS: Final = frozenset(
-    one.name
-    for one in LOOP_MECHANISMS
-    if any(key in keys for keys in RANDOM_KEYS.values() for key in one.neutral)
+    one.name for one in LOOP_MECHANISMS if not RANDOM_KEYS.isdisjoint(one.neutral)
 )
 """Names of those that draw random numbers."""
-
-_CHANCES: Final = frozenset({"loss", "repeat", "late", "dropout"})
-"""Streams of effects that are certain at a probability of 1: the seed then changes nothing."""
 
 
 def draws_random(scenario: Scenario) -> bool:
     """Return whether a scenario's run is another one with another seed."""
     values = flatten_scenario(scenario)
     return any(
-        values.get(key, 0.0) not in ({0.0, 1.0} if stream in _CHANCES else {0.0})
-        for stream, keys in RANDOM_KEYS.items()
-        for key in keys
+        # What is certain draws nothing that counts: a probability of 1.
+        values.get(key, 0.0) not in ({0.0, 1.0} if stream.is_chance else {0.0})
+        for stream in STREAMS.values()
+        for key in stream.keys
     )
 
 
@@ -187,7 +72,7 @@ def find_mechanisms(scenario: Scenario) -> Mapping[str, Mechanism]:
     for mechanism in list_mechanisms(law):
         if mechanism.name in found or mechanism.name == SAMPLING:
             raise ExplainError(
-                f"{law.__name__}.mechanisms: expected a name that no other mechanism has,"
+                f"{name_law(law)}.mechanisms: expected a name that no other mechanism has,"
                 f" found {mechanism.name!r}"
             )
         found[mechanism.name] = mechanism

@@ -12,8 +12,15 @@ from turtlelog.angles import subtract_headings
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.replay import PoseError
 from turtlelog.run import Run
-from turtlelog.scenario import Scenario
-from turtlelog.simulate import CommandQueue, Sample, Tick, iterate_ticks, needs_time
+from turtlelog.scenario import Scenario, resolve_scenario
+from turtlelog.simulate import (
+    PlainLoop,
+    SampleRow,
+    Tick,
+    declare_scenario,
+    iterate_ticks,
+    needs_time,
+)
 
 CLOSE: Final = 1e-6
 """Poses of one scenario differ by less between platforms [m, rad]."""
@@ -136,13 +143,14 @@ def count_equal(
     """
     width = len(rows[-1] or ())
     equal, poses, gauge = 0, list[Row](), QueueGauge(scenario)
+    phases = declare_scenario(scenario).phase_names
     for number, tick in enumerate(iterate_ticks(scenario)):
         gauge.receive(number)
-        poses.append((tick.pose.x_m, tick.pose.y_m, tick.pose.heading_rad))
+        poses.append((tick.row.x_m, tick.row.y_m, tick.row.heading_rad))
         for sample in tick.computed:
             if equal == len(rows):
                 return equal + 1, gauge.needed
-            again = (*poses[sample.pose_sequence], *_describe(sample))[:width]
+            again = (*poses[sample.pose_sequence], *_describe(sample, phases))[:width]
             row = rows[equal]
             if row not in {None, again} and not (to_rounding and _agrees(again, row)):
                 return equal, gauge.needed
@@ -159,11 +167,11 @@ def _agrees(again: Row, recorded: Row) -> bool:
     return is_close and again[5:] == recorded[5:]
 
 
-def _describe(sample: Sample) -> Row:
+def _describe(sample: SampleRow, phases: tuple[str, ...]) -> Row:
     return (
         sample.speed_m_s,
         sample.turn_rate_rad_s,
-        sample.decision.phase,
+        phases[sample.phase],
         sample.pose_sequence,
         sample.time_ns,
     )
@@ -252,20 +260,14 @@ def _set_depths(scenario: Scenario, depth: int) -> Scenario:
 
 
 def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
-    loop, gauge = scenario.loop, QueueGauge(scenario)
-    newest = loop.queue_policy == "newest"
-    queue = CommandQueue(
-        depth=loop.command_queue, newest_only=False, delay_ticks=loop.transport_delay_ticks
-    )
+    gauge, loop = QueueGauge(scenario), PlainLoop(resolve_scenario(scenario))
     superseded = 0
-    for number, tick in enumerate(iterate_ticks(scenario)):
+    for number, tick in enumerate(loop.iterate()):
         gauge.receive(number)
-        queue.take(number)
-        for sample in tick.published:
-            queue.put(number, sample)
         superseded += max(len(tick.published) - 1, 0)
         gauge.answer(tick)
-    return superseded if newest else queue.dropped, gauge.needed
+    is_newest = scenario.loop.queue_policy == "newest"
+    return superseded if is_newest else loop.now.commands_dropped, gauge.needed
 
 
 def read_pause(scenario: Scenario) -> tuple[float | None, int]:
@@ -277,10 +279,10 @@ def read_pause(scenario: Scenario) -> tuple[float | None, int]:
     is_blocked, sent = False, 0.0
     for tick in iterate_ticks(scenario):
         if is_blocked and tick.computed:
-            is_held = float(np.float32(sent)) == tick.turn_rate_rad_s
+            is_held = float(np.float32(sent)) == tick.row.turn_rate_rad_s
             return (sent if is_held else None), len(tick.computed)
         for sample in tick.computed:
-            is_blocked = sample.decision.blocks_ticks > 0
+            is_blocked = sample.blocks_ticks > 0
             sent = sent if is_blocked else sample.turn_rate_rad_s
     return None, 0
 

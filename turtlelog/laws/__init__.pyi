@@ -1,9 +1,11 @@
 from .base import (
     ABSENT_BY_DEFAULT as ABSENT_BY_DEFAULT,
     MAY_BE_INFINITE as MAY_BE_INFINITE,
+    AnyLaw as AnyLaw,
     Decision as Decision,
     Goal as Goal,
     Law as Law,
+    LawPart as LawPart,
     Pose as Pose,
 )
 from .loading import (
@@ -14,6 +16,7 @@ from .loading import (
     list_mechanisms as list_mechanisms,
     list_sample_counters as list_sample_counters,
     list_unused_keys as list_unused_keys,
+    name_law as name_law,
     print_to_stderr as print_to_stderr,
     require_law_name as require_law_name,
 )

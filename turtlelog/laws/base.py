@@ -1,21 +1,21 @@
 """What a control law is: it reads a pose, answers with a decision, and knows nothing else."""
 
 import math
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Any, ClassVar, Final, Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
 import msgspec
 
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Declaration, Mechanism
+from turtlelog.parts import (
+    ABSENT_BY_DEFAULT as ABSENT_BY_DEFAULT,
+    MAY_BE_INFINITE as MAY_BE_INFINITE,
+)
 from turtlelog.paths import Path
 
-ABSENT_BY_DEFAULT: Final[Mapping[str, bool]] = MappingProxyType({"absent_by_default": True})
-"""Metadata of a parameter that a scenario's text leaves out while it has its default, so that
-adding it to a law changes no file that was written before."""
-
-MAY_BE_INFINITE: Final[Mapping[str, bool]] = MappingProxyType({"may_be_infinite": True})
-"""Metadata of a parameter whose inf means that there is no such limit."""
+if TYPE_CHECKING:
+    from turtlelog.laws.asked import AskedLaw
 
 _NO_TOLERANCE: Final = 1e-6
 """A pose in 32 bits comes no nearer: one step is 9.5e-7 m near 10 m, and 2.4e-7 rad near pi."""
@@ -144,3 +144,70 @@ class Law(Protocol):
     def step(self, time_ns: int, pose: Pose) -> Decision:
         """Answer one pose. `time_ns` is the controller's clock [ns], not decreasing."""
         ...
+
+
+Row = Sequence[float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LawPart:
+    """A control law as a function of numbers, which runs plain and compiled.
+
+    Its `step` answers one pose: it enters into `row` what it computed, and returns the wanted speed
+    [m/s] and turn rate [rad/s]. The names of its parameters say what it gets, in any order:
+
+    - `settings`: the scenario as numbers: `settings.law` as `prepare` made it, `settings.goal`
+      (`x_m`, `y_m`, `heading_rad`, NaN without one), `settings.limits`, `settings.path`;
+    - `state`: what it remembers, a `State` at the begin of a run; `row`: of `SampleRow`;
+    - `time_ns`: the controller's clock [ns]; `pose`: x [m], y [m], heading [rad];
+    - `table`: as `build_table` made it; `pieces`: of the path, for the functions of `path_pieces`.
+
+    Attributes:
+        name: Its `kind` in a scenario.
+        meaning: What it does, in one line.
+        Parameters: A frozen dataclass: its keys, as of a law that is a class.
+        step: The law itself.
+        declare: Returns its loops, phases and states; of parameters, goal and path.
+        State: A dataclass with slots and defaults. The states that it declares are fields of it.
+        stops: Why it ends a run, in words: `row.stop` is the place in this list, from 1.
+        mechanisms: What it adds to the ideal loop; `explain` takes each out.
+        counts_samples: Its parameters that count samples.
+        list_unused: Returns tables and keys of a scenario that it does not use with parameters.
+        prepare: Returns the numbers that `step` reads, an object of `Numbers`; of parameters. By
+            default the parameters themselves.
+        Numbers: A dataclass with slots and defaults; None: `Parameters`.
+        build_table: Returns rows of numbers, all of one length; of parameters.
+        needs_path: Whether it runs only on a path.
+    """
+
+    name: str
+    meaning: str
+    Parameters: type[Any]
+    step: Callable[..., tuple[float, float]]
+    declare: Callable[[Any, Goal | None, Path | None], Declaration]
+    State: type[Any]
+    stops: tuple[str, ...] = ()
+    mechanisms: tuple[Mechanism, ...] = ()
+    counts_samples: tuple[str, ...] | None = None
+    list_unused: Callable[[Any], tuple[str, ...]] = lambda _: ()
+    prepare: Callable[[Any], Any] | None = None
+    Numbers: type[Any] | None = None
+    build_table: Callable[[Any], Sequence[Row]] | None = None
+    needs_path: bool = False
+
+    def __call__(self, parameters: Any) -> "AskedLaw":
+        """Return the law with its parameters, to be asked pose by pose like one that is a class."""
+        from turtlelog.laws.asked import build_class  # only who asks it so needs that
+
+        return build_class(self)(parameters)
+
+    def __mro_entries__(self, bases: tuple[object, ...]) -> tuple[type["AskedLaw"]]:
+        """Let a law that is a class inherit from it: `class Mine(SequentialP)`."""
+        from turtlelog.laws.asked import build_class
+
+        del bases
+        return (build_class(self),)
+
+
+AnyLaw = LawPart | type[Law]
+"""A law in either form: a part, or a class."""

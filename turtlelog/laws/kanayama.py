@@ -7,13 +7,13 @@ default gains are those of its experiments: 10 1/s, 6.4e-3 1/cm^2, 0.16 1/cm.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, Final
 
 from msgspec import Meta
 
-from turtlelog.angles import wrap_angle
-from turtlelog.laws.base import Pose
-from turtlelog.laws.path_tracking import PathTracker, Target
+from turtlelog.arithmetic import wrap_angle
+from turtlelog.laws.base import LawPart
+from turtlelog.laws.path_tracking import STOPS, TrackingState, declares, find_target
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,20 +35,35 @@ class KanayamaParameters:
     end_tolerance_m: Annotated[float, Meta(gt=0, le=1e6)] = 0.01
 
 
-class Kanayama(PathTracker):
-    """v = v_r cos e_theta + kx e_x, omega = omega_r + v_r (ky e_y + ktheta sin e_theta)."""
+def step(
+    settings: Any,
+    state: Any,
+    pieces: Any,
+    row: Any,
+    time_ns: int,
+    pose: tuple[float, float, float],
+) -> tuple[float, float]:
+    """Answer one pose, with the error in the robot's frame."""
+    gains = settings.law
+    point, speed_m_s, _, _ = find_target(settings, state, pieces, row, time_ns, pose)
+    if row.stop != 0:
+        return 0.0, 0.0
+    x_m, y_m = point[0] - pose[0], point[1] - pose[1]
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    ahead_m, left_m = x_m * cos + y_m * sin, y_m * cos - x_m * sin
+    error_rad = wrap_angle(point[2] - pose[2])
+    turn_rate = speed_m_s * (point[3] + gains.ky * left_m + gains.ktheta * math.sin(error_rad))
+    return speed_m_s * math.cos(error_rad) + gains.kx * ahead_m, turn_rate
 
-    Parameters: ClassVar = KanayamaParameters
-    kind: ClassVar = "kanayama"
-    along_gain: ClassVar = "kx"
 
-    def _steer(self, pose: Pose, target: Target) -> tuple[float, float]:
-        gains, point, speed_m_s = self._parameters, target.point, target.speed_m_s
-        x_m, y_m = point.x_m - pose.x_m, point.y_m - pose.y_m
-        cos, sin = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
-        ahead_m, left_m = x_m * cos + y_m * sin, y_m * cos - x_m * sin
-        error_rad = wrap_angle(point.heading_rad - pose.heading_rad)
-        turn_rate_rad_s = speed_m_s * (
-            point.curvature_1_m + gains.ky * left_m + gains.ktheta * math.sin(error_rad)
-        )
-        return speed_m_s * math.cos(error_rad) + gains.kx * ahead_m, turn_rate_rad_s
+PART: Final = LawPart(
+    name="kanayama",
+    meaning="v = v_r cos e_theta + kx e_x, omega = omega_r + v_r (ky e_y + ktheta sin e_theta).",
+    Parameters=KanayamaParameters,
+    step=step,
+    declare=declares("kanayama", "kx"),
+    State=TrackingState,
+    stops=STOPS,
+    counts_samples=(),
+    needs_path=True,
+)

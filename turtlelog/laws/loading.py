@@ -15,14 +15,9 @@ from typing import Any, Final
 from turtlelog.display import NamedValues
 from turtlelog.errors import LawError, TurtlelogError, describe_error
 from turtlelog.expressions.tokens import KEYWORDS
-from turtlelog.laws.base import Goal, Law
-from turtlelog.laws.kanayama import Kanayama
-from turtlelog.laws.open_loop import OpenLoop
-from turtlelog.laws.posture import Posture
-from turtlelog.laws.pure_pursuit import PurePursuit
-from turtlelog.laws.sequential_p import SequentialP
-from turtlelog.laws.sequential_pid import SequentialPID
+from turtlelog.laws.base import AnyLaw, Goal, LawPart
 from turtlelog.loops import Declaration, Mechanism
+from turtlelog.parts import load_parts
 from turtlelog.paths import Path as TrackedPath
 
 _PROTOCOL: Final = "docs/own-law.md describes what a law is"
@@ -30,24 +25,26 @@ _PROTOCOL: Final = "docs/own-law.md describes what a law is"
 _SCENARIO_KEY: Final = re.compile(r"(?!law\b)[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*")
 """A table, or a key in it; what a law does with its own parameters is its own affair."""
 
-LAWS: Final[Mapping[str, type[Law]]] = NamedValues(
-    "law",
-    {
-        "sequential-p": SequentialP,
-        "sequential-pid": SequentialPID,
-        "posture": Posture,
-        "pure-pursuit": PurePursuit,
-        "kanayama": Kanayama,
-        "open-loop": OpenLoop,
-    },
+_FILES: Final = (
+    "sequential_p",
+    "sequential_pid",
+    "posture",
+    "pure_pursuit",
+    "kanayama",
+    "open_loop",
 )
-"""The built-in laws by kind."""
+
+LAWS: Final[Mapping[str, LawPart]] = NamedValues(
+    "law", {part.name: part for part in load_parts("turtlelog.laws", _FILES)}
+)
+"""The `PART` of each file, by kind."""
 
 
-def find_law(kind: str) -> type[Law]:
-    """Return the class of a law: a built-in kind, `path.py:Class` or `package.module:Class`.
+def find_law(kind: str) -> AnyLaw:
+    """Return a law: a built-in kind, `path.py:Name` or `package.module:Name`.
 
-    The last two run the code that they name. A file that has not changed gives the same class.
+    The last two run the code that they name. A file that has not changed gives the same law.
+    Name is a class, or a `LawPart`.
 
     Raises:
         LawError: Where there is no such law, or the class is not one.
@@ -59,12 +56,32 @@ def find_law(kind: str) -> type[Law]:
     law = getattr(_load_module(place), name, None)
     if law is None:
         raise LawError(f"expected a class {name} in {place}, found none")
+    if isinstance(law, LawPart):
+        return law
+    if inspect.isfunction(law):
+        _require_call(law, ("time_ns", "pose", "goal"), kind)
+    elif isinstance(law, type) and not hasattr(law, "step"):
+        raise LawError(f"{kind}: a law needs a method step(self, time_ns, pose): {_PROTOCOL}")
+    if inspect.isfunction(law) or isinstance(law, type):
+        from turtlelog.laws.short_laws import complete_law  # few commands run such a law
+
+        law = complete_law(law)
     _require_law(law, kind)
-    return law  # type: ignore[no-any-return]
+    return law
+
+
+def name_law(law: AnyLaw) -> str:
+    """Return what errors call a law."""
+    return law.name if isinstance(law, LawPart) else law.__name__
+
+
+def find_module(law: AnyLaw) -> str:
+    """Return the name of the module in which a law stands."""
+    return law.step.__module__ if isinstance(law, LawPart) else law.__module__
 
 
 def declare_law(
-    law: type[Law], parameters: object, goal: Goal | None, path: TrackedPath | None = None
+    law: AnyLaw, parameters: object, goal: Goal | None, path: TrackedPath | None = None
 ) -> Declaration:
     """Return what a law declares of itself; a law that declares nothing has one phase and no loop.
 
@@ -83,14 +100,14 @@ def declare_law(
     except BaseException as err:
         if isinstance(err, LawError) and law in LAWS.values():
             raise  # It names the key that is wrong.
-        raise LawError(f"{law.__name__}.declare: {describe_law_error(err, law)}") from err
+        raise LawError(f"{name_law(law)}.declare: {describe_law_error(err, law)}") from err
     if not isinstance(declared, Declaration):
         found = type(declared).__name__
-        raise LawError(f"{law.__name__}.declare: expected a Declaration, found {found}")
+        raise LawError(f"{name_law(law)}.declare: expected a Declaration, found {found}")
     if declared != again or [*declared.phases] != [*again.phases]:
         expected = "the same Declaration for the same parameters"
-        raise LawError(f"{law.__name__}.declare: expected {expected}, found another each time")
-    _require_nameable(declared, f"{law.__name__}.declare")
+        raise LawError(f"{name_law(law)}.declare: expected {expected}, found another each time")
+    _require_nameable(declared, f"{name_law(law)}.declare")
     return declared
 
 
@@ -106,7 +123,7 @@ def _require_nameable(declared: Declaration, place: str) -> None:
             raise LawError(f"{place}: state: expected {expected}, found {state!r}")
 
 
-def list_mechanisms(law: type[Law]) -> tuple[Mechanism, ...]:
+def list_mechanisms(law: AnyLaw) -> tuple[Mechanism, ...]:
     """Return what a law adds to the ideal loop.
 
     Raises:
@@ -116,10 +133,10 @@ def list_mechanisms(law: type[Law]) -> tuple[Mechanism, ...]:
     if isinstance(mechanisms, tuple) and all(isinstance(one, Mechanism) for one in mechanisms):
         return mechanisms
     expected = "a tuple of Mechanism"
-    raise LawError(f"{law.__name__}.mechanisms: expected {expected}, found {mechanisms!r:.60}")
+    raise LawError(f"{name_law(law)}.mechanisms: expected {expected}, found {mechanisms!r:.60}")
 
 
-def list_sample_counters(law: type[Law]) -> tuple[str, ...] | None:
+def list_sample_counters(law: AnyLaw) -> tuple[str, ...] | None:
     """Return the parameters of a law that count samples; None where it does not tell.
 
     Raises:
@@ -132,10 +149,10 @@ def list_sample_counters(law: type[Law]) -> tuple[str, ...] | None:
     if isinstance(counters, tuple) and set(counters) <= set(known):
         return counters
     expected = f"a tuple of {', '.join(known)}" if known else "()"
-    raise LawError(f"{law.__name__}.counts_samples: expected {expected}, found {counters!r:.60}")
+    raise LawError(f"{name_law(law)}.counts_samples: expected {expected}, found {counters!r:.60}")
 
 
-def list_unused_keys(law: type[Law], parameters: object) -> tuple[str, ...]:
+def list_unused_keys(law: AnyLaw, parameters: object) -> tuple[str, ...]:
     """Return the tables and keys of a scenario that a law does not use; () where it does not tell.
 
     Raises:
@@ -144,7 +161,7 @@ def list_unused_keys(law: type[Law], parameters: object) -> tuple[str, ...]:
     ask = getattr(law, "list_unused", None)
     if ask is None:
         return ()
-    place = f"{law.__name__}.list_unused"
+    place = f"{name_law(law)}.list_unused"
     try:
         with print_to_stderr():
             found = ask(parameters)
@@ -165,9 +182,9 @@ def print_to_stderr() -> AbstractContextManager[object]:
     return redirect_stdout(sys.stderr)
 
 
-def describe_law_error(err: BaseException, law: type[Law]) -> str:
+def describe_law_error(err: BaseException, law: AnyLaw) -> str:
     """Return an error that a law raised in one line, with its place in the law's own file."""
-    file = getattr(sys.modules.get(law.__module__), "__file__", None)
+    file = getattr(sys.modules.get(find_module(law)), "__file__", None)
     frames = [] if file is None else traceback.extract_tb(err.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == file]
     reason = str(err) if isinstance(err, TurtlelogError) else describe_error(err)
@@ -216,10 +233,8 @@ def _find_file(place: str) -> str | None:
 def _require_law(law: Any, kind: str) -> None:
     is_class = isinstance(law, type)
     if not is_class:
-        raise LawError(f"{kind}: expected a class, found an instance of {type(law).__name__}")
-    missing = [name for name in ("Parameters", "reset", "step") if not hasattr(law, name)]
-    if missing:
-        raise LawError(f"{kind}: expected Parameters, reset and step, found no {missing[0]}")
+        found = f"an instance of {type(law).__name__}"
+        raise LawError(f"{kind}: expected a class, a function or a LawPart, found {found}")
     parameters = law.Parameters
     is_dataclass = isinstance(parameters, type) and dataclasses.is_dataclass(parameters)
     if not is_dataclass or not parameters.__dataclass_params__.frozen:

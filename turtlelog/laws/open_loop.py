@@ -1,26 +1,25 @@
 """Commands over time, whatever the robot does: an excitation, or a sequence as it was recorded."""
 
-from bisect import bisect_right
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
 from turtlelog.errors import ParameterError
-from turtlelog.laws.base import Decision, Goal, Pose
+from turtlelog.laws.base import Goal, LawPart, Row
 from turtlelog.loops import Declaration
 from turtlelog.paths import Path
 
-_WAIT: Final = "wait"
-_EXCITE: Final = "excite"
 _TICK_S: Final = 0.016
 """One tick of turtlesim [s], which is the usual period of the controller."""
 
 END_OF_SIGNAL: Final = "end_of_signal"
 """Stop reason of every run of this law."""
+
+_END_OF_SIGNAL: Final = 1
 
 MOST_ROWS: Final = 2500
 """Of a sequence. Its three lists stand in the scenario's text, at most 82 bytes a row: 200 KiB of
@@ -161,138 +160,147 @@ def _require_numbers(name: str, values: Iterable[float]) -> None:
             raise ParameterError(f"{name}: value {number}: expected {expected}, found {value:g}")
 
 
-class Signal(NamedTuple):
+SEQUENCE, IMPULSE, STEP, RAMP, PRBS = range(5)
+"""Signals by number."""
+
+_SIGNALS: Final = ("sequence", "impulse", "step", "ramp", "prbs")
+
+
+@dataclass(slots=True, kw_only=True)
+class Signal:
     """What an open loop sends, in the nanoseconds in which the clocks count.
 
     Attributes:
-        kind: As `OpenLoopParameters.signal`.
-        axis: Likewise; `both` of a sequence.
-        amplitude: Likewise; 0 of a sequence.
+        kind: `SEQUENCE`, `IMPULSE`, `STEP`, `RAMP` or `PRBS`.
+        rows: Of a sequence, or bits of a PRBS: rows of the table.
+        moves_speed: Whether it drives the speed.
+        moves_turn: Whether it drives the turn rate.
+        shift: Bits by which the speed of a PRBS is later.
+        excite_phase: Number of the phase in which it acts.
+        amplitude: As the key; 0 of a sequence.
+        height: Of an impulse.
         start_ns: When it begins; 0 of a sequence.
         duration_ns: How long it lasts from then on; 0 of a sequence.
-        width_s: Of an impulse [s].
-        width_ns: Likewise [ns].
+        width_ns: Of an impulse.
         bit_ns: Of a PRBS.
-        bits: One period of a PRBS.
-        rows_ns: When each row of a sequence begins.
-        speeds: Of each row [m/s].
-        turn_rates: Of each row [rad/s].
     """
 
-    kind: str
-    axis: str
-    amplitude: float
-    start_ns: int
-    duration_ns: int
-    width_s: float
-    width_ns: int
-    bit_ns: int
-    bits: tuple[int, ...]
-    rows_ns: tuple[int, ...]
-    speeds: tuple[float, ...]
-    turn_rates: tuple[float, ...]
+    kind: int = STEP
+    rows: int = 0
+    moves_speed: bool = False
+    moves_turn: bool = True
+    shift: int = 0
+    excite_phase: int = 0
+    amplitude: float = 0.0
+    height: float = 0.0
+    start_ns: int = 0
+    duration_ns: int = 0
+    width_ns: int = 0
+    bit_ns: int = 0
+
+
+@dataclass(slots=True)
+class OpenLoopState:
+    """When it began: time of the first sample [ns], -1 before it."""
+
+    first_ns: int = -1
 
 
 def build_signal(parameters: OpenLoopParameters) -> Signal:
     """Return the signal of an open loop."""
     values = parameters.complete()
-    rows_ns = tuple(_count_ns(time_s) for time_s in values.get("time_s", ()))
-    none = (0.0,) * len(rows_ns)
-    is_random = parameters.signal == "prbs"
+    axis = values.get("axis", "both")
+    amplitude = values.get("amplitude", 0.0)
     width_s = values.get("width_s", _TICK_S)
+    rows = len(values.get("time_s", ()))
+    if parameters.signal == "prbs":
+        rows = int(2 ** values["order"] - 1)
     return Signal(
-        kind=parameters.signal,
-        axis=values.get("axis", "both"),
-        amplitude=values.get("amplitude", 0.0),
+        kind=_SIGNALS.index(parameters.signal),
+        rows=rows,
+        moves_speed=axis != "turn_rate",
+        moves_turn=axis != "speed",
+        shift=rows // 2 if axis == "both" and parameters.signal == "prbs" else 0,
+        excite_phase=int(parameters.begins_s > 0.0),
+        amplitude=amplitude,
+        height=amplitude / width_s,
         start_ns=_count_ns(values.get("start_s", 0.0)),
         duration_ns=_count_ns(values.get("duration_s", 0.0)),
-        width_s=width_s,
         width_ns=_count_ns(width_s),
         bit_ns=_count_ns(values.get("bit_s", _TICK_S)),
-        bits=generate_bits(values["order"], values["register"]) if is_random else (),
-        rows_ns=rows_ns,
-        speeds=values.get("speed_m_s", ()) or none,
-        turn_rates=values.get("turn_rate_rad_s", ()) or none,
     )
 
 
-class OpenLoop:
-    """Send commands over time, whatever the robot does: impulse, step, ramp, PRBS or a sequence."""
+def build_table(parameters: OpenLoopParameters) -> Sequence[Row]:
+    """Return time [ns], speed and turn rate of each row of a sequence, or the bits of a PRBS."""
+    values = parameters.complete()
+    if parameters.signal == "prbs":
+        return [(float(bit),) * 3 for bit in generate_bits(values["order"], values["register"])]
+    times = [float(_count_ns(time_s)) for time_s in values.get("time_s", ())]
+    none = (0.0,) * len(times)
+    speeds, turn_rates = values.get("speed_m_s", ()), values.get("turn_rate_rad_s", ())
+    return [*zip(times, speeds or none, turn_rates or none, strict=True)]
 
-    Parameters: ClassVar = OpenLoopParameters
-    mechanisms: ClassVar = ()
-    counts_samples: ClassVar = ()
 
-    @classmethod
-    def declare(
-        cls, parameters: OpenLoopParameters, goal: Goal | None, path: Path | None
-    ) -> Declaration:
-        """Return its phases, `wait` where the signal begins later: it has no loop and no goal."""
-        del goal, path
-        phases = (_WAIT, _EXCITE) if parameters.begins_s > 0.0 else (_EXCITE,)
-        return Declaration(phases=dict.fromkeys(phases, ()), uses_goal=False)
+def step(settings: Any, state: Any, table: Any, row: Any, time_ns: int) -> tuple[float, float]:
+    """Answer one pose by what its time asks for."""
+    signal = settings.law
+    if state.first_ns < 0:
+        state.first_ns = time_ns
+    since_ns = time_ns - state.first_ns
+    row.phase = signal.excite_phase
+    if signal.kind == SEQUENCE:
+        return _send_row(signal, table, row, since_ns)
+    since_ns -= signal.start_ns
+    if since_ns < 0:
+        row.phase = 0
+        return 0.0, 0.0
+    if since_ns >= signal.duration_ns:
+        row.stop = _END_OF_SIGNAL
+        return 0.0, 0.0
+    speed = turn_rate = 0.0
+    if signal.moves_speed:
+        speed = _compute_value(signal, table, since_ns, signal.shift)
+    if signal.moves_turn:
+        turn_rate = _compute_value(signal, table, since_ns, 0)
+    return speed, turn_rate
 
-    @classmethod
-    def list_unused(cls, parameters: OpenLoopParameters) -> tuple[str, ...]:
-        """Return the path."""
-        del parameters
-        return ("path",)
 
-    def __init__(self, parameters: OpenLoopParameters) -> None:
-        """Take the parameters."""
-        self._signal = build_signal(parameters)
-        self._first_ns: int | None = None
+def _send_row(signal: Any, table: Any, row: Any, since_ns: int) -> tuple[float, float]:
+    """Return speed and turn rate of the last row that has begun."""
+    low, high = 0, signal.rows
+    while low < high:
+        middle = (low + high) // 2
+        if since_ns < table[middle][0]:
+            high = middle
+        else:
+            low = middle + 1
+    if low == 0:
+        row.phase = 0
+        return 0.0, 0.0
+    if low == signal.rows:
+        row.stop = _END_OF_SIGNAL
+    return table[low - 1][1], table[low - 1][2]
 
-    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
-        """Begin anew, wherever the robot is."""
-        del start, goal, path
-        self._first_ns = None
 
-    def step(self, time_ns: int, pose: Pose) -> Decision:
-        """Answer one pose by what its time asks for."""
-        del pose
-        if self._first_ns is None:
-            self._first_ns = time_ns
-        since_ns = time_ns - self._first_ns
-        if self._signal.kind == "sequence":
-            return self._decide_row(since_ns)
-        since_ns -= self._signal.start_ns
-        if since_ns < 0:
-            return Decision(speed_m_s=0.0, turn_rate_rad_s=0.0, phase=_WAIT)
-        if since_ns >= self._signal.duration_ns:
-            return Decision(
-                speed_m_s=0.0, turn_rate_rad_s=0.0, phase=_EXCITE, stop_reason=END_OF_SIGNAL
-            )
-        axis = self._signal.axis
-        return Decision(
-            speed_m_s=0.0 if axis == "turn_rate" else self._compute_value(since_ns, 1),
-            turn_rate_rad_s=0.0 if axis == "speed" else self._compute_value(since_ns, 0),
-            phase=_EXCITE,
-        )
+def _compute_value(signal: Any, table: Any, since_ns: int, shift: int) -> float:
+    """Return the signal at a time since its start."""
+    amplitude: float = signal.amplitude
+    if signal.kind == IMPULSE:
+        return signal.height if since_ns < signal.width_ns else 0.0
+    if signal.kind == RAMP:
+        return amplitude * (since_ns / 1e9)
+    if signal.kind == STEP:
+        return amplitude
+    bit = (since_ns // signal.bit_ns - shift) % signal.rows
+    return amplitude if table[bit][0] != 0.0 else -amplitude
 
-    def _decide_row(self, since_ns: int) -> Decision:
-        row = bisect_right(self._signal.rows_ns, since_ns) - 1
-        if row < 0:
-            return Decision(speed_m_s=0.0, turn_rate_rad_s=0.0, phase=_WAIT)
-        return Decision(
-            speed_m_s=self._signal.speeds[row],
-            turn_rate_rad_s=self._signal.turn_rates[row],
-            phase=_EXCITE,
-            stop_reason=END_OF_SIGNAL if row == len(self._signal.rows_ns) - 1 else None,
-        )
 
-    def _compute_value(self, since_ns: int, channel: int) -> float:
-        """Return the signal at a time since its start; `channel` 1 is the speed."""
-        amplitude: float = self._signal.amplitude
-        if self._signal.kind == "impulse":
-            return amplitude / self._signal.width_s if since_ns < self._signal.width_ns else 0.0
-        if self._signal.kind == "ramp":
-            return amplitude * (since_ns / 1e9)
-        if self._signal.kind == "step":
-            return amplitude
-        shift = channel * (len(self._signal.bits) // 2) if self._signal.axis == "both" else 0
-        bit = since_ns // self._signal.bit_ns - shift
-        return amplitude if self._signal.bits[bit % len(self._signal.bits)] else -amplitude
+def declare(parameters: OpenLoopParameters, goal: Goal | None, path: Path | None) -> Declaration:
+    """Return its phases, `wait` where the signal begins later: it has no loop and no goal."""
+    del goal, path
+    phases = ("wait", "excite") if parameters.begins_s > 0.0 else ("excite",)
+    return Declaration(phases=dict.fromkeys(phases, ()), uses_goal=False)
 
 
 def _count_ns(time_s: float) -> int:
@@ -313,3 +321,21 @@ def generate_bits(order: int, register: int) -> tuple[int, ...]:
         fed = ((register >> (order - first)) ^ (register >> (order - second))) & 1
         register = register >> 1 | fed << (order - 1)
     return tuple(bits)
+
+
+PART: Final = LawPart(
+    name="open-loop",
+    meaning=(
+        "Send commands over time, whatever the robot does: impulse, step, ramp, PRBS or a sequence."
+    ),
+    Parameters=OpenLoopParameters,
+    step=step,
+    declare=declare,
+    State=OpenLoopState,
+    stops=(END_OF_SIGNAL,),
+    counts_samples=(),
+    list_unused=lambda _: ("path",),
+    prepare=build_signal,
+    Numbers=Signal,
+    build_table=build_table,
+)

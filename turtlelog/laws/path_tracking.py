@@ -1,136 +1,114 @@
-"""What laws that track a path have in common: their loops, and where the robot should be."""
+"""What laws that track a path have in common: their loops, and where the robot should be.
+
+Where the path has a speed, the reference leaves its beginning with the first sample and moves at
+that speed; the run ends when it reaches the end. Otherwise the reference is the point of the path
+nearest to the robot, and the run ends within a tolerance of the end.
+"""
 
 import math
-from abc import ABC, abstractmethod
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Final
 
-from turtlelog.angles import wrap_angle
+from turtlelog.arithmetic import called, least, wrap_angle
 from turtlelog.errors import LawError
-from turtlelog.laws.base import Decision, Goal, Pose
-from turtlelog.loops import ControlLoop, Declaration, Mechanism
-from turtlelog.path_pieces import PathPoint
-from turtlelog.paths import Path, PathFollower
+from turtlelog.laws.base import Goal
+from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.path_pieces import Point, find_on_first_lap, follow, locate
+from turtlelog.paths import Path
 
-_TRACK = "track"
-_NO_GOAL = math.nan
+STOPS: Final = ("path_end",)
+PATH_END: Final = 1
+
+Target = tuple[Point, float, float, float]
+"""The point where the robot should be; how fast it moves along the path [m/s]; how far the robot is
+behind it [m], 0 where no time belongs to it; arc length of the point nearest to the robot [m]."""
 
 
-class Target(NamedTuple):
-    """The reference at one pose, and where the robot is on the path.
+@dataclass(slots=True)
+class TrackingState:
+    """Where a law stands that tracks a path.
 
     Attributes:
-        point: Where the robot should be: by time, or the point of the path nearest to it.
-        speed_m_s: How fast that point moves along the path [m/s].
-        behind_m: How far the robot is behind it along the path [m]; 0 where no time belongs to it.
-        nearest_m: Arc length of the point that is nearest to the robot [m].
-        is_over: Whether the reference is at the end of the path.
+        first_ns: Time of the first sample [ns]; -1 before it.
+        arc_m: Arc length of the point nearest to the robot [m], NaN until it came to the path.
+        begin_m: Where it came to the path [m], NaN likewise.
     """
 
-    point: PathPoint
-    speed_m_s: float
-    behind_m: float
-    nearest_m: float
-    is_over: bool
+    first_ns: int = -1
+    arc_m: float = math.nan
+    begin_m: float = math.nan
 
 
-class PathTracker(ABC):
-    """A law with the phase `track` and the loops `along` and `cross`.
+def declare(name: str, along_gain: str, path: Path | None) -> Declaration:
+    """Return the loops along and across the path, which act at the same time.
 
-    Where the path has a speed, the reference leaves its beginning with the first sample and moves
-    at that speed; the run ends when it reaches the end. Otherwise the reference is the point of the
-    path nearest to the robot, and the run ends within a tolerance of the end.
+    Raises:
+        LawError: Where there is no path.
     """
+    if path is None:
+        raise LawError(f"{name}: expected a path to track, found no table [path]")
+    along = ControlLoop(
+        name="along",
+        signal="along_track",
+        command="speed",
+        reference="path",
+        # Without a time there is no error along the path.
+        gain=None if path.speed_m_s is None else f"law.{along_gain}",
+        is_proportional=False,
+    )
+    cross = ControlLoop(
+        name="cross",
+        signal="cross_track",
+        command="turn_rate",
+        reference="path",
+        is_proportional=False,
+    )
+    phases = {"track": ("along", "cross")}
+    return Declaration(loops=(along, cross), phases=phases, uses_goal=False)
 
-    kind: ClassVar[str]
-    along_gain: ClassVar[str]
-    mechanisms: ClassVar[tuple[Mechanism, ...]] = ()
-    counts_samples: ClassVar[tuple[str, ...]] = ()
 
-    @classmethod
-    def declare(cls, parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
-        """Return the loops along and across the path, which act at the same time."""
+def declares(name: str, along_gain: str) -> Any:
+    """Return what declares the loops of a law."""
+
+    def declare_law(parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
         del parameters, goal
-        along = ControlLoop(
-            name="along",
-            signal="along_track",
-            command="speed",
-            reference="path",
-            gain=cls._name_gain(cls._require(path)),
-            is_proportional=False,
-        )
-        cross = ControlLoop(
-            name="cross",
-            signal="cross_track",
-            command="turn_rate",
-            reference="path",
-            is_proportional=False,
-        )
-        phases = {_TRACK: ("along", "cross")}
-        return Declaration(loops=(along, cross), phases=phases, uses_goal=False)
+        return declare(name, along_gain, path)
 
-    def __init__(self, parameters: Any) -> None:
-        """Take the parameters."""
-        self._parameters = parameters
+    return declare_law
 
-    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
-        """Begin at the beginning of the path."""
-        del start, goal
-        self._path = self._require(path)
-        self._follower = PathFollower(self._path)
-        self._first_ns: int | None = None
-        self._begin_m: float | None = None
 
-    def step(self, time_ns: int, pose: Pose) -> Decision:
-        """Answer one pose."""
-        target = self._find_target(time_ns, pose)
-        speed_m_s, turn_rate_rad_s = (0.0, 0.0) if target.is_over else self._steer(pose, target)
-        point = target.point
-        return Decision(
-            speed_m_s=speed_m_s,
-            turn_rate_rad_s=turn_rate_rad_s,
-            phase=_TRACK,
-            bearing_rad=_NO_GOAL,
-            heading_error_rad=wrap_angle(point.heading_rad - pose.heading_rad),
-            error_x_m=_NO_GOAL,
-            error_y_m=_NO_GOAL,
-            reference=Pose(point.x_m, point.y_m, point.heading_rad),
-            stop_reason="path_end" if target.is_over else None,
-        )
-
-    @abstractmethod
-    def _steer(self, pose: Pose, target: Target) -> tuple[float, float]:
-        """Return the wanted speed [m/s] and turn rate [rad/s]."""
-
-    def _find_target(self, time_ns: int, pose: Pose) -> Target:
-        path, length_m = self._path, self._path.length_m
-        if path.speed_m_s is None:
-            return self._find_nearest(pose)
-        if self._first_ns is None:
-            self._first_ns = time_ns
-        due_m = min(path.speed_m_s * ((time_ns - self._first_ns) / 1e9), length_m)
-        nearest_m = self._follower.advance(pose.x_m, pose.y_m, due_m).arc_m
-        behind_m = due_m - nearest_m
-        return Target(path.locate(due_m), path.speed_m_s, behind_m, nearest_m, due_m >= length_m)
-
-    def _find_nearest(self, pose: Pose) -> Target:
-        """Return the target on a path without a speed; a closed one is over after a whole lap."""
-        path, follower = self._path, self._follower
-        nearest_m = follower.advance(pose.x_m, pose.y_m).arc_m
-        if self._begin_m is None and follower.arc_m is not None:
-            self._begin_m = nearest_m if path.is_closed else 0.0
-        end_m = (self._begin_m or 0.0) + path.length_m - self._parameters.end_tolerance_m
-        is_over = self._begin_m is not None and nearest_m >= end_m
+@called
+def find_target(
+    settings: Any,
+    state: Any,
+    pieces: Any,
+    row: Any,
+    time_ns: int,
+    pose: tuple[float, float, float],
+) -> Target:
+    """Return the reference at one pose, and enter it into the row."""
+    path, law = settings.path, settings.law
+    if state.first_ns < 0:
+        state.first_ns = time_ns
+    position = pose[0], pose[1]
+    if path.has_speed:
+        due_m = least(path.speed_m_s * ((time_ns - state.first_ns) / 1e9), path.length_m)
+        nearest_m, _, state.arc_m = follow(path, pieces, state.arc_m, position, due_m)
+        speed_m_s, behind_m, at_m = path.speed_m_s, due_m - nearest_m, due_m
+        is_over = due_m >= path.length_m
+    else:
+        nearest_m, _, state.arc_m = follow(path, pieces, state.arc_m, position, math.nan)
+        if math.isnan(state.begin_m) and not math.isnan(state.arc_m):
+            state.begin_m = nearest_m if path.is_closed else 0.0
+        begin_m = 0.0 if math.isnan(state.begin_m) else state.begin_m
+        end_m = begin_m + path.length_m - law.end_tolerance_m
+        is_over = not math.isnan(state.begin_m) and nearest_m >= end_m  # after a whole lap
         # On a closed path the next lap begins with the direction of its first leg.
-        point = path.locate(nearest_m if is_over else path.find_on_first_lap(nearest_m))
-        return Target(point, self._parameters.speed_m_s, 0.0, nearest_m, is_over)
-
-    @classmethod
-    def _name_gain(cls, path: Path) -> str | None:
-        """Return the scenario key of the gain along a path, None where there is no such error."""
-        return None if path.speed_m_s is None else f"law.{cls.along_gain}"
-
-    @classmethod
-    def _require(cls, path: Path | None) -> Path:
-        if path is None:
-            raise LawError(f"{cls.kind}: expected a path to track, found no table [path]")
-        return path
+        at_m = nearest_m if is_over else find_on_first_lap(path, nearest_m)
+        speed_m_s, behind_m = law.speed_m_s, 0.0
+    point = locate(path, pieces, at_m)
+    if is_over:
+        row.stop = PATH_END
+    row.heading_error_rad = wrap_angle(point[2] - pose[2])
+    row.reference_x_m, row.reference_y_m, row.reference_heading_rad = point[0], point[1], point[2]
+    return point, speed_m_s, behind_m, nearest_m

@@ -6,18 +6,21 @@ via Lyapunov techniques", IEEE Robotics & Automation Magazine 2(1), 1995.
 
 import math
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, Any, Final
 
 from msgspec import Meta
 
-from turtlelog.angles import wrap_angle
-from turtlelog.errors import LawError
-from turtlelog.laws.base import MAY_BE_INFINITE, TOLERANCE, Decision, Goal, Pose
+from turtlelog.arithmetic import called, hypot, most, wrap_angle
+from turtlelog.laws.base import TOLERANCE, Goal, LawPart
 from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.parts import MAY_BE_INFINITE
 from turtlelog.paths import Path
 
-_DRIVE: Final = "drive"
-_TURN: Final = "turn"
+_DRIVE, _TURN = 0, 1
+"""Phases by their number in the declaration."""
+
+_STOPS: Final = ("within_tolerance", "timeout")
+_WITHIN_TOLERANCE, _TIMEOUT = 1, 2
 
 SERIES_BELOW: Final = 1e-4
 """Below this angle [rad] sin(a) / a is 1 - a^2 / 6: the next term, a^4 / 120, is under 1e-18."""
@@ -45,7 +48,7 @@ DECLARATION: Final = Declaration(
         ),
     ),
     # Turning on the spot at the goal is neither: the bearing means nothing there.
-    phases={_DRIVE: ("approach", "align"), _TURN: ()},
+    phases={"drive": ("approach", "align"), "turn": ()},
     states=("lyapunov",),
 )
 """What the posture law declares, whatever its parameters."""
@@ -81,96 +84,85 @@ class PostureParameters:
     timeout_s: Annotated[float, Meta(gt=0)] = field(default=60.0, metadata=MAY_BE_INFINITE)
 
 
-class Posture:
-    """Drive to position and heading at once, by the Lyapunov law of Aicardi and others."""
+@dataclass(slots=True)
+class PostureState:
+    """Where the law stands.
 
-    Parameters: ClassVar = PostureParameters
-    mechanisms: ClassVar = (TOLERANCE,)
-    counts_samples: ClassVar = ()
+    Attributes:
+        phase: -1 before the first sample.
+        first_ns: Time of the first sample [ns].
+        arrival_rad: Heading to arrive with: the goal's, or else the bearing from the start [rad].
+        lyapunov: What decreases.
+    """
 
-    @classmethod
-    def declare(
-        cls, parameters: PostureParameters, goal: Goal | None, path: Path | None
-    ) -> Declaration:
-        """Return its two loops, which act together."""
-        del parameters, goal, path
-        return DECLARATION
-
-    @classmethod
-    def list_unused(cls, parameters: PostureParameters) -> tuple[str, ...]:
-        """Return the path."""
-        del parameters
-        return ("path",)
-
-    def __init__(self, parameters: PostureParameters) -> None:
-        """Take the parameters."""
-        self._parameters = parameters
-        self._goal = Goal(0.0, 0.0)
-        self._arrival_rad = 0.0
-        self._phase = _DRIVE
-        self._first_ns: int | None = None
-
-    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
-        """Choose the heading to arrive with: the goal's, or else the bearing from the start."""
-        del path
-        if goal is None:
-            raise LawError("expected a goal, found none")
-        self._goal = goal
-        self._phase = _DRIVE
-        self._first_ns = None
-        line_rad = math.atan2(goal.y_m - start.y_m, goal.x_m - start.x_m)
-        self._arrival_rad = line_rad if goal.heading_rad is None else goal.heading_rad
-
-    def step(self, time_ns: int, pose: Pose) -> Decision:
-        """Answer one pose."""
-        if self._first_ns is None:
-            self._first_ns = time_ns
-        rules = self._parameters
-        error_x_m, error_y_m = self._goal.x_m - pose.x_m, self._goal.y_m - pose.y_m
-        rho = math.hypot(error_x_m, error_y_m)
-        bearing_rad = math.atan2(error_y_m, error_x_m)
-        alpha = wrap_angle(bearing_rad - pose.heading_rad)
-        phi = wrap_angle(bearing_rad - self._arrival_rad)
-        turn_rad = wrap_angle(self._arrival_rad - pose.heading_rad)
-        lyapunov = 0.5 * (rho * rho + alpha * alpha + rules.h * phi * phi)
-        speed_m_s, stop_reason = 0.0, None
-        if max(abs(error_x_m), abs(error_y_m)) > rules.position_tolerance_m:
-            self._phase = _DRIVE
-            speed_m_s = rules.gamma * math.cos(alpha) * rho
-            turn_rate_rad_s = self._compute_turn_rate(alpha, phi)
-        elif self._has_heading and abs(turn_rad) > rules.heading_tolerance_rad:
-            # The same law, as if it had arrived along the goal's heading, where phi is 0.
-            self._phase = _TURN
-            turn_rate_rad_s = self._compute_turn_rate(turn_rad, 0.0)
-        else:
-            turn_rate_rad_s, stop_reason = 0.0, "within_tolerance"
-        if stop_reason is None and time_ns - self._first_ns > rules.timeout_s * 1e9:
-            stop_reason = "timeout"
-        return Decision(
-            speed_m_s=speed_m_s,
-            turn_rate_rad_s=turn_rate_rad_s,
-            phase=self._phase,
-            bearing_rad=bearing_rad,
-            heading_error_rad=alpha,
-            error_x_m=error_x_m,
-            error_y_m=error_y_m,
-            states=(lyapunov,),
-            stop_reason=stop_reason,
-        )
-
-    @property
-    def _has_heading(self) -> bool:
-        return self._goal.heading_rad is not None
-
-    def _compute_turn_rate(self, alpha: float, phi: float) -> float:
-        rules = self._parameters
-        sine_ratio = compute_sine_ratio(alpha)
-        swing = rules.gamma * math.cos(alpha) * sine_ratio
-        return rules.k * alpha + swing * (alpha + rules.h * phi)
+    phase: int = -1
+    first_ns: int = 0
+    arrival_rad: float = 0.0
+    lyapunov: float = 0.0
 
 
-def compute_sine_ratio(angle_rad: float) -> float:
-    """Return sin(a) / a, which is 1 at 0."""
-    if abs(angle_rad) < SERIES_BELOW:
-        return 1.0 - angle_rad * angle_rad / 6.0
-    return math.sin(angle_rad) / angle_rad
+@called
+def step(
+    settings: Any, state: Any, row: Any, time_ns: int, pose: tuple[float, float, float]
+) -> tuple[float, float]:
+    """Answer one pose."""
+    law, goal = settings.law, settings.goal
+    x_m, y_m = goal.x_m - pose[0], goal.y_m - pose[1]
+    bearing_rad = math.atan2(y_m, x_m)
+    has_heading = not math.isnan(goal.heading_rad)
+    if state.phase < 0:
+        state.first_ns = time_ns
+        state.arrival_rad = goal.heading_rad if has_heading else bearing_rad
+    rho = hypot(x_m, y_m)
+    alpha = wrap_angle(bearing_rad - pose[2])
+    phi = wrap_angle(bearing_rad - state.arrival_rad)
+    turn_rad = wrap_angle(state.arrival_rad - pose[2])
+    state.lyapunov = 0.5 * (rho * rho + alpha * alpha + law.h * phi * phi)
+    speed = turn_rate = 0.0
+    if most(abs(x_m), abs(y_m)) > law.position_tolerance_m:
+        state.phase = _DRIVE
+        speed = law.gamma * math.cos(alpha) * rho
+        turn_rate = _steer(law, alpha, phi)
+    elif has_heading and abs(turn_rad) > law.heading_tolerance_rad:
+        # The same law, as if it had arrived along the goal's heading, where phi is 0.
+        state.phase = _TURN
+        turn_rate = _steer(law, turn_rad, 0.0)
+    else:
+        state.phase = max(state.phase, _DRIVE)
+        row.stop = _WITHIN_TOLERANCE
+    if row.stop == 0 and time_ns - state.first_ns > law.timeout_s * 1e9:
+        row.stop = _TIMEOUT
+    row.phase, row.distance_m = state.phase, rho
+    row.bearing_rad, row.heading_error_rad = bearing_rad, alpha
+    row.error_x_m, row.error_y_m = x_m, y_m
+    return speed, turn_rate
+
+
+def _steer(law: Any, alpha: float, phi: float) -> float:
+    """Return the turn rate; sin(a) / a is 1 at 0."""
+    ratio = 1.0 - alpha * alpha / 6.0
+    if abs(alpha) >= SERIES_BELOW:
+        ratio = math.sin(alpha) / alpha
+    swing = law.gamma * math.cos(alpha) * ratio
+    rate: float = law.k * alpha + swing * (alpha + law.h * phi)
+    return rate
+
+
+def declare(parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
+    """Return its two loops, which act together."""
+    del parameters, goal, path
+    return DECLARATION
+
+
+PART: Final = LawPart(
+    name="posture",
+    meaning="Drive to position and heading at once, by the Lyapunov law of Aicardi and others.",
+    Parameters=PostureParameters,
+    step=step,
+    declare=declare,
+    State=PostureState,
+    stops=_STOPS,
+    mechanisms=(TOLERANCE,),
+    counts_samples=(),
+    list_unused=lambda _: ("path",),
+)

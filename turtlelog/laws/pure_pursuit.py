@@ -7,12 +7,13 @@ point at the distance L, which lies y to the left, has the curvature 2 y / L^2.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, Final
 
 from msgspec import Meta
 
-from turtlelog.laws.base import Pose
-from turtlelog.laws.path_tracking import PathTracker, Target
+from turtlelog.laws.base import LawPart
+from turtlelog.laws.path_tracking import STOPS, TrackingState, declares, find_target
+from turtlelog.path_pieces import find_ahead
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,20 +34,36 @@ class PurePursuitParameters:
     end_tolerance_m: Annotated[float, Meta(gt=0, le=1e6)] = 0.01
 
 
-class PurePursuit(PathTracker):
-    """Steer for a point of the path ahead: omega = v 2 y / L^2."""
+def step(
+    settings: Any,
+    state: Any,
+    pieces: Any,
+    row: Any,
+    time_ns: int,
+    pose: tuple[float, float, float],
+) -> tuple[float, float]:
+    """Answer one pose: omega = v 2 y / L^2."""
+    law = settings.law
+    _, speed_m_s, behind_m, nearest_m = find_target(settings, state, pieces, row, time_ns, pose)
+    if row.stop != 0:
+        return 0.0, 0.0
+    speed = speed_m_s + law.kp_along * behind_m
+    position = pose[0], pose[1]
+    ahead = find_ahead(settings.path, pieces, position, law.lookahead_m, nearest_m)
+    x_m, y_m = ahead[0] - pose[0], ahead[1] - pose[1]
+    left_m = y_m * math.cos(pose[2]) - x_m * math.sin(pose[2])
+    square = x_m * x_m + y_m * y_m
+    return speed, speed * 2.0 * left_m / square if square != 0.0 else 0.0
 
-    Parameters: ClassVar = PurePursuitParameters
-    kind: ClassVar = "pure-pursuit"
-    along_gain: ClassVar = "kp_along"
 
-    def _steer(self, pose: Pose, target: Target) -> tuple[float, float]:
-        parameters = self._parameters
-        speed_m_s = target.speed_m_s + parameters.kp_along * target.behind_m
-        ahead = self._path.find_ahead(
-            pose.x_m, pose.y_m, parameters.lookahead_m, from_m=target.nearest_m
-        )
-        x_m, y_m = ahead.x_m - pose.x_m, ahead.y_m - pose.y_m
-        left_m = y_m * math.cos(pose.heading_rad) - x_m * math.sin(pose.heading_rad)
-        square = x_m * x_m + y_m * y_m
-        return speed_m_s, speed_m_s * 2.0 * left_m / square if square else 0.0
+PART: Final = LawPart(
+    name="pure-pursuit",
+    meaning="Steer for a point of the path ahead: omega = v 2 y / L^2.",
+    Parameters=PurePursuitParameters,
+    step=step,
+    declare=declares("pure-pursuit", "kp_along"),
+    State=TrackingState,
+    stops=STOPS,
+    counts_samples=(),
+    needs_path=True,
+)

@@ -1,27 +1,88 @@
 """The paper's law: rotate on the spot, then translate, each with u = Kp e."""
 
-import math
-from dataclasses import dataclass, field, fields
-from typing import Annotated, ClassVar, Final, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from math import nan
+from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
 
 from msgspec import Meta
-from msgspec.structs import replace
 
-from turtlelog.angles import wrap_angle
 from turtlelog.errors import LawError
-from turtlelog.laws.base import ABSENT_BY_DEFAULT, MAY_BE_INFINITE, TOLERANCE, Decision, Goal, Pose
+from turtlelog.laws.base import TOLERANCE, Goal, LawPart, Row
 from turtlelog.laws.schedule import DISTANCE, GainSchedule
-from turtlelog.laws.sequential_loops import (
-    DECLARATION,
-    REORIENT,
-    ROTATE,
-    TRANSLATE,
-    declare_loops,
-)
-from turtlelog.loops import Declaration, Mechanism
+from turtlelog.laws.sequential import SCHEDULED, STOPS, SequentialNumbers, SequentialState, step
+from turtlelog.loops import PAUSE, ControlLoop, Declaration, Mechanism
+from turtlelog.parts import ABSENT_BY_DEFAULT, MAY_BE_INFINITE
 from turtlelog.paths import Path
 
-__all__ = ["DECLARATION", "SequentialP", "SequentialPParameters"]
+ROTATE: Final = "rotate"
+TRANSLATE: Final = "translate"
+REORIENT: Final = "reorient"
+
+DECLARATION: Final = Declaration(
+    loops=(
+        ControlLoop(
+            name=ROTATE,
+            signal="heading",
+            command="turn_rate",
+            reference="goal_bearing",
+            gain="law.kp_angular",
+        ),
+        ControlLoop(
+            name=TRANSLATE,
+            signal="along_track",
+            command="speed",
+            reference="goal_distance",
+            gain="law.kp_linear",
+        ),
+    ),
+    # The pause stands second, as in recordings of format 1.
+    phases={ROTATE: (ROTATE,), PAUSE: (), TRANSLATE: (TRANSLATE,)},
+)
+"""What the sequential law declares, with constant gains and without reorientation."""
+
+
+def declare_loops(
+    base: Declaration, goal: Goal | None, schedule: GainSchedule | None, *, reorient: bool
+) -> Declaration:
+    """Return a sequential law's declaration, with what a schedule hides and `reorient` adds.
+
+    Args:
+        base: With constant gains, and without reorientation.
+        goal: None: not known.
+        schedule: Of a loop with a scheduled gain no gain is declared, as no number is its gain.
+        reorient: Whether a third loop turns to the goal's heading, as the first to its bearing.
+
+    Raises:
+        LawError: Where the law is to reorient, and the goal has no heading.
+    """
+    if schedule is None and not reorient:
+        return base  # What it says has been judged once.
+    loops = [_hide_gains(loop, schedule) for loop in base.loops]
+    phases = dict(base.phases)
+    if reorient:
+        if goal is None or goal.heading_rad is None:
+            expected = "a goal with a heading to turn to (goal.heading_rad)"
+            raise LawError(f"law.reorient: expected {expected}, found none")
+        loops.append(replace(loops[0], name=REORIENT, reference="goal_heading"))
+        phases[REORIENT] = (REORIENT,)
+    return replace(base, loops=tuple(loops), phases=phases)
+
+
+def _hide_gains(loop: ControlLoop, schedule: GainSchedule | None) -> ControlLoop:
+    scheduled = () if schedule is None else schedule.gains
+    keys = (loop.gain, loop.integral_gain, loop.derivative_gain)
+    if not any(f"law.{name}" in keys for name in scheduled):
+        return loop
+    return replace(
+        loop,
+        gain=None,
+        integral_gain=None,
+        derivative_gain=None,
+        derivative_filter=None,
+        is_proportional=False,
+    )
+
 
 _MECHANISMS: Final = (
     Mechanism(
@@ -92,196 +153,67 @@ class SequentialPParameters:
     schedule: GainSchedule | None = field(default=None, metadata=ABSENT_BY_DEFAULT)
 
 
-class SequentialP:
-    """Rotate to the goal bearing, then drive; the first callback only computes the bearing."""
+def declare(parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
+    """Return its loops, one after the other: two, or with `reorient` three.
 
-    Parameters: ClassVar[type[SequentialPParameters]] = SequentialPParameters
-    mechanisms: ClassVar = _MECHANISMS
-    counts_samples: ClassVar = ("standstill_samples",)
+    Raises:
+        LawError: Where it is to reorient, and the goal has no heading.
+    """
+    del path
+    return declare_loops(DECLARATION, goal, parameters.schedule, reorient=parameters.reorient)
 
-    @classmethod
-    def declare(
-        cls, parameters: SequentialPParameters, goal: Goal | None, path: Path | None
-    ) -> Declaration:
-        """Return its loops, one after the other: two, or with `reorient` three.
 
-        Raises:
-            LawError: Where it is to reorient, and the goal has no heading.
-        """
-        del path
-        return declare_loops(DECLARATION, goal, parameters.schedule, reorient=parameters.reorient)
+def list_unused(parameters: Any) -> tuple[str, ...]:
+    """Return the path, and the goal's heading where it does not turn to it at the end."""
+    return ("path",) if parameters.reorient else ("path", "goal.heading_rad")
 
-    @classmethod
-    def list_unused(cls, parameters: SequentialPParameters) -> tuple[str, ...]:
-        """Return the path, and the goal's heading where it does not turn to it at the end."""
-        return ("path",) if parameters.reorient else ("path", "goal.heading_rad")
 
-    def __init__(self, parameters: SequentialPParameters) -> None:
-        """Take the parameters."""
-        self._parameters = parameters
-        self._gains = {
-            field.name: getattr(parameters, field.name)
-            for field in fields(parameters)
-            if field.name.startswith(("kp_", "ki_", "kd_"))
-        }
-        if parameters.schedule is not None:
-            # In the place of the method: constant gains are not asked for a schedule each time.
-            self.step = self._step_scheduled  # type: ignore[method-assign]
-        self._adds_terms = False
-        self._goal = Goal(0.0, 0.0)
-        self._goal_heading_rad = 0.0
-        self._phase: str | None = None
-        self._bearing_rad = self._heading_error_rad = 0.0
-        self._world_v_m_s = (0.0, 0.0)
-        self._first_ns = 0
-        self._still_samples = 0
-        self._close_since_ns: int | None = None
+def prepare(parameters: Any) -> SequentialNumbers:
+    """Return the keys of either sequential law as numbers."""
+    values: dict[str, Any] = {}
+    for one in fields(SequentialNumbers):
+        value = getattr(parameters, one.name, None)
+        if isinstance(value, str):
+            words = get_type_hints(type(parameters))[one.name]
+            value = get_args(words).index(value)
+        if value is not None:
+            values[one.name] = value
+    schedule = parameters.schedule
+    if schedule is not None:
+        values["entries"] = len(schedule.at)
+        values["has_distances"] = schedule.over == DISTANCE
+    return SequentialNumbers(**values)
 
-    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
-        """Compute the goal bearing, once."""
-        del path
-        if goal is None:
-            raise LawError("expected a goal, found none")
-        self._goal = goal
-        # Wrapped as the headings of poses are: beyond, an error that is not wrapped has no zero.
-        self._goal_heading_rad = wrap_angle(goal.heading_rad or 0.0)
-        self._phase = None
-        self._bearing_rad = math.atan2(goal.y_m - start.y_m, goal.x_m - start.x_m)
-        self._heading_error_rad = 0.0
-        self._world_v_m_s = (0.0, 0.0)
-        self._still_samples = 0
-        self._close_since_ns = None
 
-    def step(self, time_ns: int, pose: Pose) -> Decision:
-        """Answer one pose."""
-        if self._phase is TRANSLATE:
-            return self._translate(time_ns, pose)
-        if self._phase is ROTATE:
-            return self._rotate(time_ns, pose)
-        if self._phase is REORIENT:
-            return self._reorient(time_ns, pose)
-        self._phase = ROTATE
-        self._first_ns = time_ns
-        return self._decide_rotation(pose, turn_rate_rad_s=0.0)
+def build_table(parameters: Any) -> Sequence[Row]:
+    """Return the entries of a schedule: distance or heading error, then the gains of `SCHEDULED`.
 
-    def _step_scheduled(self, time_ns: int, pose: Pose) -> Decision:
-        """Answer one pose with the gains that the schedule has there."""
-        schedule: GainSchedule = self._parameters.schedule  # type: ignore[assignment]
-        if schedule.over == DISTANCE:
-            place = math.hypot(self._goal.x_m - pose.x_m, self._goal.y_m - pose.y_m)
-        else:
-            place = self._find_heading_error(pose)
-        self._gains.update(schedule.compute_gains(place))
-        return type(self).step(self, time_ns, pose)
+    A gain that is constant is NaN.
+    """
+    schedule = parameters.schedule
+    if schedule is None:
+        return ()
+    entries = len(schedule.at)
+    constant = (nan,) * entries
+    gains = [getattr(schedule, name, None) or constant for name in SCHEDULED]
+    return [*zip(schedule.at, *gains, strict=True)]
 
-    def _find_heading_error(self, pose: Pose) -> float:
-        """Return the error of the heading loop that acts, or acted last [rad]."""
-        is_last = self._phase is REORIENT
-        error_rad = (self._goal_heading_rad if is_last else self._bearing_rad) - pose.heading_rad
-        return wrap_angle(error_rad) if self._parameters.wrap_error else error_rad
 
-    def _rotate(self, time_ns: int, pose: Pose) -> Decision:
-        parameters = self._parameters
-        error_rad = self._bearing_rad - pose.heading_rad
-        if parameters.wrap_error:
-            error_rad = wrap_angle(error_rad)
-        self._heading_error_rad = error_rad
-        if abs(error_rad) > parameters.heading_tolerance_rad:
-            turn_rate_rad_s = self._gains["kp_angular"] * error_rad
-            if self._adds_terms:
-                turn_rate_rad_s = self._add_turning(turn_rate_rad_s, error_rad, time_ns, pose)
-            return self._decide_rotation(pose, turn_rate_rad_s=turn_rate_rad_s)
-        decision = self._decide_rotation(pose, turn_rate_rad_s=0.0)
-        self._phase = TRANSLATE
-        return replace(decision, blocks_ticks=parameters.pause_ticks, ends_phase=True)
+PART: Final = LawPart(
+    name="sequential-p",
+    meaning="Rotate to the goal bearing, then drive; the first callback only computes the bearing.",
+    Parameters=SequentialPParameters,
+    step=step,
+    declare=declare,
+    State=SequentialState,
+    stops=STOPS,
+    mechanisms=_MECHANISMS,
+    counts_samples=("standstill_samples",),
+    list_unused=list_unused,
+    prepare=prepare,
+    Numbers=SequentialNumbers,
+    build_table=build_table,
+)
 
-    def _reorient(self, time_ns: int, pose: Pose) -> Decision:
-        rules = self._parameters
-        error_rad = self._heading_error_rad = self._find_heading_error(pose)
-        if abs(error_rad) <= rules.heading_tolerance_rad:
-            decision = self._decide_rotation(pose, turn_rate_rad_s=0.0)
-            return replace(decision, stop_reason="within_tolerance")
-        turn_rate_rad_s = self._gains["kp_angular"] * error_rad
-        if self._adds_terms:
-            turn_rate_rad_s = self._add_turning(turn_rate_rad_s, error_rad, time_ns, pose)
-        decision = self._decide_rotation(pose, turn_rate_rad_s=turn_rate_rad_s)
-        is_late = time_ns - self._first_ns > rules.timeout_s * 1e9
-        return replace(decision, stop_reason="timeout") if is_late else decision
-
-    def _add_turning(
-        self, proportional: float, error_rad: float, time_ns: int, pose: Pose
-    ) -> float:
-        """Return the turn rate with what a law adds to the proportional term; here nothing."""
-        del error_rad, time_ns, pose
-        return proportional
-
-    def _add_driving(
-        self, proportional: float, error_m: tuple[float, float], along_rad: float, time_ns: int
-    ) -> float:
-        """Return the speed with what a law adds to the proportional term; here nothing."""
-        del error_m, along_rad, time_ns
-        return proportional
-
-    def _decide_rotation(self, pose: Pose, *, turn_rate_rad_s: float) -> Decision:
-        return Decision(
-            speed_m_s=0.0,
-            turn_rate_rad_s=turn_rate_rad_s,
-            phase=self._phase,
-            bearing_rad=self._bearing_rad,
-            heading_error_rad=self._heading_error_rad,
-            error_x_m=self._goal.x_m - pose.x_m,
-            error_y_m=self._goal.y_m - pose.y_m,
-            world_v_x_m_s=0.0,
-            world_v_y_m_s=0.0,
-        )
-
-    def _translate(self, time_ns: int, pose: Pose) -> Decision:
-        parameters = self._parameters
-        error_x_m, error_y_m = self._goal.x_m - pose.x_m, self._goal.y_m - pose.y_m
-        tolerance_m = parameters.position_tolerance_m
-        stop_reason: str | None
-        if abs(error_x_m) > tolerance_m or abs(error_y_m) > tolerance_m:
-            kp = self._gains["kp_linear"]
-            self._world_v_m_s = world_v_x_m_s, world_v_y_m_s = kp * error_x_m, kp * error_y_m
-            along_rad = self._bearing_rad
-            if parameters.projection == "heading":
-                along_rad = pose.heading_rad
-            speed_m_s = world_v_x_m_s * math.cos(along_rad) + world_v_y_m_s * math.sin(along_rad)
-            if self._adds_terms:
-                errors_m = error_x_m, error_y_m
-                speed_m_s = self._add_driving(speed_m_s, errors_m, along_rad, time_ns)
-            stop_reason = self._find_stop_reason(time_ns, speed_m_s, error_x_m, error_y_m)
-        else:
-            speed_m_s, stop_reason = 0.0, "within_tolerance"
-        decision = Decision(
-            speed_m_s=speed_m_s,
-            turn_rate_rad_s=0.0,
-            phase=TRANSLATE,
-            bearing_rad=self._bearing_rad,
-            heading_error_rad=self._heading_error_rad,
-            error_x_m=error_x_m,
-            error_y_m=error_y_m,
-            world_v_x_m_s=self._world_v_m_s[0],
-            world_v_y_m_s=self._world_v_m_s[1],
-            stop_reason=stop_reason,
-        )
-        if stop_reason is None or stop_reason == "timeout" or not parameters.reorient:
-            return decision
-        self._phase = REORIENT
-        return replace(decision, ends_phase=True, stop_reason=None)
-
-    def _find_stop_reason(
-        self, time_ns: int, speed_m_s: float, error_x_m: float, error_y_m: float
-    ) -> str | None:
-        rules = self._parameters
-        still = abs(speed_m_s) < rules.standstill_below
-        self._still_samples = self._still_samples + 1 if still else 0
-        if self._still_samples > rules.standstill_samples:
-            return "standstill"
-        if abs(error_x_m) >= rules.settled_within_m or abs(error_y_m) >= rules.settled_within_m:
-            self._close_since_ns = None
-        elif self._close_since_ns is None:
-            self._close_since_ns = time_ns
-        elif time_ns - self._close_since_ns > rules.settled_for_s * 1e9:
-            return "settled"
-        return "timeout" if time_ns - self._first_ns > rules.timeout_s * 1e9 else None
+SequentialP: Final = PART
+"""As it is used in Python: `SequentialP(SequentialPParameters(...))` answers pose by pose."""

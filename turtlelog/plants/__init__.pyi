@@ -1,15 +1,16 @@
-from .lagged import (
-    LAGGED as LAGGED,
-    LARGEST_M as LARGEST_M,
-    LaggedParameters as LaggedParameters,
-    LaggedRobot as LaggedRobot,
-    build_lagged_plant as build_lagged_plant,
+from .kinds import (
+    PLANTS as PLANTS,
+    Plant as Plant,
+    PlantPart as PlantPart,
     find_plant as find_plant,
     read_plant as read_plant,
 )
+from .lagged import (
+    LAGGED as LAGGED,
+)
+from .turtle import (
+    Turtle as Turtle,
+)
 from .turtlesim import (
     TURTLESIM as TURTLESIM,
-    Plant as Plant,
-    Turtle as Turtle,
-    round_to_float32 as round_to_float32,
 )

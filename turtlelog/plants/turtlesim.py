@@ -4,10 +4,11 @@ Source of every formula: turtlesim's `turtle_frame.cpp` and `turtle.cpp` (`Turtl
 measurements on published logs.
 """
 
-from array import array
-from dataclasses import dataclass, replace
-from math import cos, floor, hypot, sin
-from typing import Final
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from turtlelog.arithmetic import Direction, find_direction, floor, hypot, least, most, to_float32
+from turtlelog.parts import Plant, PlantPart
 
 TICK_NS: Final = 16_000_000
 """One plant step [ns]."""
@@ -27,42 +28,6 @@ WATCHDOG_NS: Final = 1_000_000_000
 _PI: Final = 3.14159265  # eight decimals, as in turtlesim's source
 _TWO_PI: Final = 2.0 * _PI
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plant:
-    """The facts of a plant that the loop around it needs.
-
-    Attributes:
-        name: As people call it.
-        period_ns: One step [ns].
-        low_m: The least coordinate of start and goal [m].
-        high_m: The largest [m].
-        watchdog_ns: The plant stops when more than this has passed since it last took a command
-            [ns], whatever its period; inf: it never does.
-        steps_per_tick: Steps that take as long as one tick of the plant as it is; 1 but for a finer
-            clock.
-    """
-
-    name: str
-    period_ns: int
-    low_m: float
-    high_m: float
-    watchdog_ns: float
-    steps_per_tick: int = 1
-
-    @property
-    def period_s(self) -> float:
-        """One step [s]."""
-        return self.period_ns / 1e9
-
-    def refine(self, times: int) -> "Plant":
-        """Return the same plant with a clock that is so many times finer."""
-        period_ns, rest = divmod(self.period_ns, times)
-        if rest:
-            raise ValueError(f"expected a divisor of {self.period_ns} ns, found {times}")
-        return replace(self, period_ns=period_ns, steps_per_tick=self.steps_per_tick * times)
-
-
 TURTLESIM: Final = Plant(
     name="turtlesim",
     period_ns=TICK_NS,
@@ -73,135 +38,131 @@ TURTLESIM: Final = Plant(
 """turtlesim as it is."""
 
 
-class Turtle:
-    """A turtle that integrates the command it holds. Positions inside are y-down, as in turtlesim.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TurtlesimKeys:
+    """It has no keys: all about it is fixed."""
+
+
+@dataclass(slots=True)
+class TurtleState:
+    """A turtle. Positions are y-down, as in turtlesim.
 
     Attributes:
-        speed_m_s: Velocity along the heading that the last tick applied [m/s].
-        lateral_speed_m_s: Velocity to the left of the heading [m/s].
-        turn_rate_rad_s: Counter-clockwise [rad/s].
-        hit_wall: Whether the last tick clamped the position to the world.
+        x_m: World frame [m].
+        down_m: From the upper edge of the world [m].
+        heading_rad: Counter-clockwise from +x [rad].
+        speed: Velocity along the heading that it holds [m/s].
+        lateral_speed: Velocity to the left of the heading that it holds [m/s].
+        turn_rate: That it holds [rad/s].
+        push_speed: Added to the speed [m/s].
+        push_turn_rate: Added to the turn rate [rad/s].
+        applied_speed: Magnitude of the velocity in the last step [m/s].
+        applied_turn_rate: In the last step [rad/s].
+        idle_ns: Since it took a command [ns].
+        hit_wall: Whether the last step clamped the position to the world.
+        keeps_32_bits: Whether each step rounds the heading to 32 bits, before it is wrapped and
+            after: before Humble, `normalizeAngle` took and returned a `float`.
+        along: Its direction.
     """
 
-    __slots__ = (
-        "_down_m",
-        "_heading_rad",
-        "_idle_ns",
-        "_keeps_32_bits",
-        "_period_ns",
-        "_period_s",
-        "_teleports",
-        "_watchdog_ns",
-        "_x_m",
-        "hit_wall",
-        "lateral_speed_m_s",
-        "speed_m_s",
-        "turn_rate_rad_s",
+    x_m: float = 0.0
+    down_m: float = 0.0
+    heading_rad: float = 0.0
+    speed: float = 0.0
+    lateral_speed: float = 0.0
+    turn_rate: float = 0.0
+    push_speed: float = 0.0
+    push_turn_rate: float = 0.0
+    applied_speed: float = 0.0
+    applied_turn_rate: float = 0.0
+    idle_ns: int = 0
+    hit_wall: bool = False
+    keeps_32_bits: bool = False
+    along: Direction = field(default_factory=Direction)
+
+
+def begin(
+    keys: Any, x_m: float, y_m: float, heading_rad: float, *, is_rounded: bool
+) -> TurtleState:
+    """Return a turtle that spawns at a pose, rounded to 32 bits as spawning does.
+
+    Unless it is rounded it stands there since it moved before.
+    """
+    del keys
+    down_m = WORLD_SIZE_M - y_m
+    if is_rounded:
+        down_m = to_float32(WORLD_SIZE_M - to_float32(y_m))
+        x_m, heading_rad = to_float32(x_m), to_float32(heading_rad)
+    return TurtleState(x_m=x_m, down_m=down_m, heading_rad=heading_rad)
+
+
+def hold(
+    settings: Any, state: Any, rows: Any, time_ns: int, speed: float, turn_rate: float
+) -> None:
+    """Hold a command from the next step on; there is no limit in the plant."""
+    state.speed, state.turn_rate = speed, turn_rate
+    state.idle_ns = -settings.scene.period_ns
+
+
+def push(settings: Any, state: Any, speed: float, turn_rate: float) -> None:
+    """Add these rates in the next step."""
+    state.push_speed, state.push_turn_rate = speed, turn_rate
+
+
+def move(settings: Any, state: Any, rows: Any, time_ns: int) -> bool:
+    """Move for one step: watchdog, push, turn, move along the new heading, clamp."""
+    scene = settings.scene
+    state.idle_ns += scene.period_ns
+    if state.idle_ns > scene.watchdog_ns:
+        state.speed = state.lateral_speed = state.turn_rate = 0.0
+    forward, left, turn_rate = state.speed, state.lateral_speed, state.turn_rate
+    if scene.is_pushed:
+        forward, turn_rate = forward + state.push_speed, turn_rate + state.push_turn_rate
+    heading_rad = state.heading_rad + turn_rate * scene.period_s
+    if state.keeps_32_bits:
+        heading_rad = to_float32(heading_rad)
+    heading_rad -= _TWO_PI * floor((heading_rad + _PI) / _TWO_PI)
+    if state.keeps_32_bits:
+        heading_rad = to_float32(heading_rad)
+    cosine, sine = find_direction(state.along, heading_rad)
+    period_s = scene.period_s
+    x_m = state.x_m + (cosine * forward * period_s - sine * left * period_s)
+    down_m = state.down_m - (cosine * left * period_s + sine * forward * period_s)
+    state.hit_wall = not (0.0 <= x_m <= WORLD_SIZE_M and 0.0 <= down_m <= WORLD_SIZE_M)
+    if state.hit_wall:
+        x_m = least(most(x_m, 0.0), WORLD_SIZE_M)
+        down_m = least(most(down_m, 0.0), WORLD_SIZE_M)
+    state.x_m, state.down_m, state.heading_rad = x_m, down_m, heading_rad
+    state.applied_speed = abs(forward) if left == 0.0 else hypot(forward, left)
+    state.applied_turn_rate = turn_rate
+    return True
+
+
+def read(state: Any) -> tuple[float, float, float, float, float]:
+    """Return what a pose message holds, in double precision.
+
+    Position x, y [m] and heading [rad] in the world frame, magnitude of the applied velocity
+    [m/s], applied turn rate [rad/s].
+    """
+    return (
+        state.x_m,
+        WORLD_SIZE_M - state.down_m,
+        state.heading_rad,
+        state.applied_speed,
+        state.applied_turn_rate,
     )
 
-    def __init__(
-        self,
-        *,
-        x_m: float,
-        y_m: float,
-        heading_rad: float = 0.0,
-        is_rounded: bool = True,
-        keeps_32_bits: bool = False,
-        plant: Plant = TURTLESIM,
-    ) -> None:
-        """Spawn at a pose in the world frame [m, m, rad], rounded to 32 bits as spawning does.
 
-        Unless `is_rounded`: then it stands there since it moved before. The `plant` says how long a
-        step is. With `keeps_32_bits` each step rounds the heading to 32 bits, before it is wrapped
-        and after: before Humble, `normalizeAngle` took and returned a `float`.
-        """
-        self._keeps_32_bits = keeps_32_bits
-        self._period_ns, self._period_s = plant.period_ns, plant.period_s
-        self._watchdog_ns = plant.watchdog_ns
-        self._x_m, self._down_m, self._heading_rad = x_m, WORLD_SIZE_M - y_m, heading_rad
-        if is_rounded:
-            self._x_m = round_to_float32(x_m)
-            self._down_m = round_to_float32(WORLD_SIZE_M - round_to_float32(y_m))
-            self._heading_rad = round_to_float32(heading_rad)
-        self._idle_ns = 0
-        self._teleports: list[tuple[bool, float, float, float]] = []
-        self.speed_m_s = self.lateral_speed_m_s = self.turn_rate_rad_s = 0.0
-        self.hit_wall = False
-
-    def take_command(
-        self, speed_m_s: float, turn_rate_rad_s: float, lateral_speed_m_s: float = 0.0
-    ) -> None:
-        """Hold a command from the next step on; there is no limit in the plant."""
-        self.speed_m_s = speed_m_s
-        self.lateral_speed_m_s = lateral_speed_m_s
-        self.turn_rate_rad_s = turn_rate_rad_s
-        self._idle_ns = -self._period_ns
-
-    def teleport_to(self, x_m: float, y_m: float, heading_rad: float) -> None:
-        """Ask to be set to a pose in the world frame at the next step [m, m, rad]."""
-        to = (round_to_float32(x_m), round_to_float32(y_m), round_to_float32(heading_rad))
-        self._teleports.append((False, *to))
-
-    def teleport_by(self, forward_m: float, turn_rad: float) -> None:
-        """Ask to be turned, then moved along the new heading, at the next step [m, rad]."""
-        self._teleports.append((True, round_to_float32(forward_m), 0.0, round_to_float32(turn_rad)))
-
-    def step(self) -> None:
-        """Move for one step: teleports, watchdog, turn, move along the new heading, clamp."""
-        if self._teleports:
-            self._apply_teleports()
-        period_s = self._period_s
-        self._idle_ns += self._period_ns
-        if self._idle_ns > self._watchdog_ns:
-            self.speed_m_s = self.lateral_speed_m_s = self.turn_rate_rad_s = 0.0
-        heading_rad = self._heading_rad + self.turn_rate_rad_s * period_s
-        if self._keeps_32_bits:
-            heading_rad = round_to_float32(heading_rad)
-        heading_rad -= _TWO_PI * floor((heading_rad + _PI) / _TWO_PI)
-        if self._keeps_32_bits:
-            heading_rad = round_to_float32(heading_rad)
-        forward, left = self.speed_m_s, self.lateral_speed_m_s
-        cosine, sine = cos(heading_rad), sin(heading_rad)
-        x_m = self._x_m + (cosine * forward * period_s - sine * left * period_s)
-        down_m = self._down_m - (cosine * left * period_s + sine * forward * period_s)
-        self.hit_wall = not (0.0 <= x_m <= WORLD_SIZE_M and 0.0 <= down_m <= WORLD_SIZE_M)
-        if self.hit_wall:
-            x_m = min(max(x_m, 0.0), WORLD_SIZE_M)
-            down_m = min(max(down_m, 0.0), WORLD_SIZE_M)
-        self._x_m, self._down_m, self._heading_rad = x_m, down_m, heading_rad
-
-    def _apply_teleports(self) -> None:
-        for relative, first_m, y_m, angle_rad in self._teleports:
-            if relative:
-                self._heading_rad += angle_rad
-                self._x_m += cos(self._heading_rad) * first_m
-                self._down_m -= sin(self._heading_rad) * first_m
-            else:
-                self._x_m = first_m
-                self._down_m = max(0.0, round_to_float32(WORLD_SIZE_M - y_m))
-                self._heading_rad = angle_rad
-        self._teleports.clear()
-
-    @property
-    def state(self) -> tuple[float, float, float, float, float]:
-        """What a pose message holds, in double precision.
-
-        Position x, y [m] and heading [rad] in the world frame, magnitude of the applied velocity
-        [m/s], applied turn rate [rad/s].
-        """
-        return (
-            self._x_m,
-            WORLD_SIZE_M - self._down_m,
-            self._heading_rad,
-            hypot(self.speed_m_s, self.lateral_speed_m_s),
-            self.turn_rate_rad_s,
-        )
-
-
-_CELL = array("f", [0.0])
-
-
-def round_to_float32(value: float) -> float:
-    """Return the nearest 32-bit float."""
-    _CELL[0] = value
-    return _CELL[0]
+PART: Final = PlantPart(
+    name="turtlesim",
+    meaning="the turtle of ROS 2, in its square world",
+    Keys=TurtlesimKeys,
+    find_facts=lambda _: TURTLESIM,
+    State=TurtleState,
+    begin=begin,
+    hold=hold,
+    push=push,
+    move=move,
+    read=read,
+    acts_in_steps=True,
+)

@@ -1,24 +1,19 @@
 """The recorded commands through the lagged robot of the recorded scenario."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ReplayError
-from turtlelog.laws import Decision, Pose
-from turtlelog.plants import find_plant
+from turtlelog.plants import PLANTS, find_plant
 from turtlelog.replay.plant_ticks import Gap
 from turtlelog.replay.run_pairs import has_ticks
 from turtlelog.replay.sample_pairs import has_all_commands
 from turtlelog.replay.taken_commands import CommandUse
 from turtlelog.run import CommandColumns, Run
 from turtlelog.scenario import Scenario, Start, restore_scenario
-from turtlelog.simulate import Sample
-from turtlelog.simulate.drives import LaggedDrive, State, build_drive
-from turtlelog.simulate.sensing import Sensor
-from turtlelog.simulate.transport import TimedCommands
+from turtlelog.simulate.driven import DrivenPlant, State, list_commands
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,9 +45,7 @@ def drive_lagged(run: Run) -> LaggedPoses:
     """
     _require_whole(run)
     scenario, plant = restore_scenario(run), find_plant(run)
-    commands = _CountedCommands(scenario, plant)
-    drive = build_drive(scenario, plant, commands)
-    samples = [*_list_samples(run.commands)]
+    drive, commands = DrivenPlant(scenario), list_commands(run.commands)
     published_ns = run.commands.time_ns
     ticks = run.poses.time_ns // plant.period_ns
     last = int(ticks[-1])
@@ -60,9 +53,11 @@ def drive_lagged(run: Run) -> LaggedPoses:
     bounds = np.searchsorted(published_ns, np.arange(1, last + 2) * plant.period_ns).tolist()
     states, put = np.empty((last + 1, 3)), 0
     for tick in range(last + 1):
-        states[tick] = drive.step(tick)[:3]
-        for sample in samples[put : bounds[tick]]:
-            commands.put(tick, sample)
+        for _ in drive.visit(tick):
+            pass
+        states[tick] = drive.read()[:3]
+        for command in commands[put : bounds[tick]]:
+            drive.put(tick, *command)
         put = bounds[tick]
     apart = np.diff(ticks)
     return LaggedPoses(
@@ -76,8 +71,8 @@ def drive_lagged(run: Run) -> LaggedPoses:
             for row in np.flatnonzero(apart > 1)
         ),
         commands=CommandUse(
-            taken=commands.taken,
-            unseen=len(run.commands) - commands.taken,
+            taken=drive.taken,
+            unseen=len(run.commands) - drive.taken,
             stops=0,
             unexplained_ticks=0,
         ),
@@ -105,35 +100,27 @@ def sense_driven(
         ReplayError: Where the scenario is of no lagged robot.
         SimulationError: Where the robot runs away.
     """
-    plant = scenario.plant.facts
-    origin = Start(x_m=0.0, y_m=0.0, heading_rad=0.0)
-    sensing = replace(scenario.sensing, dropout_probability=0.0)
-    scenario = replace(scenario, start=origin, sensing=sensing)
-    queue = TimedCommands(scenario, plant)
-    drive = build_drive(scenario, plant, queue)
-    if not isinstance(drive, LaggedDrive):
+    if PLANTS[scenario.plant.kind].acts_in_steps:
         raise ReplayError(
             f"{scenario.name}: expected a lagged robot to drive, found {scenario.plant.kind}"
         )
+    period_ns = scenario.plant.facts.period_ns
+    origin = Start(x_m=0.0, y_m=0.0, heading_rad=0.0)
+    sensing = replace(scenario.sensing, dropout_probability=0.0)
+    scenario = replace(scenario, start=origin, sensing=sensing)
+    drive, given = DrivenPlant(scenario), list_commands(commands)
     states: list[State] = []
-    ticks = np.arange(-(-int(time_ns[-1]) // plant.period_ns) + 1) * plant.period_ns
+    ticks = np.arange(-(-int(time_ns[-1]) // period_ns) + 1) * period_ns
     visits = np.searchsorted(time_ns, ticks, side="right").tolist()
-    puts = np.searchsorted(commands.time_ns, ticks + plant.period_ns).tolist()
-    samples, times, put = [*_list_samples(commands)], time_ns.tolist(), 0
+    puts = np.searchsorted(commands.time_ns, ticks + period_ns).tolist()
+    times, put = time_ns.tolist(), 0
     for tick, visit in enumerate(visits):
         states += drive.visit(tick, times[len(states) : visit])
-        for sample in samples[put : puts[tick]]:
-            queue.put(tick, sample)
+        for command in given[put : puts[tick]]:
+            drive.put(tick, *command)
         put = puts[tick]
-    sensed: list[tuple[float, float, float]] = []
-    sensor = Sensor(
-        scenario,
-        plant.period_ns,
-        lambda _, pose: sensed.append((pose.x_m, pose.y_m, pose.heading_rad)),
-    )
-    for number, state in enumerate(states):
-        sensor.receive(number, Pose(*state[:3]))
-    return np.array(sensed)
+    poses = [(state[0], state[1], state[2]) for state in states]
+    return np.array([drive.sense(number, pose) for number, pose in enumerate(poses)])
 
 
 def _require_whole(run: Run) -> None:
@@ -158,48 +145,3 @@ def _require_whole(run: Run) -> None:
             if len(run.samples)
             else f"{run.name}: expected commands {expected}, found none"
         )
-
-
-def _list_samples(commands: CommandColumns) -> Iterator[Sample]:
-    """Yield commands as samples, which carry them through the queues, in order."""
-    columns = (commands.time_ns, commands.speed_m_s, commands.turn_rate_rad_s)
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    for number, (time_ns, speed, turn_rate) in enumerate(rows):
-        yield Sample(
-            time_ns=time_ns,
-            sequence=number,
-            pose_sequence=0,
-            decision=Decision(speed_m_s=speed, turn_rate_rad_s=turn_rate),
-            phase=0,
-            speed_m_s=speed,
-            turn_rate_rad_s=turn_rate,
-            distance_m=float("nan"),
-            published_ns=time_ns,
-        )
-
-
-class _CountedCommands(TimedCommands):
-    """Commands on their way, and how many of them the robot has taken.
-
-    Attributes:
-        taken: So far; a command that arrives twice counts once.
-    """
-
-    taken = 0
-    _last = -1
-
-    def take(self, tick: int) -> Sample | None:
-        found = super().take(tick)
-        if found is not None:
-            self._count(found)
-        return found
-
-    def list_arrived(self, until_ns: int) -> Iterator[tuple[int, Sample]]:
-        for arrival_ns, command in super().list_arrived(until_ns):
-            self._count(command)
-            yield arrival_ns, command
-
-    def _count(self, command: Sample) -> None:
-        # None overtakes another, so one that comes again comes next.
-        self.taken += command.sequence != self._last
-        self._last = command.sequence

@@ -16,13 +16,13 @@ from turtlelog.differences import (
 )
 from turtlelog.errors import ReplayError as ReplayError
 from turtlelog.escapes import escape_controls
-from turtlelog.laws import LAWS, Law, Pose
+from turtlelog.laws import Law, Pose, find_law
 from turtlelog.log.recording.recovery_note import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.bag_reader import NOT_READ
 from turtlelog.plants import find_plant
 from turtlelog.replay.plant_ticks import advise_other_mode
-from turtlelog.replay.run_pairs import compare_last_decision, has_ticks
+from turtlelog.replay.run_pairs import compare_last_answer, has_ticks
 from turtlelog.replay.sample_pairs import (
     COMMANDS,
     PUBLISHED,
@@ -37,7 +37,8 @@ from turtlelog.replay.sample_pairs import (
 )
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
-from turtlelog.simulate import LawDriver, Sample, SampleRows, build_driver, build_law
+from turtlelog.simulate import PlainLoop, SampleRow, SampleRows
+from turtlelog.simulate.plain_loop import is_built_in
 from turtlelog.simulate.step_budget import (
     STEP_BUDGET_S,
     LimitedLoop,
@@ -131,14 +132,13 @@ def replay_law(
     scenario = restore_scenario(run) if scenario is None else scenario
     if law is None:
         scenario = resolve_scenario(scenario, trust_law=trust_law)
-        law = build_law(scenario.law)
-    found, blocks_ticks, last = _answer_poses(run, scenario, law, step_budget_s)
+    found, blocks_ticks, stop_reason = _answer_poses(run, scenario, law, step_budget_s)
     answers, recorded = found.samples, Answers(run.samples, run.declaration)
     rows = slice(len(answers))
     pairings = [*pair_samples(recorded, found, rows=rows, others=rows)]
     pairings += [*pair_published(run, answers), *_pair_pauses(run, blocks_ticks)]
     signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
-    stop = compare_last_decision(run, len(answers) - 1, last.decision)
+    stop = compare_last_answer(run, len(answers) - 1, stop_reason, blocks=bool(blocks_ticks[-1]))
     others = [_count_published(run), stop]
     return LawReplay(
         name=run.name,
@@ -170,32 +170,35 @@ def _describe_nothing_read(run: Run) -> str:
 
 
 def _answer_poses(
-    run: Run, scenario: Scenario, law: Law, step_budget_s: float | None
-) -> tuple[Answers, NDArray[np.int64], Sample]:
-    """Return the samples up to the law's end, the ticks that each blocks for, and the last."""
-    driver = build_driver(scenario, law, step_budget_s=step_budget_s)
-    samples = _iterate_answers(run, driver)
+    run: Run, scenario: Scenario, law: Law | None, step_budget_s: float | None
+) -> tuple[Answers, NDArray[np.int64], str | None]:
+    """Return the samples up to the law's end, the ticks that each blocks for, and why it ends."""
+    loop = PlainLoop(scenario, law=law, step_budget_s=step_budget_s)
+    samples = _iterate_answers(run, loop)
     if step_budget_s is not None:
         require_budget(step_budget_s)
-        if needs_watch(step_budget_s, is_built_in=type(law) in LAWS.values()):
-            samples = LimitedLoop(
-                samples, [driver], step_budget_s, law=scenario.law.kind, one_by_one=False
-            ).iterate()
-    rows, blocks_ticks = SampleRows(driver.declaration, has_shaping=scenario.shaping.acts), []
-    for sample in samples:
-        rows.add(sample)
-        blocks_ticks.append(sample.decision.blocks_ticks)
-    answers = Answers(rows.build_columns(), driver.declaration)
-    return answers, np.array(blocks_ticks, dtype=np.int64), sample
+        built_in = law is None and is_built_in(find_law(scenario.law.kind))
+        if needs_watch(step_budget_s, is_built_in=built_in):
+            kind = scenario.law.kind
+            limited = LimitedLoop(samples, [loop], step_budget_s, law=kind, one_by_one=False)
+            samples = limited.iterate()
+    rows = SampleRows(loop.declaration, has_shaping=scenario.has_action("shape"))
+    blocks_ticks = []
+    for sample, states in samples:
+        rows.add(sample, states)
+        blocks_ticks.append(sample.blocks_ticks)
+    answers = Answers(rows.build_columns(), loop.declaration)
+    reason = loop.name_stop(sample.stop) if sample.stop else None
+    return answers, np.array(blocks_ticks, dtype=np.int64), reason
 
 
-def _iterate_answers(run: Run, driver: LawDriver) -> Iterator[Sample]:
+def _iterate_answers(run: Run, loop: PlainLoop) -> Iterator[tuple[SampleRow, tuple[float, ...]]]:
     poses, read = run.poses, run.samples.pose_sequence
     columns = (run.samples.time_ns, read, *poses.read_xy_m[read].T, poses.read_heading_rad[read])
     for time_ns, row, x, y, heading in zip(*(column.tolist() for column in columns), strict=True):
-        sample = driver.answer(time_ns, row, Pose(x, y, heading))
-        yield sample
-        if sample.decision.stop_reason is not None:
+        sample = loop.answer_pose(time_ns, row, Pose(x, y, heading))
+        yield sample, loop.take_states(sample.sequence)
+        if sample.stop:
             break
 
 

@@ -17,8 +17,8 @@ from turtlelog.differences import (
     find_earliest,
 )
 from turtlelog.escapes import escape_controls
-from turtlelog.plants import LAGGED, find_plant
-from turtlelog.plants.turtlesim import TICK_S, Turtle
+from turtlelog.plants import LAGGED, Turtle, find_plant
+from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.lagged_drive import drive_lagged
 from turtlelog.replay.plant_ticks import Gap, Jump, RecordedMotion, find_breaks, read_motion
 from turtlelog.replay.taken_commands import CommandUse, Velocity, place_commands

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.differences import Difference, Pairing
-from turtlelog.laws import Decision
 from turtlelog.plants import find_plant
 from turtlelog.replay.sample_pairs import (
     Answers,
@@ -233,15 +232,17 @@ def is_cut(run: Run) -> bool:
     return run.stop_reason in _CUT
 
 
-def compare_last_decision(run: Run, row: int, last: Decision) -> Difference | None:
-    """Return how the end by a law's decision on sample `row` differs from the recorded end."""
+def compare_last_answer(
+    run: Run, row: int, stop_reason: str | None, *, blocks: bool
+) -> Difference | None:
+    """Return how the end by a law's answer, sample `row`, differs from the recorded end."""
     time_ns = int(run.samples.time_ns[row])
     if row < len(run.samples) - 1:
-        return _build(time_ns, None, last.stop_reason)
-    if last.blocks_ticks and run.stop_reason == _TIME_IS_UP:
+        return _build(time_ns, None, stop_reason)
+    if blocks and run.stop_reason == _TIME_IS_UP:
         return None  # the time was up before it could stop
-    found = _TIME_IS_UP if last.stop_reason is None else last.stop_reason
-    return None if _agrees(run, found) else _build(time_ns, run.stop_reason, last.stop_reason)
+    found = _TIME_IS_UP if stop_reason is None else stop_reason
+    return None if _agrees(run, found) else _build(time_ns, run.stop_reason, stop_reason)
 
 
 def compare_ends(run: Run, stop_reason: str | None) -> Difference | None:

@@ -12,12 +12,6 @@ from .dotted_keys import (
     flatten_tables as flatten_tables,
     nest_parameters as nest_parameters,
 )
-from .effects import (
-    Disturbance as Disturbance,
-    PlantChoice as PlantChoice,
-    Sensing as Sensing,
-    Shaping as Shaping,
-)
 from .files import (
     PAPER_RUNS as PAPER_RUNS,
     PRESETS as PRESETS,
@@ -31,8 +25,6 @@ from .files import (
 from .model import (
     LawChoice as LawChoice,
     LawTable as LawTable,
-    Limits as Limits,
-    LoopSettings as LoopSettings,
     Scenario as Scenario,
     Start as Start,
     Target as Target,
@@ -43,4 +35,12 @@ from .overrides import (
     override_scenario as override_scenario,
     parse_assignments as parse_assignments,
     replay_commands as replay_commands,
+)
+from .tables import (
+    Disturbance as Disturbance,
+    Limits as Limits,
+    LoopSettings as LoopSettings,
+    PlantChoice as PlantChoice,
+    Sensing as Sensing,
+    Shaping as Shaping,
 )

@@ -22,7 +22,7 @@ from turtlelog.laws import (
     ABSENT_BY_DEFAULT,
     LAWS,
     MAY_BE_INFINITE,
-    Law,
+    AnyLaw,
     describe_law_error,
     find_law,
     print_to_stderr,
@@ -121,7 +121,7 @@ def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
     return LawChoice(kind=choice.kind, parameters=parameters)
 
 
-def _build_parameters(table: LawTable, law: type[Law]) -> Any:
+def _build_parameters(table: LawTable, law: AnyLaw) -> Any:
     """Return a law's parameters, which a scenario file can hold; their defaults may be anything."""
     kind, source = law.Parameters, ", ".join(table.sources)
     try:

@@ -7,26 +7,22 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
+from turtlelog.effects import EFFECTS
 from turtlelog.escapes import escape_controls
-from turtlelog.laws import ABSENT_BY_DEFAULT, MAY_BE_INFINITE, SequentialPParameters
+from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
+from turtlelog.parts import Place, absent
 from turtlelog.paths import Path
 from turtlelog.plants.turtlesim import SPAWN_XY_M
 from turtlelog.scenario.dotted_keys import DEFAULT_LAW
-from turtlelog.scenario.effects import (
+from turtlelog.scenario.tables import (
     Disturbance,
-    Period,
+    Limits,
+    LoopSettings,
     PlantChoice,
-    Probability,
     Sensing,
     Shaping,
-    Time,
-    absent,
 )
 
-Positive = Annotated[float, Meta(gt=0.0)]
-
-Count = Annotated[int, Meta(ge=1, le=1_000_000)]
-Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]
 # No more than a turn either way: more is most likely meant in degrees.
 Heading = Annotated[float, Meta(ge=-2.0 * math.pi, le=2.0 * math.pi)]
 
@@ -93,69 +89,6 @@ class LawChoice:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """Where the controller clips its commands; inf: nowhere.
-
-    Attributes:
-        speed_m_s: Largest magnitude of the forward speed [m/s].
-        turn_rate_rad_s: Largest magnitude of the turn rate [rad/s].
-        acceleration_m_s2: Largest magnitude of the change of the speed per second [m/s^2].
-        turn_acceleration_rad_s2: Of the turn rate [rad/s^2].
-        jerk_m_s3: Largest magnitude of the change of that acceleration per second [m/s^3].
-        turn_jerk_rad_s3: Of the turn acceleration [rad/s^3].
-    """
-
-    speed_m_s: Positive = field(default=1.0, metadata=MAY_BE_INFINITE)
-    turn_rate_rad_s: Positive = field(default=1.0, metadata=MAY_BE_INFINITE)
-    acceleration_m_s2: Positive = absent(math.inf, may_be_infinite=True)
-    turn_acceleration_rad_s2: Positive = absent(math.inf, may_be_infinite=True)
-    jerk_m_s3: Positive = absent(math.inf, may_be_infinite=True)
-    turn_jerk_rad_s3: Positive = absent(math.inf, may_be_infinite=True)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopSettings:
-    """What lies between plant and controller.
-
-    Attributes:
-        period_ticks: The controller answers every n-th pose.
-        start_backlog: Poses that wait when the controller starts; 1: none but the newest.
-        pose_queue: Depth of the controller's pose queue.
-        command_queue: Depth of the plant's command queue.
-        queue_policy: `one-per-tick`: the plant takes one command per tick; `newest`: it takes the
-            newest and drops the rest.
-        transport_delay_ticks: Ticks between publication and arrival of a command.
-        pose_precision: Precision of published poses.
-        trigger: `pose`: the controller answers poses as they come; `timer`: it answers the newest
-            pose every `period_s`.
-        period_s: Period of the timer [s]; only where it triggers.
-        transport_delay_s: Adds to the ticks between publication and arrival [s].
-        jitter_s: Added to the transport of each command: from 0 to this, uniform [s]. No command
-            overtakes another.
-        loss_probability: That a published command does not arrive.
-        repeat_probability: That a command arrives twice.
-        late_probability: That a command is late.
-        late_s: By how much [s].
-    """
-
-    period_ticks: Count = 1
-    start_backlog: Count = 1
-    pose_queue: Count = 10
-    command_queue: Count = 7
-    queue_policy: Literal["one-per-tick", "newest"] = "newest"
-    transport_delay_ticks: Ticks = 0
-    pose_precision: Literal["float32", "float64"] = "float32"
-    trigger: Literal["pose", "timer"] = absent("pose")
-    period_s: Period | None = None
-    transport_delay_s: Time = absent(0.0)
-    jitter_s: Time = absent(0.0)
-    loss_probability: Probability = absent(0.0)
-    repeat_probability: Probability = absent(0.0)
-    late_probability: Probability = absent(0.0)
-    late_s: Time = absent(0.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
     """Everything that determines a run. The defaults are the textbook's: no implementation effects.
 
@@ -188,6 +121,15 @@ class Scenario:
     disturbance: Disturbance = absent(Disturbance())
     sensing: Sensing = absent(Sensing())
     shaping: Shaping = absent(Shaping())
+
+    def has_action(self, *places: Place) -> bool:
+        """Whether an effect acts at one of the places."""
+        return any(
+            effect.acts_at(place, self)
+            for effect in EFFECTS
+            for place in places
+            if place in effect.actions
+        )
 
     def __repr__(self) -> str:
         goal = f"goal ({self.goal.x_m:g}, {self.goal.y_m:g}) m"

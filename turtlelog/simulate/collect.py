@@ -8,22 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import SimulationError
-from turtlelog.laws import Pose
 from turtlelog.loops import Declaration
-from turtlelog.plants import Plant
+from turtlelog.parts import Plant
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
-from turtlelog.simulate.closed_loop import Tick, iterate_ticks
-from turtlelog.simulate.event_watch import describe_stop
-from turtlelog.simulate.law_driver import Sample, declare_scenario
+from turtlelog.simulate.events import describe_stop
+from turtlelog.simulate.plain_loop import Tick, declare_scenario, iterate_ticks
+from turtlelog.simulate.rows import SampleRow
 from turtlelog.simulate.step_budget import STEP_BUDGET, STEP_BUDGET_S, StepBudgetError
 
 # Rows are packed as they come: 8 bytes a value, whole numbers first.
 _POSE_ROW: Final = Struct("<q5d")
 _COMMAND_ROW: Final = Struct("<q2d")
 _SENSED_ROW: Final = Struct("<3d")
-_NAN: Final = float("nan")
-_NO_POSE: Final = Pose(_NAN, _NAN, _NAN)
 
 
 def simulate_run(
@@ -73,8 +70,8 @@ class RunCollector:
         self._scenario = resolve_scenario(scenario)
         self._declaration = declare_scenario(self._scenario)
         self._poses, self._commands = bytearray(), bytearray()
-        self._sensed = bytearray() if self._scenario.sensing.changes_poses else None
-        has_shaping = self._scenario.shaping.acts
+        self._sensed = bytearray() if self._scenario.has_action("sense", "lose_pose") else None
+        has_shaping = self._scenario.has_action("shape")
         self._samples = SampleRows(self._declaration, has_shaping=has_shaping)
         self._events: list[Event] = []
         self._stop_reason: str | None = None
@@ -92,12 +89,17 @@ class RunCollector:
         poses, commands, add_sample = self._poses, self._commands, self._samples.add
         pack_pose, pack_command = _POSE_ROW.pack, _COMMAND_ROW.pack
         for tick in ticks:
-            pose, time_ns = tick.pose, tick.time_ns
+            row, states = tick.row, tick.states
             poses += pack_pose(
-                time_ns, pose.x_m, pose.y_m, pose.heading_rad, tick.speed_m_s, tick.turn_rate_rad_s
+                tick.time_ns,
+                row.x_m,
+                row.y_m,
+                row.heading_rad,
+                row.speed_m_s,
+                row.turn_rate_rad_s,
             )
-            for sample in tick.computed:
-                add_sample(sample)
+            for number, sample in enumerate(tick.computed):
+                add_sample(sample, states[number] if states else ())
             for sample in tick.published:
                 commands += pack_command(
                     sample.published_ns, sample.speed_m_s, sample.turn_rate_rad_s
@@ -153,8 +155,8 @@ def _describe_wait(scenario: Scenario) -> str:
 def _pack_sensed(ticks: Iterable[Tick], packed: bytearray) -> Iterator[Tick]:
     """Yield ticks whose sensed poses are packed; NaN stands for what dropped out."""
     for tick in ticks:
-        sensed = tick.sensed or _NO_POSE
-        packed += _SENSED_ROW.pack(sensed.x_m, sensed.y_m, sensed.heading_rad)
+        row = tick.row
+        packed += _SENSED_ROW.pack(row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad)
         yield tick
 
 
@@ -208,29 +210,30 @@ class SampleRows:
     def _row_size(self) -> int:
         return _SAMPLE_ROW.size + (self._extra.size if self._extra else 0)
 
-    def add(self, sample: Sample) -> None:
-        """Take the next sample."""
-        decision = sample.decision
-        # In the order of `Sample.row`, without a tuple on the way: this runs with every sample.
+    def add(self, sample: SampleRow, states: tuple[float, ...] = ()) -> None:
+        """Take the next sample, and the states of its law."""
         self._packed += self._pack(
             sample.time_ns,
             sample.sequence,
             sample.pose_sequence,
             sample.phase,
-            decision.bearing_rad,
-            decision.heading_error_rad,
-            decision.error_x_m,
-            decision.error_y_m,
+            sample.bearing_rad,
+            sample.heading_error_rad,
+            sample.error_x_m,
+            sample.error_y_m,
             sample.distance_m,
-            decision.speed_m_s,
-            decision.turn_rate_rad_s,
+            sample.wanted_speed_m_s,
+            sample.wanted_turn_rate_rad_s,
             sample.speed_m_s,
             sample.turn_rate_rad_s,
-            decision.world_v_x_m_s,
-            decision.world_v_y_m_s,
+            sample.world_v_x_m_s,
+            sample.world_v_y_m_s,
         )
         if self._extra is not None:
-            values = _list_extra_values(sample, self._declaration)
+            values = states
+            if self._declaration.has_reference:
+                pose = sample.reference_x_m, sample.reference_y_m, sample.reference_heading_rad
+                values = *values, *pose
             if self._has_shaping:
                 values = *values, sample.shaped_speed_m_s, sample.shaped_turn_rate_rad_s
             self._packed += self._extra.pack(*values)
@@ -266,16 +269,6 @@ class SampleRows:
             reference_xy_m=np.column_stack(list(reference[:2])) if len(reference) else None,
             reference_heading_rad=reference[2] if len(reference) else None,
         )
-
-
-def _list_extra_values(sample: Sample, declaration: Declaration) -> tuple[float, ...]:
-    """Return the states of a sample, and its reference pose where the law declares one."""
-    states, reference = sample.decision.states, sample.decision.reference
-    if not declaration.has_reference:
-        return states
-    if reference is None:
-        return (*states, _NAN, _NAN, _NAN)
-    return (*states, reference.x_m, reference.y_m, reference.heading_rad)
 
 
 def _split_rows(

@@ -1,50 +1,43 @@
-"""Many scenarios simulated: by the compiled loop where that is worth it, in threads."""
+"""Many scenarios simulated: by compiled loops where that is worth it, in threads."""
 
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache, partial
 from typing import Any, Final
 
-from turtlelog.compiled_loops import CompiledLoops
+import numpy as np
+
+from turtlelog.compiled_loops import CompiledLoops, is_kept, remove_others
+from turtlelog.display import format_number
 from turtlelog.errors import SimulationError
-from turtlelog.plants import LAGGED, Plant
+from turtlelog.laws import LawPart, find_law
+from turtlelog.parts import Plant, PlantPart
+from turtlelog.plants.kinds import PLANTS
 from turtlelog.processes import count_cores
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.collect import simulate_run
-from turtlelog.simulate.compiled.fields import is_common, is_compiled
-from turtlelog.simulate.compiled.runner import KernelRunner
+from turtlelog.simulate.compiled_run import CompiledRunner
+from turtlelog.simulate.plain_loop import declare_scenario, is_built_in
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 
 COST_S: Final = 1.0
-"""What numba's import and the loop take from their cache [s]."""
+"""What numba's import and a loop take from their cache [s]."""
 
-_SAVED_S: Final = 4e-6
-"""What the compiled loop saves of a sample of a sequential law around turtlesim, at least [s]."""
+FIRST_S: Final = 9.0
+"""What they take before the loop is in the cache [s]: numba compiles it for 8 s."""
 
-_ANY_SAVED_S: Final = 1.5e-5
-"""Likewise of others [s]: 17e-6 of the posture law and of the open loop."""
+_SAVED_S: Final = 6e-6
+"""What a compiled loop saves of a sample around turtlesim, at least [s]."""
 
 _STEPPED_SAVED_S: Final = 4e-5
 """Likewise of a lagged robot, which steps through its lag, and of a path that is searched [s]."""
 
-FIRST_S: Final = 14.0
-"""What the sequential laws around turtlesim take before their loop is in the cache [s]: numba
-compiles it for 13 s."""
-
-LOOP: Final = CompiledLoops(
-    "turtlelog.simulate.compiled.sequential_loop", cost_s=COST_S, first_s=FIRST_S
-)
-"""The loop of the sequential laws around turtlesim."""
-
-ANY_FIRST_S: Final = 30.0
-"""What numba's import and the loop of all others take before it is in the cache [s]."""
-
-ANY_LOOP: Final = CompiledLoops(
-    "turtlelog.simulate.compiled.any_loop", cost_s=COST_S, first_s=ANY_FIRST_S
-)
-"""The loop of all other laws and plants that are compiled."""
+MOST_TICKS: Final = 1_000_000
+"""Longer scenarios run plain: the arrays of a compiled loop are made for all ticks at once, 600
+bytes each."""
 
 _AHEAD: Final = 4
 """Runs for each thread that may wait to be taken: memory stays bounded, and no thread idles."""
@@ -58,9 +51,10 @@ class ManyRuns(Iterator[Simulated]):
     Only a few runs are in memory, however many there are.
 
     Attributes:
-        compiled: How many runs the compiled loop has simulated.
-        interpreted: How many the interpreted one has: of laws and effects that are not compiled,
-            where a run fails, without numba, or before they are worth loading the compiled one.
+        compiled: How many runs compiled loops have simulated.
+        interpreted: How many the plain one has: of laws that are classes, where a run fails,
+            without numba, or before they are worth loading a compiled one.
+        notes: What who waits for the runs should know of the compiled loops, one line each.
     """
 
     def __init__(
@@ -72,6 +66,7 @@ class ManyRuns(Iterator[Simulated]):
         step_budget_s: float | None,
     ) -> None:
         self.compiled = self.interpreted = 0
+        self.notes: list[str] = []
         self._threads = count_cores() if threads is None else threads
         if self._threads < 1:
             raise SimulationError(f"threads: expected at least 1, found {threads}")
@@ -81,6 +76,7 @@ class ManyRuns(Iterator[Simulated]):
         self._waiting: deque[Simulated | Future[Simulated]] = deque()
         self._pool: ThreadPoolExecutor | None = None
         self._local, self._counting = threading.local(), threading.Lock()
+        self._checked: set[CompiledLoops] = set()
 
     def __iter__(self) -> "ManyRuns":
         return self
@@ -108,6 +104,10 @@ class ManyRuns(Iterator[Simulated]):
         kernel = None if loop is None else loop.find()
         if kernel is None:
             return self._interpret(scenario, plant, loop)
+        if loop is not None and loop not in self._checked:
+            self._checked.add(loop)
+            if not is_built_in(find_law(scenario.law.kind)):
+                return self._simulate_both_ways(kernel, scenario, plant)
         if self._threads == 1:
             return self._compile(kernel, scenario, plant)
         if self._pool is None:
@@ -116,12 +116,22 @@ class ManyRuns(Iterator[Simulated]):
 
     def _compile(self, kernel: Any, scenario: Scenario, plant: Plant) -> Simulated:
         if not hasattr(self._local, "runner"):
-            self._local.runner = KernelRunner()
+            self._local.runner = CompiledRunner()
         run: Run | None = self._local.runner.simulate(kernel, scenario, plant)
         with self._counting:
             self.compiled += run is not None
             self.interpreted += run is None
         return self._simulate(scenario, plant) if run is None else run
+
+    def _simulate_both_ways(self, kernel: Any, scenario: Scenario, plant: Plant) -> Simulated:
+        """Simulate a law of the user's own compiled and plain; note by how much they differ.
+
+        Numba's arithmetic and Python's may differ in the last bits: of `x**3` in a quarter of all.
+        """
+        found, again = self._simulate(scenario, plant), self._compile(kernel, scenario, plant)
+        if isinstance(found, Run) and isinstance(again, Run):
+            self.notes += describe_difference(scenario.law.kind, found, again)
+        return again
 
     def _interpret(self, scenario: Scenario, plant: Plant, loop: CompiledLoops | None) -> Simulated:
         """Simulate, and find out whether the others are worth loading a compiled loop."""
@@ -132,7 +142,13 @@ class ManyRuns(Iterator[Simulated]):
             # The first tells how long the others will be about; later ones count themselves.
             runs = self._count if self.interpreted == 1 else 1
             loop.expect(len(found.samples) * runs, find_saving(scenario))
+            self._note_problem(scenario, loop)
         return found
+
+    def _note_problem(self, scenario: Scenario, loop: CompiledLoops) -> None:
+        if loop.problem is not None and loop not in self._checked:
+            self._checked.add(loop)
+            self.notes.append(f"law {scenario.law.kind} runs plain: {loop.problem}")
 
     def _simulate(self, scenario: Scenario, plant: Plant) -> Simulated:
         try:
@@ -141,18 +157,74 @@ class ManyRuns(Iterator[Simulated]):
             return err
 
 
+@cache
+def _find_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledLoops:
+    """Return the loop of a law and a plant, compiled once it is worth it."""
+    return CompiledLoops(
+        partial(_load, law, plant, states),
+        partial(_is_kept, law, plant, states),
+        cost_s=COST_S,
+        first_s=FIRST_S,
+    )
+
+
+ENTRY: Final = "turtlelog.simulate.compiled_entry"
+
+
+def _load(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Any:
+    from turtlelog.simulate.compiled_loop import compile_loop, name_loop
+
+    loop = compile_loop(law, plant, states)
+    if loop.is_new:
+        name = name_loop(law, plant, states)
+        remove_others(ENTRY, name.rpartition("_")[0], name)
+    return loop
+
+
+def _is_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:
+    from turtlelog.simulate.compiled_loop import name_loop
+
+    try:
+        return is_kept(ENTRY, name_loop(law, plant, states))
+    except TypeError:  # it cannot be compiled, which is said where that is tried
+        return False
+
+
 def find_loop(scenario: Scenario, plant: Plant) -> CompiledLoops | None:
     """Return the compiled loop that covers a scenario, whose law is resolved; None: none does."""
-    if not is_compiled(scenario, plant):
+    law = find_law(scenario.law.kind)
+    if not isinstance(law, LawPart) or (law.needs_path and scenario.path is None):
         return None
-    return LOOP if is_common(scenario) else ANY_LOOP
+    ticks = round(scenario.max_duration_s * 1e9) // plant.period_ns
+    if not (
+        ticks < MOST_TICKS
+        and (scenario.loop.period_s or 1.0) * MOST_TICKS > scenario.max_duration_s
+    ):
+        return None
+    return _find_loop(law, PLANTS[scenario.plant.kind], declare_scenario(scenario).states)
 
 
 def find_saving(scenario: Scenario) -> float:
     """Return what a compiled loop saves of each sample of a scenario, about [s]."""
-    if scenario.plant.kind == LAGGED or scenario.path is not None:
-        return _STEPPED_SAVED_S
-    return _SAVED_S if is_common(scenario) else _ANY_SAVED_S
+    part = PLANTS[scenario.plant.kind]
+    return _SAVED_S if part.acts_in_steps and scenario.path is None else _STEPPED_SAVED_S
+
+
+def describe_difference(kind: str, plain: Run, compiled: Run) -> Iterator[str]:
+    """Yield by how much a law's first run differs compiled, where it does."""
+    if len(plain.samples) != len(compiled.samples):
+        counts = f"{len(compiled.samples)} samples instead of {len(plain.samples)}"
+        yield f"law {kind}: its first run has {counts} when compiled"
+        return
+    one, other = plain.samples, compiled.samples
+    found = {
+        "m/s": np.subtract(one.wanted_speed_m_s, other.wanted_speed_m_s),  # type: ignore[arg-type]
+        "rad/s": np.subtract(one.wanted_turn_rate_rad_s, other.wanted_turn_rate_rad_s),  # type: ignore[arg-type]
+    }
+    largest = {unit: float(np.abs(column).max()) for unit, column in found.items()}
+    if any(largest.values()):
+        sizes = " and ".join(f"{format_number(one)} {unit}" for unit, one in largest.items())
+        yield f"law {kind}: commands of its first run differ by up to {sizes} when compiled"
 
 
 def simulate_many(
@@ -164,8 +236,8 @@ def simulate_many(
 ) -> ManyRuns:
     """Simulate scenarios one after the other, each as `simulate_run` does, bit for bit.
 
-    With the extra `fast` the built-in laws run in a compiled loop, once there is so much to do that
-    it is worth loading; laws of the user's own are interpreted.
+    With the extra `fast` laws that are parts run in a compiled loop, once there is so much to do
+    that it is worth loading; laws that are classes run plain.
 
     Args:
         scenarios: What to simulate; taken as the runs are.

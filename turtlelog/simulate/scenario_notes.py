@@ -7,13 +7,14 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import Final
 
+from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
 from turtlelog.laws import find_law, list_unused_keys
 from turtlelog.loops import PLANT_KEYS, ControlLoop, Declaration, read_number
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run import Parameter
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
-from turtlelog.simulate.law_driver import declare_scenario
+from turtlelog.simulate.plain_loop import declare_scenario
 from turtlelog.theory import (
     LoopTiming,
     PidGains,
@@ -55,7 +56,7 @@ def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> t
     unused = _describe_unused(scenario, declaration, parameters, given)
     unstable = [*_describe_wrong_signs(declaration, parameters)]
     unstable += _describe_unstable(declaration, parameters)
-    return (*unstable, *unused, *_describe_idle(scenario, parameters))
+    return (*unstable, *unused, *_describe_idle(scenario))
 
 
 def _describe_wrong_signs(
@@ -76,23 +77,11 @@ def _describe_wrong_signs(
             )
 
 
-_SIZES: Final = {
-    "loop.late_probability": ("loop.late_s",),
-    "sensing.outlier_probability": ("sensing.outlier_m", "sensing.outlier_rad"),
-}
-"""What something that may happen is like, by its probability."""
-
-
-def _describe_idle(scenario: Scenario, parameters: Mapping[str, Parameter]) -> Iterator[str]:
-    """Yield settings that have no effect, for another one is 0."""
-    for chance, sizes in _SIZES.items():
-        idle = [key for key in sizes if parameters.get(key)]
-        if idle and not parameters.get(chance):
-            verb = "has" if len(idle) == 1 else "have"
-            yield f"{' and '.join(idle)} {verb} no effect, for {chance} is 0"
-    idle = [key for key in ("disturbance.from_s", "disturbance.to_s") if key in parameters]
-    if idle and not scenario.disturbance.acts:
-        yield f"{' and '.join(idle)}: there is no push and no noise to begin or end"
+def _describe_idle(scenario: Scenario) -> Iterator[str]:
+    """Yield settings that have no effect, as the effects say."""
+    for effect in EFFECTS:
+        if effect.notes is not None:
+            yield from effect.notes(scenario)
 
 
 def _describe_unstable(declaration: Declaration, parameters: Mapping[str, Parameter]) -> list[str]:

@@ -22,7 +22,6 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 
 from turtlelog.display import format_number
 from turtlelog.errors import SimulationError
-from turtlelog.laws import Decision, Pose
 
 STEP_BUDGET: Final = "step_budget"
 """Stop reason of a run whose law computed for longer than it may."""
@@ -60,7 +59,7 @@ _DEBUGGERS: Final = frozenset({"bdb", "pdb", "pydevd", "_pydevd_bundle", "debugp
 
 _OF_A_BUDGET: Final = " of a budget of "
 
-Step = Callable[[int, Pose], Decision]
+Step = Callable[..., Any]
 _Result = TypeVar("_Result")
 _Item = TypeVar("_Item")
 
@@ -177,16 +176,16 @@ class StepBudget:
         """
         require_budget(budget_s)
         self._step, self._budget_s = step, budget_s
-        self._worker: _Worker[Decision] | None = None
+        self._worker: _Worker[Any] | None = None
 
-    def __call__(self, time_ns: int, pose: Pose) -> Decision:
+    def __call__(self, *question: Any) -> Any:
         """Return the law's decision, or raise what the law raises.
 
         Raises:
             StepBudgetError: Where it took longer; the text goes on after the number of the sample.
         """
         worker = self._worker = self._worker or _Worker(self._step, "step")
-        worker.ask(time_ns, pose)
+        worker.ask(*question)
         try:
             decision, error, took_s = self._wait(worker)
         except BaseException:
@@ -196,11 +195,9 @@ class StepBudget:
             raise StepBudgetError(describe_excess(self._budget_s, took_s)) from error
         if error is not None:
             raise error
-        return decision  # type: ignore[return-value]
+        return decision
 
-    def _wait(
-        self, worker: _Worker[Decision]
-    ) -> tuple[Decision | None, BaseException | None, float]:
+    def _wait(self, worker: _Worker[Any]) -> tuple[Any, BaseException | None, float]:
         """Return the answer; of a step that is late, wait a while longer to know its time."""
         took_s, most_s = 0.0, self._budget_s + _PATIENCE_S
         while took_s < most_s:

@@ -5,25 +5,27 @@ Either way a row has the numbers of a single run, bit for bit.
 """
 
 import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.compiled_loops import CompiledLoops
+from turtlelog.compiled_loops import CompiledLoops, import_beside, is_kept
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
+from turtlelog.laws import LawPart, find_law
 from turtlelog.measure import measure_run
-from turtlelog.plants import Plant
+from turtlelog.parts import Plant
+from turtlelog.plants.kinds import PLANTS
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import simulate_run
-from turtlelog.simulate.compiled.fields import is_common
-from turtlelog.simulate.compiled.memory import STOP_REASONS, Memory, allocate, draw_streams
-from turtlelog.simulate.many import ANY_FIRST_S, COST_S, FIRST_S, find_saving
-from turtlelog.sweep.batch_rows import PreparedRows, find_line, prepare_rows
+from turtlelog.simulate import declare_scenario, simulate_run
+from turtlelog.simulate.compiled_run import draw_streams, name_stop
+from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, find_saving
+from turtlelog.sweep.batch_rows import FACTS, LINE, PreparedRows, find_line, prepare_rows
 from turtlelog.sweep.batch_table import (
     ABSENT,
     COLUMN_OF,
@@ -44,21 +46,7 @@ _MEASURING: Final = "turtlelog.sweep.batch_kernel"
 _MEASURING_S: Final = 2.0
 """What compiling the measurement takes, beside the loop, longer than the loop alone [s]."""
 
-BATCH: Final = CompiledLoops(
-    "turtlelog.sweep.sequential_batch",
-    cost_s=COST_S,
-    first_s=FIRST_S + _MEASURING_S,
-    parts=(_MEASURING, "turtlelog.simulate.compiled.sequential_loop"),
-)
-"""The sequential laws around turtlesim, and what measures them."""
-
-ANY_BATCH: Final = CompiledLoops(
-    "turtlelog.sweep.any_batch",
-    cost_s=COST_S,
-    first_s=ANY_FIRST_S + _MEASURING_S,
-    parts=(_MEASURING, "turtlelog.simulate.compiled.any_loop"),
-)
-"""The sequential laws around any plant."""
+_NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])
 
 _STRETCH: Final = 32
 """Rows in one call: long enough to cost nothing, short enough that all cores end together."""
@@ -67,10 +55,48 @@ _WHERE_NONE: Final = {"final.goal_heading_error": ABSENT, "run.largest_gap": TOO
 """Status of a metric of the run that is NaN: no heading is wanted, or there is one sample."""
 
 
-def find_batch(base: Scenario, keys: Collection[str]) -> CompiledLoops:
-    """Return the compiled code for rows that vary keys of a scenario, whatever their law."""
-    is_turtle = is_common(base) and not any(key.startswith("plant.") for key in keys)
-    return BATCH if is_turtle else ANY_BATCH
+class Batch(NamedTuple):
+    """A loop, and what simulates rows by it and measures them."""
+
+    loop: Any
+    run_rows: Any
+
+
+@cache
+def _find_batch(law: LawPart, plant: str, states: tuple[str, ...]) -> CompiledLoops:
+    return CompiledLoops(
+        partial(_load, law, plant, states),
+        partial(_is_kept, law, plant, states),
+        cost_s=COST_S,
+        first_s=FIRST_S + _MEASURING_S,
+        beside=(_MEASURING,),
+    )
+
+
+def _load(law: LawPart, plant: str, states: tuple[str, ...]) -> Batch:
+    from turtlelog.simulate.compiled_loop import compile_loop, compile_rows
+
+    loop = compile_loop(law, PLANTS[plant], states)
+    kernel = import_beside(_MEASURING)
+    rows = compile_rows(loop, kernel.measure_row, kernel.MEASURE, LINE, FACTS)
+    return Batch(loop, rows)
+
+
+def _is_kept(law: LawPart, plant: str, states: tuple[str, ...]) -> bool:
+    from turtlelog.simulate.compiled_loop import name_loop
+
+    name = name_loop(law, PLANTS[plant], states)
+    return is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}") and is_kept(_MEASURING)
+
+
+def find_batch(base: Scenario) -> CompiledLoops | None:
+    """Return the compiled code for rows that vary keys of a scenario; None: its law has none."""
+    try:
+        base = resolve_scenario(base)
+        law, states = find_law(base.law.kind), declare_scenario(base).states
+    except TurtlelogError:  # of its own it lacks what the rows give it
+        return None
+    return _find_batch(law, base.plant.kind, states) if isinstance(law, LawPart) else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,9 +154,9 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     work = _Work(base, columns, metrics, plant, first)
     rest: Sequence[int] = range(work.count)
     if COLUMN_OF.keys() >= {*metrics}:
-        batch = find_batch(base, columns)
-        kernel = batch.find()
-        if kernel is None and work.count:
+        batch = find_batch(base)
+        kernel = None if batch is None else batch.find()
+        if kernel is None and batch is not None and work.count:
             work.measure_alone(0)
             rest = range(1, work.count)
             rows = max(work.count, ahead)
@@ -222,7 +248,8 @@ class _Work:
             part = self._run_all(kernel, again, threads)
             cells.values[moved], cells.status[moved] = part
             prepared.states[moved] = again.states
-        good = (prepared.states["has_failed"] == 0) & (prepared.states["samples"] > 0)
+        now = prepared.states["now"] if len(prepared.rows) else _NO_ROWS
+        good = (now["failure"] == 0) & (now["samples"] > 0)
         self._enter(prepared, cells, np.flatnonzero(good))
         self._compiled += int(good.sum())
         return sorted([*prepared.others, *prepared.rows[~good].tolist()])
@@ -242,12 +269,11 @@ class _Work:
         ]
 
         def run(stretch: NDArray[np.int64]) -> None:
-            memory, scratch = self._find_memory(prepared, int(prepared.seeds[stretch[0]]))
+            memory, scratch = self._find_memory(kernel, prepared, int(prepared.seeds[stretch[0]]))
             part = cells.values[stretch], cells.status[stretch], asked
             states = prepared.states[stretch]
-            settings, axes = prepared.settings[stretch], prepared.axes[stretch]
-            lines = prepared.lines[stretch]
-            kernel.run_rows((settings, states, lines), axes, memory, scratch, part)
+            settings, lines = prepared.settings[stretch], prepared.lines[stretch]
+            kernel.run_rows((settings, states, lines), memory, np.zeros(1, FACTS), scratch, part)
             cells.values[stretch], cells.status[stretch] = part[:2]
             prepared.states[stretch] = states
 
@@ -260,7 +286,9 @@ class _Work:
                 pass
         return cells
 
-    def _find_memory(self, prepared: PreparedRows, seed: int) -> tuple[Memory, NDArray[np.float64]]:
+    def _find_memory(
+        self, kernel: Batch, prepared: PreparedRows, seed: int
+    ) -> tuple[Any, NDArray[np.float64]]:
         """Return arrays of this thread, with the random numbers of a seed."""
         local = self._local
         ticks, samples = prepared.ticks, prepared.samples
@@ -269,8 +297,8 @@ class _Work:
             or len(local.memory.ticks) < ticks
             or (len(local.memory.samples) < samples)
         ):
-            local.memory = allocate(ticks, samples)
-            local.memory.schedule[: len(prepared.schedule)] = prepared.schedule
+            memory = kernel.loop.kinds.allocate(ticks, samples)
+            local.memory = memory._replace(table=prepared.table)
             local.scratch = np.empty((4, ticks))
             local.seed = None
         if local.seed != seed:
@@ -287,7 +315,7 @@ class _Work:
         moved = np.flatnonzero(other)
         for row in moved.tolist():
             settings = prepared.settings[row]
-            goal = float(settings["goal_x_m"]), float(settings["goal_y_m"])
+            goal = float(settings["goal"]["x_m"]), float(settings["goal"]["y_m"])
             found = find_line((float(read[row, 0]), float(read[row, 1])), goal)
             for name, value in found.items():
                 lines[name][row] = value
@@ -296,9 +324,12 @@ class _Work:
     def _enter(self, prepared: PreparedRows, cells: _Cells, good: NDArray[np.int64]) -> None:
         """Enter the metrics of rows that the compiled loop has done."""
         result, rows = self.result, prepared.rows[good]
-        result.samples[rows] = prepared.states["samples"][good]
-        for row, reason in zip(rows, prepared.states["stop_reason"][good], strict=True):
-            result.stop_reasons[row] = STOP_REASONS[reason]
+        if not len(rows):
+            return
+        now, law = prepared.states["now"], find_law(self._base.law.kind)
+        result.samples[rows] = now["samples"][good]
+        for row, reason in zip(rows, now["stop"][good].tolist(), strict=True):
+            result.stop_reasons[row] = name_stop(law, reason)
         for name in self._metrics:
             place = good, COLUMN_OF[name]
             column, found = cells.values[place], cells.status[place]
@@ -309,7 +340,7 @@ class _Work:
                 if name in _WHERE_NONE:
                     found[np.isnan(column)] = _WHERE_NONE[name]
             if name.startswith("reorient."):
-                found = np.where(prepared.settings["law_reorient"][good] == 1, found, NO_PHASE)
+                found = np.where(prepared.settings["law"]["reorient"][good], found, NO_PHASE)
             result.values[name][rows] = np.where(found == OK, column, np.nan)
             result.statuses[name][rows] = found
 
@@ -318,6 +349,6 @@ def _find_position_error(
     values: NDArray[np.float64], settings: NDArray[Any]
 ) -> NDArray[np.float64]:
     """Return how far from the goal the last pose is [m]."""
-    ahead_m = settings["goal_x_m"] - values[:, RUN_AT + RunColumn.X_M]
-    left_m = settings["goal_y_m"] - values[:, RUN_AT + RunColumn.Y_M]
+    ahead_m = settings["goal"]["x_m"] - values[:, RUN_AT + RunColumn.X_M]
+    left_m = settings["goal"]["y_m"] - values[:, RUN_AT + RunColumn.Y_M]
     return np.asarray(np.hypot(ahead_m, left_m))

@@ -13,31 +13,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit, types
 
+from turtlelog import arithmetic
 from turtlelog.compiled_loops import sum_up_sources
+from turtlelog.laws import sequential
+from turtlelog.laws.sequential import REORIENT, ROTATE, TRANSLATE
 from turtlelog.measure import metric, registry, step_response, swings
 from turtlelog.measure.registry import LOOP_METRICS
 from turtlelog.measure.table import loop_metrics
 from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
-from turtlelog.simulate.compiled import fields, functions, memory, signature
-from turtlelog.simulate.compiled.fields import AXIS, SETTINGS
-from turtlelog.simulate.compiled.functions import measure, wrap_angle
-from turtlelog.simulate.compiled.memory import (
-    MAX_DURATION,
-    REORIENT,
-    ROTATE,
-    STATE,
-    TIMEOUT,
-    TRANSLATE,
-)
-from turtlelog.simulate.compiled.signature import LOOP, MEMORY, list_array
+from turtlelog.simulate import compiled_arithmetic, rows, twins
+from turtlelog.simulate.compiled_loop import SAMPLE, TICK
 from turtlelog.sweep import (
+    batch_functions,
     batch_rows,
     batch_step_response,
     batch_sums,
     batch_swings,
     batch_table,
 )
-from turtlelog.sweep.batch_rows import LINE
+from turtlelog.sweep.batch_functions import list_array, measure, wrap_angle
+from turtlelog.sweep.batch_rows import FACTS, LINE
 from turtlelog.sweep.batch_step_response import measure_response
 from turtlelog.sweep.batch_sums import (
     find_cross_track,
@@ -88,11 +83,9 @@ class _Step(NamedTuple):
 class _Row(NamedTuple):
     """What a row is measured from."""
 
-    settings: Any
-    state: Any
+    facts: Any
     ticks: Any
     samples: Any
-    axes: Any
     line: Any
 
 
@@ -129,30 +122,30 @@ def _project(ticks: Any, count: int, line: Any, along_m: Any) -> None:
 @measure
 def _find_stretch(row: Any, end_ns: int, phase: int) -> Any:
     """Return where the loop of a phase acts; -1 as its first row without such samples."""
-    state, samples, period_ns = row.state, row.samples, row.settings.period_ns
-    first = find_sample(samples, state.samples, phase)
-    after = find_sample(samples, state.samples, phase + 1)
+    facts, samples, period_ns = row.facts, row.samples, row.facts.period_ns
+    first = find_sample(samples, facts.samples, phase)
+    after = find_sample(samples, facts.samples, phase + 1)
     if first == after:
         return _Stretch(-1, -1, 0, period_ns, False, False)  # noqa: FBT003
-    start_ns, goes_on = samples[first].time_ns, after < state.samples
+    start_ns, goes_on = samples[first].time_ns, after < facts.samples
     last_ns = samples[after].time_ns if goes_on else end_ns
     pose = -(-start_ns // period_ns)
-    if 0 < pose < state.ticks and pose * period_ns != start_ns:
+    if 0 < pose < facts.ticks and pose * period_ns != start_ns:
         pose -= 1
-    is_own = state.stop_reason not in (MAX_DURATION, TIMEOUT) or last_ns < end_ns
-    is_own = is_own or goes_on or _ends_blocked(state, samples, end_ns)
-    is_cut = state.stop_reason == MAX_DURATION and last_ns == end_ns
-    end = min(last_ns // period_ns + 1, state.ticks)
-    return _Stretch(min(pose, state.ticks), end, start_ns, period_ns, is_cut, is_own)
+    is_own = not (facts.is_cut or facts.is_late) or last_ns < end_ns
+    is_own = is_own or goes_on or _ends_blocked(facts, samples, end_ns)
+    is_cut = facts.is_cut and last_ns == end_ns
+    end = min(last_ns // period_ns + 1, facts.ticks)
+    return _Stretch(min(pose, facts.ticks), end, start_ns, period_ns, is_cut, is_own)
 
 
 @measure
-def _ends_blocked(state: Any, samples: Any, end_ns: int) -> bool:
+def _ends_blocked(facts: Any, samples: Any, end_ns: int) -> bool:
     """Whether the last sample's command went out later than its pose was answered, or never."""
-    last_ns = samples[state.samples - 1].time_ns
-    if state.commands < state.samples:
+    last_ns = samples[facts.samples - 1].time_ns
+    if facts.published < facts.samples:
         return end_ns > last_ns  # type: ignore[no-any-return]
-    return samples[samples[state.commands - 1].published].published_ns > last_ns  # type: ignore[no-any-return]
+    return samples[facts.published - 1].published_ns > last_ns  # type: ignore[no-any-return]
 
 
 @measure
@@ -174,10 +167,10 @@ def _measure_loop(row: Any, values: Any, pieces: Any, end_ns: int, phase: int, e
         entry.values[LoopMetric.STABLE], entry.status[LoopMetric.STABLE] = found, status
     samples, axis = row.samples, 0 if phase == TRANSLATE else 1
     own = (
-        find_sample(samples, row.state.samples, phase),
-        find_sample(samples, row.state.samples, phase + 1),
+        find_sample(samples, row.facts.samples, phase),
+        find_sample(samples, row.facts.samples, phase + 1),
     )
-    share = share_saturated(samples, own, axis, row.axes[axis].limit)
+    share = share_saturated(samples, own, axis, _find_limit(row.facts, phase))
     entry.values[LoopMetric.SATURATED_SHARE] = share
     entry.status[LoopMetric.SATURATED_SHARE] = OK
     if phase != TRANSLATE:
@@ -192,15 +185,15 @@ def _find_stable(row: Any, values: Any, stretch: Any, step: Any, phase: int) -> 
     if abs(step.reference - step.initial) <= SMALLEST_STEP:
         return np.nan, NO_STEP
     samples, turns = row.samples, phase != TRANSLATE
-    after = find_sample(samples, row.state.samples, phase + 1)
+    after = find_sample(samples, row.facts.samples, phase + 1)
     answered_ns = samples[after - 1].time_ns
     end = min(answered_ns // stretch.period_ns + 1, stretch.after)
     if end - stretch.first < 2:
         return np.nan, TOO_SHORT
-    limit = row.axes[1 if turns else 0].limit
+    limit = _find_limit(row.facts, phase)
     sample = after - 1
     while sample >= 0 and samples[sample].phase == phase:
-        command = samples[sample].turn_rate if turns else samples[sample].speed
+        command = samples[sample].turn_rate_rad_s if turns else samples[sample].speed_m_s
         if abs(command) >= limit:
             break
         sample -= 1
@@ -213,19 +206,25 @@ def _find_stable(row: Any, values: Any, stretch: Any, step: Any, phase: int) -> 
 
 
 @measure
+def _find_limit(facts: Any, phase: int) -> float:
+    """Return where the command of a phase is clipped."""
+    return facts.speed_limit if phase == TRANSLATE else facts.turn_limit  # type: ignore[no-any-return]
+
+
+@measure
 def _find_end_ns(row: Any) -> int:
     """Return the time of the last row of any column [ns]."""
-    state, samples = row.state, row.samples
-    end_ns = max((state.ticks - 1) * row.settings.period_ns, samples[state.samples - 1].time_ns)
-    if state.commands:
-        end_ns = max(end_ns, samples[samples[state.commands - 1].published].published_ns)
+    facts, samples = row.facts, row.samples
+    end_ns = max((facts.ticks - 1) * facts.period_ns, samples[facts.samples - 1].time_ns)
+    if facts.published:
+        end_ns = max(end_ns, samples[facts.published - 1].published_ns)
     return end_ns  # type: ignore[no-any-return]
 
 
 @measure
 def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
     ticks, samples, line = row.ticks, row.samples, row.line
-    count, end_ns, pieces = row.state.ticks, _find_end_ns(row), scratch[2:].reshape(-1)
+    count, end_ns, pieces = row.facts.ticks, _find_end_ns(row), scratch[2:].reshape(-1)
     _unwrap(ticks, count, scratch[0])
     _project(ticks, count, line, scratch[1])
     for number in range(3):
@@ -235,7 +234,7 @@ def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
         own = _Entry(entry.values[part], entry.status[part], entry.asked[part])
         if own.asked.any():
             _measure_loop(row, values, pieces, end_ns, phase, own)
-    turns_last = find_sample(samples, row.state.samples, REORIENT) < row.state.samples
+    turns_last = find_sample(samples, row.facts.samples, REORIENT) < row.facts.samples
     wanted_rad = line.goal_heading_rad if turns_last else line.bearing_rad
     pose, first = ticks[count - 1], ticks[samples[0].pose_sequence]
     end, asked = entry.values[RUN_AT:], entry.asked[RUN_AT:]
@@ -248,63 +247,49 @@ def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
     x_m, y_m = pose.x_m - line.x_m, pose.y_m - line.y_m
     end[RunColumn.CROSS_TRACK] = y_m * line.cos - x_m * line.sin
     if asked[RunColumn.CROSS_TRACK_MAX]:
-        first_row = -(-samples[0].time_ns // row.settings.period_ns)
+        first_row = -(-samples[0].time_ns // row.facts.period_ns)
         end[RunColumn.CROSS_TRACK_MAX] = find_cross_track(ticks, first_row, count, line)
     if asked[RunColumn.LARGEST_GAP]:
-        end[RunColumn.LARGEST_GAP] = find_largest_gap(samples, row.state.samples)
+        end[RunColumn.LARGEST_GAP] = find_largest_gap(samples, row.facts.samples)
     if asked[RunColumn.PATH_LENGTH]:
         end[RunColumn.PATH_LENGTH] = measure_way(ticks, count, pieces)
 
 
 SOURCES = (
-    *(batch_rows, batch_step_response, batch_sums, batch_swings, batch_table),
-    *(fields, functions, loop_metrics, memory, metric, registry, signature),
-    *(step_response, swings),
+    *(batch_functions, batch_rows, batch_step_response, batch_sums, batch_swings, batch_table),
+    *(arithmetic, compiled_arithmetic, rows, sequential, twins),
+    *(loop_metrics, metric, registry, step_response, swings),
 )
 """Whose code and constants stand in the machine code."""
 
-
-_SIGNATURE = types.int64(
-    types.FunctionType(LOOP),
-    types.Tuple([list_array(kind) for kind in (SETTINGS, STATE, LINE)]),
-    list_array(AXIS, 2),
-    MEMORY,
+MEASURE = types.int64(
+    list_array(FACTS),
+    list_array(TICK),
+    list_array(SAMPLE),
+    list_array(LINE),
     list_array(np.float64, 2),
-    types.Tuple([list_array(np.float64, 2), list_array(np.int8, 2), list_array(np.bool_)]),
+    types.Tuple([list_array(np.float64), list_array(np.int8), list_array(np.bool_)]),
 )
+"""What measures a row, whatever simulated it."""
 
 
 def _build(stamp: int) -> Any:
     """Return the compiled function, whose cache knows the code that it was compiled with."""
 
-    @njit(_SIGNATURE, nogil=True, cache=True, error_model="numpy", _nrt=False)
-    def run_rows(
-        simulate: Any, begun: Any, axes: Any, memory: Any, scratch: Any, entries: Any
+    @njit(MEASURE, nogil=True, cache=True, error_model="numpy", _nrt=False)
+    def measure_row(
+        facts: Any, ticks: Any, samples: Any, line: Any, scratch: Any, entry: Any
     ) -> int:
-        """Simulate and measure rows, each in the same memory; numbers and statuses are entered.
+        """Measure a row: numbers and statuses are entered.
 
-        `simulate` is the compiled loop, a pointer here: with its code in this one, both would be
-        compiled anew for each loop. `begun` are settings, states and lines of each row, `entries`
-        values, statuses, and which of their columns are asked for: what takes a pass of its own
-        is not computed otherwise.
+        `entry` are values, statuses, and which of their columns are asked for: what takes a pass of
+        its own is not computed otherwise.
         """
-        settings, states, lines = begun
-        values, status, asked = entries
-        for number in range(len(settings)):
-            for axis in range(2):
-                memory.axes[axis] = axes[number, axis]
-            for kind in range(len(memory.losses)):
-                loss = memory.losses[kind]
-                loss.since_ns = loss.count = loss.finished_since_ns = loss.finished = 0
-            simulate(settings[number : number + 1], states[number : number + 1], memory)
-            state = states[number]
-            if not state.has_failed and state.samples:
-                ticks, samples = memory.ticks, memory.samples
-                row = _Row(settings[number], state, ticks, samples, memory.axes, lines[number])
-                _measure_row(row, scratch, _Entry(values[number], status[number], asked))
+        row = _Row(facts[0], ticks, samples, line[0])
+        _measure_row(row, scratch, _Entry(entry[0], entry[1], entry[2]))
         return stamp
 
-    return run_rows
+    return measure_row
 
 
-run_rows = _build(sum_up_sources(*SOURCES))
+measure_row = _build(sum_up_sources(*SOURCES))

@@ -8,43 +8,35 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.arithmetic import to_float32
 from turtlelog.errors import TurtlelogError
+from turtlelog.laws import LawPart, find_law
+from turtlelog.laws.sequential import SequentialNumbers
 from turtlelog.measure.measure_settings import SETTLING_BAND
-from turtlelog.plants import Plant
+from turtlelog.parts import Plant
+from turtlelog.plants.kinds import PLANTS
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate.compiled.fields import (
-    AXIS,
-    AXIS_KEYS,
-    SETTINGS,
-    fill_axes,
-    fill_settings,
-    is_compiled,
-    is_sequential,
-    mark_terms,
-    read_key,
-)
-from turtlelog.simulate.compiled.law_fields import fill_schedule
-from turtlelog.simulate.compiled.memory import SPEED, STATE, TURN, begin
-from turtlelog.simulate.compiled.runner import count_rows
-from turtlelog.simulate.random_streams import list_streams
+from turtlelog.simulate import declare_scenario
+from turtlelog.simulate.compiled_loop import find_kinds
+from turtlelog.simulate.compiled_run import build_tables
+from turtlelog.simulate.many import find_loop
+from turtlelog.simulate.settings import build_settings, count_rows
+from turtlelog.simulate.streams import list_streams
+from turtlelog.simulate.twins import as_record
 from turtlelog.sweep.plan import build_row_scenario
 
-_OF_AXES: Final = {
-    **{
-        key: (gain, axis) for gain in ("kp", "ki", "kd") for axis, key in enumerate(AXIS_KEYS[gain])
-    },
-    "plant.speed_gain": ("robot_gain", SPEED),
-    "plant.turn_gain": ("robot_gain", TURN),
-    "plant.speed_lag_s": ("robot_lag_s", SPEED),
-    "plant.turn_lag_s": ("robot_lag_s", TURN),
-}
-_OF_SETTINGS: Final = (
+_OF_LAW: Final = (
+    *("law.kp_linear", "law.kp_angular", "law.ki_linear", "law.ki_angular"),
+    *("law.kd_linear", "law.kd_angular"),
     *("law.heading_tolerance_rad", "law.position_tolerance_m", "law.pause_ticks", "law.timeout_s"),
     *("law.settled_within_m", "law.settled_for_s", "law.standstill_samples"),
     *("law.standstill_below", "law.derivative_filter_s", "law.tracking_time_s"),
 )
+_OF_PLANT: Final = (
+    *("plant.speed_gain", "plant.turn_gain", "plant.speed_lag_s", "plant.turn_lag_s"),
+)
 
-FREE_KEYS: Final = frozenset({*_OF_AXES, *_OF_SETTINGS, "seed"})
+FREE_KEYS: Final = frozenset({*_OF_LAW, *_OF_PLANT, "seed"})
 """Keys whose values may be judged one by one: no rule names them together with another key, each
 may be any number between two bounds, and is a number of the loop by itself. Of all other keys the
 combinations are judged."""
@@ -60,6 +52,16 @@ LINE: Final = np.dtype(
 """The line from start to goal, and what else of a scenario only measuring needs."""
 
 
+FACTS: Final = np.dtype(
+    [(name, np.int64) for name in ("period_ns", "ticks", "samples", "published")]
+    + [("is_cut", np.bool_), ("is_late", np.bool_)]
+    + [("speed_limit", np.float64), ("turn_limit", np.float64)],
+    align=True,
+)
+"""What measuring reads of a run beside its rows: the clock [ns], how many rows there are, whether
+`max_duration_s` or the law's timeout ended it, and the limits."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PreparedRows:
     """Rows as the compiled loop takes them.
@@ -70,9 +72,8 @@ class PreparedRows:
         settings: Shape (n,).
         starts: States in which they begin, shape (n,).
         states: Likewise, which the loop changes.
-        axes: Shape (n, 2).
         lines: Shape (n,).
-        schedule: Gains that change on the way, which all of them share.
+        table: Of the law, which all of them share.
         seeds: Shape (n,).
         streams: Names of the random numbers that any of them needs.
         ticks: Most that any may have.
@@ -84,9 +85,8 @@ class PreparedRows:
     settings: NDArray[Any]
     starts: NDArray[Any]
     states: NDArray[Any]
-    axes: NDArray[Any]
     lines: NDArray[Any]
-    schedule: NDArray[np.float64]
+    table: NDArray[np.float64]
     seeds: NDArray[Any]
     streams: frozenset[str]
     ticks: int
@@ -98,7 +98,7 @@ class PreparedRows:
 
     def take(self, places: NDArray[np.int64]) -> "PreparedRows":
         """Return some of the rows."""
-        names = ("rows", "settings", "starts", "states", "axes", "lines", "seeds")
+        names = ("rows", "settings", "starts", "states", "lines", "seeds")
         return replace(self, **{name: getattr(self, name)[places] for name in names})
 
 
@@ -106,12 +106,20 @@ class _Case:
     """A combination of the keys that are judged together."""
 
     def __init__(self, scenario: Scenario, plant: Plant) -> None:
-        self.settings, self.state = fill_settings(scenario, plant)[0], begin(scenario)[0]
-        self.axes, self.seed = fill_axes(scenario), scenario.seed
-        self.schedule = fill_schedule(scenario)
+        law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
+        _, settings, start = build_settings(scenario, law, declaration, plant)
+        part = PLANTS[scenario.plant.kind]
+        assert isinstance(law, LawPart)
+        kinds = find_kinds(law, part, declaration.states)
+        self.kind = law, part
+        self.settings = as_record(settings, kinds.settings)
+        self.state, self.seed = as_record(start, kinds.state), scenario.seed
+        self.table = build_tables(scenario)[0]
         self.streams = list_streams(scenario)
         self.ticks, self.samples = count_rows(scenario, plant)
-        start_xy_m = _find_start(scenario, self.state)
+        x_m, y_m = part.read(start.plant)[:2]
+        exact = scenario.loop.pose_precision == "float64"
+        start_xy_m = (x_m, y_m) if exact else (to_float32(x_m), to_float32(y_m))
         line = find_line(start_xy_m, (scenario.goal.x_m, scenario.goal.y_m))
         heading_rad = scenario.goal.heading_rad
         self.line = (*line.values(), math.nan if heading_rad is None else heading_rad)
@@ -127,13 +135,16 @@ def prepare_rows(
     joint = [key for key in columns if key not in free]
     cases: dict[tuple[Any, ...], _Case | None] = {}
     own = {key: _judge_column(base, key, [columns[key][row] for row in rows]) for key in free}
-    taken, others, found = [], [], []
+    taken: list[int] = []
+    others: list[int] = []
+    found: list[_Case] = []
     for place, row in enumerate(rows):
         key = tuple((type(columns[name][row]), columns[name][row]) for name in joint)
         if key not in cases:
             cases[key] = _judge_case(base, joint, [value for _, value in key], plant)
         case = cases[key]
-        if case is None or any(column[place] is None for column in own.values()):
+        is_alike = case is not None and (not found or case.kind == found[0].kind)
+        if case is None or not is_alike or any(column[place] is None for column in own.values()):
             others.append(row)
         else:
             taken.append(place)
@@ -142,37 +153,33 @@ def prepare_rows(
     return _gather([rows[place] for place in taken], others, found, values)
 
 
+_NONE: Final = np.empty(0)
+
+
 def _gather(
     taken: list[int], others: list[int], cases: list[_Case], free: Mapping[str, Sequence[Any]]
 ) -> PreparedRows:
     unique = [*dict.fromkeys(cases)]
     numbers = {case: number for number, case in enumerate(unique)}
     of_case = np.array([numbers[case] for case in cases], np.int64)
-    settings = np.array([case.settings for case in unique], SETTINGS)[of_case]
-    axes = np.array([case.axes for case in unique], AXIS).reshape(-1, 2)[of_case]
+    settings = np.concatenate([case.settings for case in unique] or [_NONE])[of_case]
     seeds: NDArray[Any] = np.array([case.seed for case in unique], object)[of_case]
-    for key, column in free.items():
+    for key, column in free.items() if cases else ():
         if key == "seed":
             seeds = np.array(column, object)
-        elif key in _OF_AXES:
-            name, axis = _OF_AXES[key]
-            axes[name][:, axis] = column
         else:
-            settings[key.replace(".", "_")] = column
-    schedule = cases[0].schedule if cases else np.empty((0, 0))
-    settings["finds_distance"] = len(schedule) > 0  # no metric of the batch reads it: 20 ns
-    mark_terms(axes, schedule)
+            table, name = key.split(".")
+            settings[table][name] = column
     lines = np.array([(*case.line, SETTLING_BAND) for case in unique], LINE)[of_case]
-    starts = np.array([case.state for case in unique], STATE)[of_case]
+    starts = np.concatenate([case.state for case in unique] or [_NONE])[of_case]
     return PreparedRows(
         rows=np.array(taken, np.int64),
         others=others,
         settings=settings,
         starts=starts,
         states=starts.copy(),
-        axes=axes,
         lines=lines,
-        schedule=schedule,
+        table=cases[0].table if cases else np.empty((0, 0)),
         seeds=seeds,
         streams=frozenset[str]().union(*(case.streams for case in unique)),
         ticks=max((case.ticks for case in unique), default=1),
@@ -189,8 +196,14 @@ def _judge_case(
     except TurtlelogError:
         return None
     clock = scenario.plant.facts if plant is None else plant
-    is_measured = is_sequential(scenario) and is_compiled(scenario, clock)
-    return _Case(scenario, clock) if is_measured else None
+    return _Case(scenario, clock) if is_batched(scenario, clock) else None
+
+
+def is_batched(scenario: Scenario, plant: Plant) -> bool:
+    """Whether the batch covers a scenario: a sequential law, by a compiled loop."""
+    law = find_law(scenario.law.kind)
+    is_sequential = isinstance(law, LawPart) and law.Numbers is SequentialNumbers
+    return is_sequential and find_loop(scenario, plant) is not None
 
 
 def _judge_column(base: Scenario, key: str, column: Sequence[Any]) -> Sequence[Any]:
@@ -213,22 +226,10 @@ def _judge_value(base: Scenario, key: str, value: Any) -> Any:
         scenario = resolve_scenario(build_row_scenario(base, [key], [value], 0))
     except TurtlelogError:
         return None
-    if key.startswith("plant."):
-        return getattr(scenario.plant, key.removeprefix("plant."))
-    return scenario.seed if key == "seed" else read_key(scenario, key)
-
-
-def _find_start(scenario: Scenario, state: Any) -> tuple[float, float]:
-    """Return where a robot that stands still is read for the first time."""
-    from turtlelog.plants import round_to_float32
-    from turtlelog.plants.turtlesim import WORLD_SIZE_M
-
-    x_m, y_m = float(state["x_m"]), float(state["y_m"])
-    if scenario.plant.kind == "turtlesim":
-        y_m = WORLD_SIZE_M - float(state["down_m"])
-    if scenario.loop.pose_precision == "float64":
-        return x_m, y_m
-    return round_to_float32(x_m), round_to_float32(y_m)
+    if key == "seed":
+        return scenario.seed
+    table, name = key.split(".")
+    return getattr(scenario.plant if table == "plant" else scenario.law.parameters, name)
 
 
 def find_line(start_xy_m: tuple[float, float], goal_xy_m: tuple[float, float]) -> dict[str, float]:

@@ -8,7 +8,7 @@ import numpy as np
 from turtlelog.measure.registry import LOOP_METRICS
 from turtlelog.measure.step_response import SHORTEST_HOLD_S, SWING
 from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
-from turtlelog.simulate.compiled.functions import measure
+from turtlelog.sweep.batch_functions import measure
 from turtlelog.sweep.batch_sums import count_crossings, integrate_error, tell_time
 from turtlelog.sweep.batch_table import (
     CUT,

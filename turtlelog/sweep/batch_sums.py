@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from turtlelog.simulate.compiled.functions import measure
+from turtlelog.sweep.batch_functions import measure
 
 _BLOCK = 128
 _LANES = 8
@@ -141,7 +141,7 @@ def share_saturated(samples: Any, rows: tuple[int, int], axis: int, limit: float
     """Return the share of samples, from one up to another, whose command is at its limit."""
     saturated = 0
     for row in range(rows[0], rows[1]):
-        command = samples[row].turn_rate if axis else samples[row].speed
+        command = samples[row].turn_rate_rad_s if axis else samples[row].speed_m_s
         saturated += abs(command) >= limit
     return saturated / (rows[1] - rows[0])
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from turtlelog.measure import swings
-from turtlelog.simulate.compiled.functions import measure
+from turtlelog.sweep.batch_functions import measure
 from turtlelog.sweep.batch_sums import count_crossings
 from turtlelog.sweep.batch_table import NOT_REACHED, OK, UNDETERMINED
 

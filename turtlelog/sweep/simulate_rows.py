@@ -26,9 +26,9 @@ from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_many
-from turtlelog.simulate.compiled.fields import is_compiled, is_sequential
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late
 from turtlelog.sweep.batch import measure_rows
+from turtlelog.sweep.batch_rows import is_batched
 from turtlelog.sweep.batch_table import COLUMN_OF, OK, STATUSES
 from turtlelog.sweep.plan import build_row_scenario
 
@@ -100,6 +100,7 @@ class RowResults:
         samples: Of all its runs together.
         recorded: How many of them were recorded.
         metrics: By id.
+        notes: On the compiled loops, one line each.
     """
 
     first: int
@@ -108,6 +109,7 @@ class RowResults:
     samples: int = 0
     recorded: int = 0
     metrics: dict[str, MetricCells] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.failed)
@@ -146,7 +148,7 @@ def simulate_rows(chunk: RowChunk) -> RowResults:
             scenarios.append(err)
     good = [one for one in scenarios if isinstance(one, Scenario)]
     rows = _Scenarios(good, chunk.ahead)
-    runs = iter(simulate_many(rows, threads=1, step_budget_s=chunk.step_budget_s))
+    runs = simulate_many(rows, threads=1, step_budget_s=chunk.step_budget_s)
     results = RowResults(first=chunk.first)
     for row, one in enumerate(scenarios, start=chunk.first):
         found = next(runs) if isinstance(one, Scenario) else one
@@ -154,6 +156,7 @@ def simulate_rows(chunk: RowChunk) -> RowResults:
             _enter_run(results, chunk, row, found)
         else:
             _enter_failure(results, found)
+    results.notes = runs.notes
     return results
 
 
@@ -174,7 +177,7 @@ def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricK
         scenario = resolve_scenario(base)
     except TurtlelogError:  # of its own it lacks what the rows give it
         return {}
-    if not (is_sequential(scenario) and is_compiled(scenario, scenario.plant.facts)):
+    if not is_batched(scenario, scenario.plant.facts):
         return {}
     declaration = declare_scenario(scenario)
     names, known = list_row_metrics(declaration, chunk.metrics), list_metrics(declaration)

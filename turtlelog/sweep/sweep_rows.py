@@ -159,8 +159,8 @@ def _simulate(
     if jobs is None:
         jobs = count_cores() if rest * row_s > LONG_S else 1
     count, threads = (jobs if isinstance(jobs, int) else 1), 1
-    batch = find_batch(parse_scenario(sweep.base), sweep.plan.keys)
-    if is_batch(first) and batch.expect(rest, row_s / count) is not None:
+    batch = find_batch(parse_scenario(sweep.base)) if is_batch(first) else None
+    if batch is not None and batch.expect(rest, row_s / count) is not None:
         size = _MOST_IN_BATCH
         if isinstance(jobs, int):
             # Threads share what is loaded, and processes would take longer to start.
@@ -175,13 +175,18 @@ def _simulate(
 
 
 class _Telling:
-    """Tells how many rows are done, and of the first whose law is late."""
+    """Tells how many rows are done, what compiled loops note, and the first row that is late."""
 
     def __init__(self, watch: Callable[[int], None], tell: Callable[[str], None]) -> None:
         self._watch, self._tell, self._has_told = watch, tell, False
+        self._notes: set[str] = set()
 
     def __call__(self, done: int, results: RowResults | None = None) -> None:
         self._watch(done)
+        for note in () if results is None else results.notes:
+            if note not in self._notes:
+                self._notes.add(note)
+                self._tell(note)
         late = None if results is None or self._has_told else results.find_late()
         if late is not None:
             self._has_told = True

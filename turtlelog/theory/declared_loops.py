@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
 from turtlelog.loops import (
     COMMAND_WORDS,
@@ -41,23 +42,15 @@ _DEFAULTS: Final = flatten_scenario(Scenario())
 
 _MODELLED: Final = frozenset(
     {
-        *(key for key in _DEFAULTS if not key.startswith("limits.")),
-        *("goal.heading_rad", "start.precision", "loop.trigger", "loop.period_s"),
-        *("loop.transport_delay_s", "sensing.delay_s", "shaping.low_pass_s"),
-        *("plant.kind", "plant.period_s"),
+        *(key for key in _DEFAULTS if not key.startswith(("limits.", "loop."))),
+        *(key for effect in EFFECTS for key in effect.modelled),
+        *("goal.heading_rad", "start.precision", "plant.kind", "plant.period_s"),
         *(f"{key}{name}" for key in PLANT_KEYS.values() for name in _OF_PLANT),
     }
 )
 """Keys whose part in the loop theory knows, or that have none."""
 
-_ADDED: Final = frozenset(
-    {
-        *("disturbance.speed_m_s", "disturbance.turn_rate_rad_s"),
-        *("disturbance.from_s", "disturbance.to_s"),
-        *("sensing.bias_position_m", "sensing.bias_heading_rad"),
-        *("limits.speed_m_s", "limits.turn_rate_rad_s"),
-    }
-)
+_ADDED: Final = frozenset(key for effect in EFFECTS for key in effect.added)
 """Keys that theory leaves out, and that make no unstable loop stable: pushes and offsets move where
 it rests, limits bound how far it swings."""
 

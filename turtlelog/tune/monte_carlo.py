@@ -16,7 +16,7 @@ from turtlelog.scenario import (
     override_scenario,
     resolve_scenario,
 )
-from turtlelog.simulate.random_streams import list_streams
+from turtlelog.simulate.streams import list_streams
 from turtlelog.text_files import read_text_file
 from turtlelog.tune.candidates import Candidates
 from turtlelog.tune.goal import TuningGoal

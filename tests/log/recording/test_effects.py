@@ -18,8 +18,8 @@ from tests.log.strict import check_strictly
 from tests.torture.outcomes import sample_harms
 from tests.torture.recordings import pack_again
 from turtlelog import read_run
+from turtlelog.arithmetic import to_float32
 from turtlelog.errors import LogError
-from turtlelog.laws import Pose
 from turtlelog.log import (
     PartialRecordingWarning,
     Recorder,
@@ -38,10 +38,9 @@ from turtlelog.log import (
 from turtlelog.log.importers.exported_tables import import_tables
 from turtlelog.log.recording.head import HEAD, describe_run, format_head
 from turtlelog.log.recording.topics import CONTROL, POSE, SCHEMAS, SENSED, SENSED64, SHAPED
-from turtlelog.plants.turtlesim import round_to_float32
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
-from turtlelog.simulate import Sample, Tick, collect_run, iterate_ticks
+from turtlelog.simulate import SampleRow, Tick, collect_run, iterate_ticks
 
 ROWS = 60
 
@@ -63,23 +62,23 @@ def disturb_ticks(scenario: Scenario, seed: int = 1) -> Iterator[Tick]:
     for number, tick in enumerate(iterate_ticks(scenario)):
         x_m, y_m, heading_rad = random.normal(size=3).tolist()
         if scenario.loop.pose_precision == "float32":
-            x_m, y_m, heading_rad = map(round_to_float32, (x_m, y_m, heading_rad))
-        sensed = None if number % 6 == 1 else Pose(x_m, y_m, heading_rad)
+            x_m, y_m, heading_rad = map(to_float32, (x_m, y_m, heading_rad))
+        if number % 6 == 1:
+            x_m = y_m = heading_rad = np.nan
+        row = replace(tick.row, sensed_x_m=x_m, sensed_y_m=y_m, sensed_heading_rad=heading_rad)
         computed = tuple(shape(sample) for sample in tick.computed)
-        yield msgspec.structs.replace(tick, sensed=sensed, computed=computed)
+        yield msgspec.structs.replace(tick, row=row, computed=computed)
 
 
-def shape(sample: Sample) -> Sample:
-    speed, turn_rate = sample.decision.speed_m_s, sample.decision.turn_rate_rad_s
-    return msgspec.structs.replace(
-        sample, shaped_speed_m_s=speed / 3.0, shaped_turn_rate_rad_s=turn_rate / 3.0
-    )
+def shape(sample: SampleRow) -> SampleRow:
+    speed, turn_rate = sample.wanted_speed_m_s, sample.wanted_turn_rate_rad_s
+    return replace(sample, shaped_speed_m_s=speed / 3.0, shaped_turn_rate_rad_s=turn_rate / 3.0)
 
 
 def build_run(scenario: Scenario, ticks: list[Tick]) -> Run:
     run = collect_run(scenario, ticks)
-    none = Pose(np.nan, np.nan, np.nan)
-    sensed = np.array([[*msgspec.structs.astuple(tick.sensed or none)] for tick in ticks])
+    rows = [tick.row for tick in ticks]
+    sensed = np.array([(row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad) for row in rows])
     shaped = [sample for tick in ticks for sample in tick.computed]
     return replace(
         run,

@@ -46,7 +46,7 @@ def list_phases(path: Path) -> list[tuple[str, int]]:
 def iterate_until_blocked(scenario: Scenario) -> Iterator[Tick]:
     for tick in iterate_ticks(scenario):
         yield tick
-        if any(sample.decision.blocks_ticks for sample in tick.computed):
+        if any(sample.blocks_ticks for sample in tick.computed):
             return
 
 

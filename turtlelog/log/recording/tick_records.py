@@ -3,13 +3,13 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import isnan, nan
+from operator import attrgetter
 from struct import Struct
 from typing import Any, Final
 
 import numpy as np
 from mcap.opcode import Opcode
 
-from turtlelog.laws import Pose
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.recording.run_writer import describe_event, describe_pose
@@ -38,7 +38,7 @@ from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, ChunkRows, encode_
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import CUT_SHORT
 from turtlelog.scenario import Scenario
-from turtlelog.simulate import Sample, Tick
+from turtlelog.simulate import SampleRow, Tick, TickRow
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _REFERENCE_BYTES: Final = 160
@@ -50,6 +50,13 @@ _PLACES: Final = {
     for name in ("bearing_rad", "heading_error_rad", "error_xy_m", "distance_m")
 }
 """Where a sample's row holds what it lacks without a goal."""
+
+_LIST: Final = attrgetter(
+    *("sequence", "pose_sequence", "phase", "bearing_rad", "heading_error_rad"),
+    *("error_x_m", "error_y_m", "distance_m", "wanted_speed_m_s", "wanted_turn_rate_rad_s"),
+    *("speed_m_s", "turn_rate_rad_s", "world_v_x_m_s", "world_v_y_m_s"),
+)
+"""What is recorded of a sample, in the order of a ControlSample's fields."""
 
 _WORLD: Final = slice(_FIELDS.index("world_v_x"), _FIELDS.index("world_v_y") + 1)
 
@@ -78,21 +85,20 @@ _POSE_SIZE, _POSE64_SIZE, _CONTROL_SIZE, _COMMAND_SIZE = (
 
 def measure_tick(tick: Tick) -> int:
     """Return about how many bytes the messages of a tick take."""
-    sensed = 0 if tick.sensed is None else _POSE_SIZE + _POSE64_SIZE
+    sensed = 0 if isnan(tick.row.sensed_x_m) else _POSE_SIZE + _POSE64_SIZE
     return (
         _POSE_SIZE
         + sensed
         + sum(map(_measure_sample, tick.computed))
+        + sum(HEAD.size + 8 * len(states) for states in tick.states)
         + _COMMAND_SIZE * len(tick.published)
         + HEAD.size * len(tick.events)
     )
 
 
-def _measure_sample(sample: Sample) -> int:
-    states, reference = sample.decision.states, sample.decision.reference
-    size = _CONTROL_SIZE + (HEAD.size + 8 * len(states) if states else 0)
-    size += 0 if isnan(sample.shaped_speed_m_s) else _COMMAND_SIZE
-    return size + (_REFERENCE_BYTES if reference is not None else 0)
+def _measure_sample(sample: SampleRow) -> int:
+    size = _CONTROL_SIZE + (0 if isnan(sample.shaped_speed_m_s) else _COMMAND_SIZE)
+    return size + (0 if isnan(sample.reference_x_m) else _REFERENCE_BYTES)
 
 
 @dataclass(slots=True, eq=False)
@@ -131,7 +137,8 @@ class TickRecords:
         goal, kind = scenario.goal, scenario.law.kind
         self._goal = (goal.x_m, goal.y_m, goal.heading_rad) if declaration.uses_goal else None
         self._is_exact = scenario.loop.pose_precision == "float64"
-        sensing, shaping = scenario.sensing.changes_poses, scenario.shaping.acts
+        sensing = scenario.has_action("sense", "lose_pose")
+        shaping = scenario.has_action("shape")
         more = {SENSED.name: sensing, SHAPED.name: shaping}
         self.more_topics = frozenset(name for name, is_there in more.items() if is_there)
         topics = list_topics(declaration, kind, has_sensing=sensing, has_shaping=shaping)
@@ -169,8 +176,9 @@ class TickRecords:
         for tick in ticks:
             time_ns = tick.time_ns
             self._add_pose(time_ns, tick)
-            for sample in tick.computed:
-                self._add_sample(sample.time_ns, sample)
+            for number, sample in enumerate(tick.computed):
+                states = tick.states[number] if tick.states else ()
+                self._add_sample(sample.time_ns, sample, states)
             for sample in tick.published:
                 values = sample.speed_m_s, 0.0, 0.0, 0.0, 0.0, sample.turn_rate_rad_s
                 self._add(self._command, sample.published_ns, sample.sequence, *values)
@@ -185,33 +193,32 @@ class TickRecords:
         return self._collect()
 
     def _add_pose(self, time_ns: int, tick: Tick) -> None:
-        pose, number = tick.pose, self._pose.count
+        row, number = tick.row, self._pose.count
         self._pose.count = number + 1
         if not number and self._goal is not None:
             self._add_varied(GOAL, time_ns, describe_pose(time_ns, *self._goal))
-        values = pose.x_m, pose.y_m, pose.heading_rad
-        self._add(self._pose, time_ns, number, *values, tick.speed_m_s, tick.turn_rate_rad_s)
+        values = row.x_m, row.y_m, row.heading_rad
+        self._add(self._pose, time_ns, number, *values, row.speed_m_s, row.turn_rate_rad_s)
         if self._is_exact:
             self._add(self._pose64, time_ns, number, *values)
-        if tick.sensed is not None:
-            self._add_sensed(time_ns, number, tick.sensed)
+        if not isnan(row.sensed_x_m):
+            self._add_sensed(time_ns, number, row)
 
-    def _add_sensed(self, time_ns: int, number: int, pose: Pose) -> None:
+    def _add_sensed(self, time_ns: int, number: int, row: TickRow) -> None:
         """Add what was sensed of a pose, under the pose's number and time; no velocity."""
-        values = pose.x_m, pose.y_m, pose.heading_rad
+        values = row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad
         if self._sensed is not None:
             self._add(self._sensed, time_ns, number, *values, nan, nan)
         if self._sensed64 is not None and self._is_exact:
             self._add(self._sensed64, time_ns, number, *values)
 
-    def _add_sample(self, time_ns: int, sample: Sample) -> None:
-        row, sequence = sample.row, sample.sequence
+    def _add_sample(self, time_ns: int, sample: SampleRow, states: tuple[float, ...]) -> None:
+        row, sequence = _LIST(sample), sample.sequence
         self._add(self._control, time_ns, sequence, *row)
         if self._states is not None:
-            self._add(self._states, time_ns, sequence, *sample.decision.states)
-        pose = sample.decision.reference
-        if pose is not None and self._reference64 is not None:
-            values = pose.x_m, pose.y_m, pose.heading_rad
+            self._add(self._states, time_ns, sequence, *states)
+        if not isnan(sample.reference_x_m) and self._reference64 is not None:
+            values = sample.reference_x_m, sample.reference_y_m, sample.reference_heading_rad
             self._add_varied(REFERENCE, time_ns, describe_pose(time_ns, *values), sequence)
             self._add(self._reference64, time_ns, sequence, *values)
         if self._shaped is not None:
@@ -225,15 +232,14 @@ class TickRecords:
                 name for name, places in _PLACES.items() if any(isnan(row[at]) for at in places)
             }
 
-    def _follow_phase(self, time_ns: int, sample: Sample) -> None:
+    def _follow_phase(self, time_ns: int, sample: SampleRow) -> None:
         if sample.phase != self._phase:
             if self._phase is not None:
                 self._add_pause()
             self._phase, self._is_paused = sample.phase, False
             self._add_phase(time_ns, self._phases[sample.phase])
-        decision = sample.decision
-        self._sample_ns, self._is_blocked = time_ns, decision.blocks_ticks > 0
-        if self._is_blocked and decision.ends_phase:
+        self._sample_ns, self._is_blocked = time_ns, sample.blocks_ticks > 0
+        if self._is_blocked and sample.ends_phase:
             self._add_pause()
 
     def _end_phase(self, time_ns: int, stop_reason: str) -> None:

@@ -1,0 +1,124 @@
+"""Functions of numbers that control laws, plants and effects may call, plain and compiled.
+
+Compiled loops run the same source, except for the functions that `simulate.compiled_arithmetic`
+replaces by others with the same values.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from struct import Struct
+from typing import Any, Final, TypeVar
+
+_TURN_RAD: Final = 2.0 * math.pi
+_FLOATS: Final = Struct("<5f")
+_pack, _unpack = _FLOATS.pack, _FLOATS.unpack
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+hypot = math.hypot
+"""The nearest double to the hypotenuse; the libm's, which compiled code would take, is not."""
+
+fmod = math.fmod
+
+
+floor, ceil = math.floor, math.ceil
+"""Whole numbers; compiled they are floats, which no large value overflows."""
+
+
+def called(function: _Function) -> _Function:
+    """Mark a long function: compiled code calls it instead of repeating it where it is called."""
+    function.is_called = True  # type: ignore[attr-defined]
+    return function
+
+
+@dataclass(slots=True)
+class Direction:
+    """An angle whose cosine and sine were taken last: most are taken of the same again."""
+
+    angle_rad: float = math.nan
+    cosine: float = 0.0
+    sine: float = 0.0
+
+
+def find_direction(direction: Any, angle_rad: float) -> tuple[float, float]:
+    """Return cosine and sine; of the angle before as they were."""
+    if angle_rad != direction.angle_rad or angle_rad == 0.0:  # there are two zeros
+        direction.angle_rad = angle_rad
+        direction.cosine, direction.sine = math.cos(angle_rad), math.sin(angle_rad)
+    return direction.cosine, direction.sine
+
+
+def least(left: float, right: float) -> float:
+    """Return the smaller number, the left one of equal numbers."""
+    return right if right < left else left
+
+
+def most(left: float, right: float) -> float:
+    """Return the larger number, the left one of equal numbers."""
+    return right if right > left else left
+
+
+def clip(value: float, limit: float) -> float:
+    """Return a value whose magnitude is bounded."""
+    return limit if value > limit else -limit if value < -limit else value
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """Return the same direction in [-pi, pi) [rad]; an angle inside comes back bit for bit."""
+    if -math.pi <= angle_rad < math.pi:
+        return angle_rad
+    rest = fmod(angle_rad, _TURN_RAD)
+    rest -= _TURN_RAD * floor((rest + math.pi) / _TURN_RAD)
+    # Just below -pi the sum rounds up to pi itself, which is the same direction as -pi.
+    return -math.pi if rest >= math.pi else rest
+
+
+def round_to_step(value: float, step: float) -> float:
+    """Return the nearest multiple of a step, the even one of two; without a step the value."""
+    if step == 0.0:
+        return value
+    steps = value / step
+    # Of a step far below the digits of a double there is no whole number: nothing is rounded.
+    return step * nearest(steps) if math.isfinite(steps) else value
+
+
+def nearest(value: float) -> float:
+    """Return the nearest whole number, the even one of two; never -0.0."""
+    return round(value)
+
+
+def nearest_int(value: float) -> int:
+    """Return the nearest whole number as an int, the even one of two."""
+    return round(value)
+
+
+def to_ns(time_s: float) -> int:
+    """Return a time [s] in whole nanoseconds."""
+    return nearest_int(time_s * 1e9)
+
+
+def to_float32(value: float) -> float:
+    """Return the nearest 32-bit float."""
+    found: float = _unpack(_pack(value, 0.0, 0.0, 0.0, 0.0))[0]
+    return found
+
+
+def pose_to_float32(x_m: float, y_m: float, heading_rad: float) -> tuple[float, float, float]:
+    """Return a pose of 32-bit floats."""
+    x_m, y_m, heading_rad, _, _ = _unpack(_pack(x_m, y_m, heading_rad, 0.0, 0.0))
+    return x_m, y_m, heading_rad
+
+
+def message_to_float32(
+    x_m: float, y_m: float, heading_rad: float, speed: float, turn_rate: float
+) -> tuple[float, float, float, float, float]:
+    """Return what a pose message holds as 32-bit floats."""
+    found: tuple[float, float, float, float, float]
+    found = _unpack(_pack(x_m, y_m, heading_rad, speed, turn_rate))
+    return found
+
+
+def begin_row(rows: Any, new: Any, number: int) -> Any:
+    """Return the row of a number, with defaults; plain: `new` makes it, compiled it is copied."""
+    row = rows[number] = new()
+    return row

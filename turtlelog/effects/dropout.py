@@ -1,0 +1,50 @@
+"""Some poses never arrive."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from turtlelog.loops import Mechanism
+from turtlelog.parts import Action, Effect, Probability, Stream, absent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DropoutKeys:
+    """Loss of poses.
+
+    Attributes:
+        dropout_probability: That a pose does not arrive.
+    """
+
+    dropout_probability: Probability = absent(0.0)
+
+
+def lose_pose(settings: Any, drawn: Any, value: bool) -> bool:  # noqa: FBT001
+    """Return whether a pose is lost."""
+    probability = settings.sensing.dropout_probability
+    return value or (probability != 0.0 and drawn.chance < probability)
+
+
+PART = Effect(
+    name="dropout",
+    tables={"sensing": DropoutKeys},
+    actions={
+        "lose_pose": Action(
+            step=lose_pose,
+            stream=Stream(
+                number=1,
+                kind="uniform",
+                fields=("chance",),
+                keys=("sensing.dropout_probability",),
+                is_chance=True,
+            ),
+        )
+    },
+    mechanisms=(
+        Mechanism(
+            name="dropout",
+            kind="effect",
+            neutral={"sensing.dropout_probability": 0.0},
+            meaning="every pose arrives",
+        ),
+    ),
+)

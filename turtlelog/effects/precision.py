@@ -1,0 +1,36 @@
+"""Poses are published in 32 bits; the loop reads this key itself."""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from turtlelog.loops import Mechanism
+from turtlelog.parts import Effect
+
+FLOAT64: Final = 1
+"""The second of `pose_precision`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PrecisionKeys:
+    """How exactly poses are published.
+
+    Attributes:
+        pose_precision: Precision of published poses.
+    """
+
+    pose_precision: Literal["float32", "float64"] = "float32"
+
+
+PART = Effect(
+    name="float32",
+    tables={"loop": PrecisionKeys},
+    mechanisms=(
+        Mechanism(
+            name="float32",
+            kind="property",
+            neutral={"loop.pose_precision": "float64"},
+            meaning="poses of 64 bits",
+        ),
+    ),
+    modelled=("loop.pose_precision",),
+)

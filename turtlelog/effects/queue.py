@@ -1,0 +1,43 @@
+"""Queues of poses and commands; the loop reads these keys itself."""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from turtlelog.loops import Mechanism
+from turtlelog.parts import Count, Effect
+
+NEWEST: Final = 1
+"""The second of `queue_policy`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QueueKeys:
+    """How many poses and commands wait.
+
+    Attributes:
+        start_backlog: Poses that wait when the controller starts; 1: none but the newest.
+        pose_queue: Depth of the controller's pose queue.
+        command_queue: Depth of the plant's command queue.
+        queue_policy: `one-per-tick`: the plant takes one command per tick; `newest`: it takes the
+            newest and drops the rest.
+    """
+
+    start_backlog: Count = 1
+    pose_queue: Count = 10
+    command_queue: Count = 7
+    queue_policy: Literal["one-per-tick", "newest"] = "newest"
+
+
+PART = Effect(
+    name="queue",
+    tables={"loop": QueueKeys},
+    mechanisms=(
+        Mechanism(
+            name="queue",
+            kind="effect",
+            neutral={"loop.queue_policy": "newest", "loop.start_backlog": 1},
+            meaning="the newest command wins, and no backlog at the start",
+        ),
+    ),
+    modelled=("loop.start_backlog", "loop.pose_queue", "loop.command_queue", "loop.queue_policy"),
+)

@@ -1,0 +1,52 @@
+"""Some commands arrive twice."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from turtlelog.loops import Mechanism
+from turtlelog.parts import Action, Effect, Probability, Stream, absent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RepeatKeys:
+    """Duplicated commands.
+
+    Attributes:
+        repeat_probability: That a command arrives twice.
+    """
+
+    repeat_probability: Probability = absent(0.0)
+
+
+def repeat_command(settings: Any, drawn: Any, value: int) -> int:
+    """Return how often a command arrives."""
+    probability = settings.loop.repeat_probability
+    if probability != 0.0 and drawn.chance < probability:
+        return value + 1
+    return value
+
+
+PART = Effect(
+    name="repeat",
+    tables={"loop": RepeatKeys},
+    actions={
+        "repeat": Action(
+            step=repeat_command,
+            stream=Stream(
+                number=6,
+                kind="uniform",
+                fields=("chance",),
+                keys=("loop.repeat_probability",),
+                is_chance=True,
+            ),
+        )
+    },
+    mechanisms=(
+        Mechanism(
+            name="repeat",
+            kind="effect",
+            neutral={"loop.repeat_probability": 0.0},
+            meaning="no command arrives twice",
+        ),
+    ),
+)

@@ -1,0 +1,141 @@
+"""A law that is a part, asked pose by pose like one that is a class: for tests, and to build on."""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from inspect import signature
+from typing import Any, ClassVar, Final
+
+from turtlelog.errors import LawError
+from turtlelog.laws.base import Decision, Goal, LawPart, Pose
+from turtlelog.path_pieces import PathNumbers
+from turtlelog.paths import Path
+
+
+@dataclass(slots=True)
+class _Goal:
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_rad: float = math.nan
+
+
+@dataclass(slots=True)
+class _Limits:
+    speed_m_s: float = math.inf
+    turn_rate_rad_s: float = math.inf
+
+
+@dataclass(slots=True)
+class _Settings:
+    law: Any
+    goal: _Goal
+    limits: _Limits
+    path: PathNumbers
+
+
+@dataclass(slots=True)
+class _Row:
+    """What a step enters."""
+
+    phase: int = 0
+    blocks_ticks: int = 0
+    stop: int = 0
+    ends_phase: bool = False
+    bearing_rad: float = math.nan
+    heading_error_rad: float = math.nan
+    error_x_m: float = math.nan
+    error_y_m: float = math.nan
+    distance_m: float = math.nan
+    world_v_x_m_s: float = math.nan
+    world_v_y_m_s: float = math.nan
+    reference_x_m: float = math.nan
+    reference_y_m: float = math.nan
+    reference_heading_rad: float = math.nan
+
+
+_NO_PATH: Final = PathNumbers()
+
+
+class AskedLaw:
+    """A law with its parameters; of each part there is a class of its own."""
+
+    Parameters: ClassVar[type[Any]]
+    _part: ClassVar[LawPart]
+
+    def __init__(self, parameters: Any) -> None:
+        """Take the parameters; until `take_limits` nothing is clipped."""
+        part, self._parameters = self._part, parameters
+        numbers = parameters if part.prepare is None else part.prepare(parameters)
+        self._settings = _Settings(numbers, _Goal(), _Limits(), _NO_PATH)
+        self._table = () if part.build_table is None else part.build_table(parameters)
+        self._names = [*signature(part.step).parameters]
+
+    def take_limits(self, speed_m_s: float, turn_rate_rad_s: float) -> None:
+        """Take the limits at which the loop clips the commands."""
+        self._settings.limits = _Limits(speed_m_s, turn_rate_rad_s)
+
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
+        """Begin a run.
+
+        Raises:
+            LawError: Where it needs a goal or a path, and there is none.
+        """
+        del start
+        declaration = self._part.declare(self._parameters, goal, path)
+        if declaration.uses_goal and goal is None:
+            raise LawError("expected a goal, found none")
+        if goal is not None:
+            heading_rad = math.nan if goal.heading_rad is None else goal.heading_rad
+            self._settings.goal = _Goal(goal.x_m, goal.y_m, heading_rad)
+        self._settings.path = _NO_PATH if path is None else path.numbers
+        self._pieces = () if path is None else path.ways
+        self._phases, self._states = declaration.phase_names, declaration.states
+        self._state = self._part.State()
+
+    def step(self, time_ns: int, pose: Pose) -> Decision:
+        """Answer one pose."""
+        row, state = _Row(), self._state
+        given = {
+            "settings": self._settings,
+            "state": state,
+            "table": self._table,
+            "pieces": self._pieces,
+            "row": row,
+            "time_ns": time_ns,
+            "pose": (pose.x_m, pose.y_m, pose.heading_rad),
+        }
+        speed, turn_rate = self._part.step(*(given[name] for name in self._names))
+        has_reference = not math.isnan(row.reference_x_m)
+        reference = Pose(row.reference_x_m, row.reference_y_m, row.reference_heading_rad)
+        return Decision(
+            speed_m_s=speed,
+            turn_rate_rad_s=turn_rate,
+            phase=self._phases[row.phase],
+            bearing_rad=row.bearing_rad,
+            heading_error_rad=row.heading_error_rad,
+            error_x_m=row.error_x_m,
+            error_y_m=row.error_y_m,
+            world_v_x_m_s=row.world_v_x_m_s,
+            world_v_y_m_s=row.world_v_y_m_s,
+            states=tuple(getattr(state, name) for name in self._states),
+            reference=reference if has_reference else None,
+            blocks_ticks=row.blocks_ticks,
+            ends_phase=row.ends_phase,
+            stop_reason=self._part.stops[row.stop - 1] if row.stop else None,
+        )
+
+
+@cache
+def build_class(part: LawPart) -> type[AskedLaw]:
+    """Return a part as a class, which tells of itself what a law that is a class tells."""
+    members = {
+        "__doc__": part.meaning,
+        "__module__": part.step.__module__,
+        "_part": part,
+        "Parameters": part.Parameters,
+        "declare": staticmethod(part.declare),
+        "mechanisms": part.mechanisms,
+        "counts_samples": part.counts_samples,
+        "list_unused": staticmethod(part.list_unused),
+    }
+    return type(part.name, (AskedLaw,), members)

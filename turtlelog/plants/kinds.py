@@ -1,0 +1,36 @@
+"""The kinds of plant, and which one a run is of."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Final
+
+from turtlelog.parts import Plant as Plant, PlantPart as PlantPart, load_parts
+from turtlelog.plants.turtlesim import TURTLESIM
+from turtlelog.run import Run
+
+_FILES: Final = (
+    "turtlesim",
+    "lagged",
+)
+
+PLANTS: Final[Mapping[str, PlantPart]] = {
+    part.name: part for part in load_parts("turtlelog.plants", _FILES)
+}
+"""The `PART` of each file, by kind."""
+
+
+def find_plant(run: Run) -> Plant:
+    """Return the plant that a run is of; of a robot's own recordings no plant is known."""
+    return read_plant(run.parameters)
+
+
+def read_plant(parameters: Mapping[str, object]) -> Plant:
+    """Return the plant of a run's or a scenario's parameters; turtlesim where they tell none."""
+    part = PLANTS.get(str(parameters.get("plant.kind")))
+    names = [] if part is None else [field.name for field in dataclasses.fields(part.Keys)]
+    given = {name: parameters.get(f"plant.{name}") for name in names}
+    numbers = {key: float(one) for key, one in given.items() if isinstance(one, int | float)}
+    if part is None or ("period_s" in given and not numbers.get("period_s")):
+        return TURTLESIM
+    facts = part.find_facts(part.Keys(**numbers))
+    return dataclasses.replace(facts, period_ns=max(facts.period_ns, 1))

@@ -1,0 +1,337 @@
+"""A law that is a class: asked pose by pose, its answers become rows of samples.
+
+A law may answer with numpy's numbers, with whole ones, or with a list that it goes on changing:
+its answer is made complete, and kept as plain numbers.
+"""
+
+import sys
+from math import atan2, hypot, isfinite, isinf, nan
+from operator import index
+from typing import Any, Final
+
+from turtlelog.angles import wrap_angle
+from turtlelog.errors import SimulationError
+from turtlelog.laws import Decision, Goal, Law, Pose, print_to_stderr
+from turtlelog.loops import Declaration
+from turtlelog.parts import LARGEST_FLOAT
+from turtlelog.paths import Path
+from turtlelog.simulate.step_budget import Step
+
+_FAR_M: Final = 1e300
+"""Up to here squares of errors are no matter: the distance is a number."""
+
+_MOST_TICKS: Final = 2**31 - 1
+"""Longest block: a year of ticks, whose nanoseconds fit into 64 bits."""
+
+_FLOATS: Final = {float}
+
+
+class ClassLaw:
+    """Asks a law for its decision on each pose, and checks it; knows no queue, limit or delay.
+
+    Attributes:
+        stops: Why it ended runs so far; a sample's `stop` is the place in it, from 1.
+    """
+
+    __slots__ = (
+        "_declared",
+        "_ended",
+        "_first_phase",
+        "_goal",
+        "_has_reference",
+        "_law",
+        "_limits",
+        "_path",
+        "_phases",
+        "_states",
+        "_step",
+        "_with_reference",
+        "stops",
+    )
+
+    def __init__(
+        self,
+        law: Law,
+        declaration: Declaration,
+        *,
+        step: Step,
+        goal: Goal,
+        path: Path | None,
+        limits: tuple[float, float],
+    ) -> None:
+        """Take a law, what it declares, and what asks for its `step`."""
+        self._law, self._step, self._limits = law, step, limits
+        self._goal = goal if declaration.uses_goal else None
+        self._path = path
+        self._phases = {name: number for number, name in enumerate(declaration.phase_names)}
+        self._first_phase = declaration.phase_names[0]
+        self._declared = tuple(declaration.phases)
+        self._states = declaration.states
+        self._has_reference = declaration.has_reference
+        self._with_reference = frozenset(
+            phase
+            for loop in declaration.loops
+            if loop.moves
+            for phase in declaration.list_phases(loop.name)
+        )
+        self._ended: int | None = None
+        self.stops: list[str] = []
+
+    def decide(
+        self,
+        settings: Any,
+        state: Any,
+        rows: Any,
+        row: Any,
+        time_ns: int,
+        xyh: tuple[float, float, float],
+    ) -> tuple[float, float]:
+        """Enter what the law decides; return speed and turn rate. What the loop asks.
+
+        Raises:
+            SimulationError: Where it is no decision, or one of its numbers is none.
+        """
+        del settings, state
+        pose = Pose(*xyh)
+        if row.sequence == 0:
+            self._reset(pose)
+        stdout, sys.stdout = sys.stdout, sys.stderr  # stdout is for results
+        try:
+            found = self._step(time_ns, pose)
+        finally:
+            sys.stdout = stdout
+        decision = complete_decision(found, pose, self._goal, self._first_phase)
+        row.phase = self._judge(decision)
+        self._enter(row, decision)
+        if self._states:
+            rows.states[row.sequence] = decision.states
+        return decision.speed_m_s, decision.turn_rate_rad_s
+
+    def record(self, state: Any, rows: Any, number: int) -> bool:
+        """Whether all states are finite; they are entered already."""
+        del state, rows, number
+        return True
+
+    def _reset(self, pose: Pose) -> None:
+        with print_to_stderr():
+            take_limits = getattr(self._law, "take_limits", None)
+            if take_limits is not None:
+                take_limits(*self._limits)
+            self._law.reset(pose, self._goal, self._path)
+
+    def _enter(self, row: Any, decision: Decision) -> None:
+        row.bearing_rad, row.heading_error_rad = decision.bearing_rad, decision.heading_error_rad
+        row.error_x_m, row.error_y_m = decision.error_x_m, decision.error_y_m
+        row.distance_m = hypot(row.error_x_m, row.error_y_m)
+        row.world_v_x_m_s, row.world_v_y_m_s = decision.world_v_x_m_s, decision.world_v_y_m_s
+        row.blocks_ticks, row.ends_phase = decision.blocks_ticks, decision.ends_phase
+        if decision.stop_reason is not None:
+            self.stops.append(decision.stop_reason)
+            row.stop = len(self.stops)
+        if decision.reference is not None:
+            row.reference_x_m, row.reference_y_m = decision.reference.x_m, decision.reference.y_m
+            row.reference_heading_rad = decision.reference.heading_rad
+
+    def _judge(self, decision: Decision) -> int:
+        """Return the number of a decision's phase; refuse what cannot be executed or recorded."""
+        speed, turn_rate, phase = decision.speed_m_s, decision.turn_rate_rad_s, decision.phase
+        if not (abs(speed) < LARGEST_FLOAT and abs(turn_rate) < LARGEST_FLOAT):
+            raise SimulationError(describe_command(speed, turn_rate))
+        self._require_finite(decision)
+        number = self._phases.get(phase)  # type: ignore[arg-type]
+        if number is None:
+            known = ", ".join(self._declared)
+            raise SimulationError(f"expected a phase of {known}, found {phase!r}")
+        if self._states or decision.states:
+            self._require_states(decision.states)
+        self._require_reference(decision)
+        reason = decision.stop_reason
+        if reason is not None and not (isinstance(reason, str) and reason and reason.isprintable()):
+            raise SimulationError(f"expected a stop_reason in words, found {reason!r:.60}")
+        if number == self._ended:
+            raise SimulationError(
+                f"expected another phase than {phase}, which had ended, found it again"
+            )
+        self._ended = number if decision.ends_phase else None
+        return number
+
+    def _require_finite(self, decision: Decision) -> None:
+        # A sum of numbers is finite where all of them are.
+        errors = decision.bearing_rad + decision.heading_error_rad  # type: ignore[operator]
+        errors += decision.error_x_m + decision.error_y_m  # type: ignore[operator]
+        if isfinite(errors + decision.world_v_x_m_s + decision.world_v_y_m_s):
+            return
+        world = isinf(decision.world_v_x_m_s) or isinf(decision.world_v_y_m_s)
+        if world or (not isfinite(errors) and self._goal is not None):
+            raise SimulationError(f"expected finite numbers, found {decision}")
+
+    def _require_states(self, states: tuple[float, ...]) -> None:
+        names = self._states
+        if len(states) != len(names):
+            listed = f"states {', '.join(names)}" if names else "no states, as declared"
+            raise SimulationError(f"expected {listed}, found {len(states)} numbers")
+        for name, value in zip(names, states, strict=True):
+            if not isfinite(value):
+                raise SimulationError(f"expected a finite number as state {name}, found {value}")
+
+    def _require_reference(self, decision: Decision) -> None:
+        reference = decision.reference
+        if reference is None:
+            if decision.phase in self._with_reference:
+                phase = decision.phase
+                raise SimulationError(f"expected a reference pose in phase {phase}, found none")
+            return
+        if not self._has_reference:
+            raise SimulationError(
+                "expected no reference pose, for no loop is declared with the reference"
+                f" path or recorded, found {reference}"
+            )
+        if not isfinite(reference.x_m + reference.y_m + reference.heading_rad):
+            raise SimulationError(f"expected a finite reference pose, found {reference}")
+
+
+def describe_command(speed: float, turn_rate: float) -> str:
+    """Return that a command is none."""
+    return (
+        f"expected a finite command (below {LARGEST_FLOAT:g}),"
+        f" found speed {speed} m/s, turn rate {turn_rate} rad/s"
+    )
+
+
+def complete_decision(found: object, pose: Pose, goal: Goal | None, first_phase: str) -> Decision:
+    """Return a decision with what it leaves out; without a goal its errors are NaN.
+
+    Raises:
+        SimulationError: Where it is no decision, or one of its numbers is none.
+    """
+    if isinstance(found, tuple) and len(found) == 2:  # speed and turn rate
+        found = Decision(speed_m_s=found[0], turn_rate_rad_s=found[1])
+    if not isinstance(found, Decision):
+        raise SimulationError(f"expected a Decision, found {found!r:.60}")
+    # Most laws answer in plain floats, and these are looked at once: a sample takes 5 us in all.
+    is_plain = (
+        type(found.speed_m_s) is type(found.turn_rate_rad_s) is float
+        and type(found.world_v_x_m_s) is type(found.world_v_y_m_s) is float
+        and type(found.states) is tuple
+        and (not found.states or {*map(type, found.states)} == _FLOATS)
+        and found.reference is None
+        and type(found.blocks_ticks) is int
+        and found.blocks_ticks == 0
+    )
+    if not (is_plain and _has_plain_errors(found)):
+        found = _read_decision(found)
+    if (
+        found.phase is not None
+        and found.bearing_rad is not None
+        and found.heading_error_rad is not None
+        and found.error_x_m is not None
+        and found.error_y_m is not None
+    ):
+        return found
+    ahead_m = nan if goal is None else goal.x_m - pose.x_m
+    left_m = nan if goal is None else goal.y_m - pose.y_m
+    bearing_rad = atan2(left_m, ahead_m)
+    turn_rad = nan if goal is None else wrap_angle(bearing_rad - pose.heading_rad)
+    # Built anew: msgspec's replace takes three times as long.
+    return Decision(
+        speed_m_s=found.speed_m_s,
+        turn_rate_rad_s=found.turn_rate_rad_s,
+        phase=first_phase if found.phase is None else found.phase,
+        bearing_rad=bearing_rad if found.bearing_rad is None else found.bearing_rad,
+        heading_error_rad=(
+            turn_rad if found.heading_error_rad is None else found.heading_error_rad
+        ),
+        error_x_m=ahead_m if found.error_x_m is None else found.error_x_m,
+        error_y_m=left_m if found.error_y_m is None else found.error_y_m,
+        world_v_x_m_s=found.world_v_x_m_s,
+        world_v_y_m_s=found.world_v_y_m_s,
+        states=found.states,
+        reference=found.reference,
+        blocks_ticks=found.blocks_ticks,
+        ends_phase=found.ends_phase,
+        stop_reason=found.stop_reason,
+    )
+
+
+def _has_plain_errors(found: Decision) -> bool:
+    """Whether the errors are floats with a finite distance, or all left to us."""
+    if found.bearing_rad is None:
+        return found.heading_error_rad is found.error_x_m is found.error_y_m is None
+    x_m, y_m = found.error_x_m, found.error_y_m
+    return (
+        type(found.bearing_rad) is type(found.heading_error_rad) is float
+        and type(x_m) is type(y_m) is float
+        and -_FAR_M < x_m < _FAR_M
+        and -_FAR_M < y_m < _FAR_M
+    )
+
+
+def _read_decision(found: Decision) -> Decision:
+    error_x_m = _read_error("error_x_m", found.error_x_m)
+    error_y_m = _read_error("error_y_m", found.error_y_m)
+    if isinf(hypot(error_x_m or 0.0, error_y_m or 0.0)):
+        raise SimulationError(f"error: expected a finite distance, found {error_x_m}, {error_y_m}")
+    if found.phase is not None and not isinstance(found.phase, str):
+        raise SimulationError(f"phase: expected its name, found {found.phase!r:.60}")
+    return Decision(
+        speed_m_s=_read_number("speed_m_s", found.speed_m_s),
+        turn_rate_rad_s=_read_number("turn_rate_rad_s", found.turn_rate_rad_s),
+        phase=found.phase,
+        bearing_rad=_read_error("bearing_rad", found.bearing_rad),
+        heading_error_rad=_read_error("heading_error_rad", found.heading_error_rad),
+        error_x_m=error_x_m,
+        error_y_m=error_y_m,
+        world_v_x_m_s=_read_number("world_v_x_m_s", found.world_v_x_m_s),
+        world_v_y_m_s=_read_number("world_v_y_m_s", found.world_v_y_m_s),
+        states=_read_states(found.states),
+        reference=None if found.reference is None else _read_pose(found.reference),
+        blocks_ticks=_read_ticks(found.blocks_ticks),
+        ends_phase=bool(found.ends_phase),
+        stop_reason=found.stop_reason,
+    )
+
+
+def _read_number(name: str, value: Any) -> float:
+    """Return a number of any kind as a float; an array of one is none."""
+    if type(value) is float:
+        return value
+    try:
+        if hasattr(value, "__float__") and not getattr(value, "shape", ()):
+            return float(value)
+    except (ValueError, OverflowError):
+        pass
+    raise SimulationError(f"{name}: expected a number, found {value!r:.60}")
+
+
+def _read_error(name: str, value: Any) -> float | None:
+    if value is None:
+        return None
+    number = _read_number(name, value)
+    if isinf(number):
+        raise SimulationError(f"{name}: expected a finite number, found {number}")
+    return number
+
+
+def _read_states(states: Any) -> tuple[float, ...]:
+    if isinstance(states, str) or not hasattr(states, "__iter__"):
+        raise SimulationError(f"states: expected a tuple of numbers, found {states!r:.60}")
+    return tuple([_read_number(f"states[{place}]", value) for place, value in enumerate(states)])
+
+
+def _read_pose(reference: Any) -> Pose:
+    try:
+        x_m, y_m, heading_rad = reference.x_m, reference.y_m, reference.heading_rad
+    except AttributeError as err:
+        raise SimulationError(f"reference: expected a Pose, found {reference!r:.60}") from err
+    return Pose(
+        _read_number("reference.x_m", x_m),
+        _read_number("reference.y_m", y_m),
+        _read_number("reference.heading_rad", heading_rad),
+    )
+
+
+def _read_ticks(value: Any) -> int:
+    if hasattr(value, "__index__") and 0 <= value <= _MOST_TICKS:
+        return index(value)
+    expected = f"a whole number from 0 to {_MOST_TICKS}"
+    raise SimulationError(f"blocks_ticks: expected {expected}, found {value!r:.60}")

@@ -1,0 +1,50 @@
+"""The outermost functions of compiled loops, in a file of its own.
+
+Numba's cache looks at the time and size of the file of the function that it keeps; what that calls
+is in the stamp of its name (`compiled_loop`). The names in capitals are bound to a loop's twins.
+"""
+
+# ruff: noqa: F821
+# mypy: ignore-errors
+
+
+def run_loop(all_settings, states, rows):
+    """Simulate a scenario into `rows`; into the state how it ends, and of what how much."""
+    settings, state = all_settings[0], states[0]
+    now = state.now
+    for tick in range(settings.scene.last_tick + 1):
+        MOVE_PLANT(settings, state, rows, PARTS, tick)
+        before = now.samples
+        if now.failure == 0:
+            ANSWER(settings, state, rows, PARTS, tick)
+        if now.failure != 0:
+            break
+        FINISH_TICK(settings, state, rows, PARTS, tick, before)
+        if now.stop != 0:
+            break
+    return STAMP
+
+
+def run_rows(simulate, measure, begun, rows, facts, scratch, entries):
+    """Simulate and measure rows, each in the same arrays; numbers and statuses are entered.
+
+    `simulate` is a loop and `measure` measures its run. Both are pointers here: with their code in
+    this one, both would be compiled anew. `begun` are settings, states and lines of each row.
+    """
+    all_settings, states, lines = begun
+    values, status, asked = entries
+    fact = facts[0]
+    for number in range(len(all_settings)):
+        after = number + 1
+        simulate(all_settings[number:after], states[number:after], rows)
+        settings, now = all_settings[number], states[number].now
+        if now.failure != 0 or now.samples == 0:
+            continue
+        fact.period_ns = settings.scene.period_ns
+        fact.ticks, fact.samples, fact.published = now.ticks, now.samples, now.published
+        fact.is_cut, fact.is_late = now.stop < 0, now.stop == TIMEOUT
+        fact.speed_limit = settings.limits.speed_m_s
+        fact.turn_limit = settings.limits.turn_rate_rad_s
+        entry = (values[number], status[number], asked)
+        measure(facts, rows.ticks, rows.samples, lines[number:after], scratch, entry)
+    return STAMP

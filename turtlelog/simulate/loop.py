@@ -1,0 +1,470 @@
+"""The closed loop, tick by tick, around any plant, law and effects: the one source of both faces.
+
+At one time the plant moves first, then commands arrive, then the pose is delivered, then the
+controller runs. A tick owns the time up to the next.
+
+`parts` holds the functions of plant and law, and of each place what the effects there make of a
+value; `assemble` puts them together. `rows` holds the rows of each kind by number: plain those that
+are still needed, compiled all.
+"""
+
+import math
+from typing import Any
+
+from turtlelog.arithmetic import (
+    begin_row,
+    called,
+    message_to_float32,
+    pose_to_float32,
+    wrap_angle,
+)
+from turtlelog.parts import LARGEST_FLOAT, NEVER_NS
+from turtlelog.simulate.rows import (
+    COMMAND_FAILED,
+    COMMANDS_DROPPED,
+    MAX_DURATION,
+    NUMBERS_FAILED,
+    POSES_DROPPED,
+    REFERENCE_FAILED,
+    RUNS_AWAY,
+    STATES_FAILED,
+    STOP,
+    WALL_HIT,
+)
+
+
+def move_plant(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
+    """Move the plant to a tick, publish its pose, and deliver what is sensed of it."""
+    now, scene = state.now, settings.scene
+    drive(settings, state, rows, parts, tick)
+    if now.failure != 0:
+        return
+    x_m, y_m, heading_rad, speed, turn_rate = parts.read(state.plant)
+    message = message_to_float32(x_m, y_m, heading_rad, speed, turn_rate)
+    row = begin_row(rows.ticks, rows.new[0].tick, tick)
+    if scene.is_exact:
+        row.x_m, row.y_m, row.heading_rad = x_m, y_m, heading_rad
+    else:
+        row.x_m, row.y_m, row.heading_rad = message[0], message[1], message[2]
+    row.speed_m_s, row.turn_rate_rad_s = message[3], message[4]
+    now.ticks += 1
+    if scene.senses and not sense(settings, state, rows, parts, row, tick):
+        return
+    if scene.delays_poses:
+        receive(settings, state, rows, parts, row, tick)
+    else:
+        row.arrival_ns = 0
+        queue_pose(settings, now, rows, row, tick)
+
+
+def finish_tick(settings: Any, state: Any, rows: Any, parts: Any, tick: int, before: int) -> None:
+    """End a tick, before which there were `before` samples: note what changed since the last."""
+    now = state.now
+    if now.stop == 0 and tick == settings.scene.last_tick:
+        now.stop = MAX_DURATION
+    if now.has_losses:
+        tell_losses(now, now.lost_poses, rows, tick)
+        tell_losses(now, now.lost_commands, rows, tick)
+        tell_losses(now, now.dropped_commands, rows, tick)
+    if state.plant.hit_wall != now.was_at_wall:
+        now.was_at_wall = state.plant.hit_wall
+        if now.was_at_wall:
+            place = parts.read(state.plant)
+            event = note(now, rows, tick)
+            event.kind, event.first, event.second = WALL_HIT, place[0], place[1]
+    # What a blocked controller misses becomes one event, told when it is back.
+    if now.samples > before and now.poses_dropped > now.poses_told:
+        event = note(now, rows, tick)
+        event.kind, event.second = POSES_DROPPED, float(now.poses_dropped - now.poses_told)
+        now.poses_told = now.poses_dropped
+    if now.commands_dropped > now.commands_told:
+        if not settings.scene.is_timed:
+            event = note(now, rows, tick)
+            event.kind, event.first = COMMANDS_DROPPED, -1.0
+            event.second = float(now.commands_dropped - now.commands_told)
+        now.commands_told = now.commands_dropped
+    if now.stop != 0:
+        event = note(now, rows, tick)
+        event.kind, event.second = STOP, float(now.stop)
+
+
+def note(now: Any, rows: Any, tick: int) -> Any:
+    """Return a new event of a tick."""
+    event = begin_row(rows.events, rows.new[0].event, now.events)
+    event.tick = tick
+    now.events += 1
+    return event
+
+
+@called
+def tell_losses(now: Any, losses: Any, rows: Any, tick: int) -> None:
+    """Note stretches that are over, once; with the run all are."""
+    if now.stop != 0:
+        end_stretch(losses)
+    if losses.finished > 0:
+        event = note(now, rows, tick)
+        event.kind, event.second = losses.kind, float(losses.finished)
+        event.first = float(losses.finished_since_ns)
+        losses.finished = 0
+
+
+def count_lost(now: Any, losses: Any, time_ns: int) -> None:
+    """Count a pose or command that is lost at a time [ns], in a stretch of such."""
+    now.has_losses = True
+    if losses.count == 0:
+        losses.since_ns = time_ns
+    losses.count += 1
+
+
+def end_stretch(losses: Any) -> None:
+    """End a stretch of losses, as something came through; stretches of a tick become one event."""
+    if losses.count > 0:
+        if losses.finished == 0:
+            losses.finished_since_ns = losses.since_ns
+        losses.finished += losses.count
+        losses.count = 0
+
+
+# The plant, and what moves it.
+
+
+def drive(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
+    """Move the plant up to the time of a tick, with the commands that arrive and what pushes it."""
+    now, scene = state.now, settings.scene
+    time_ns = tick * scene.period_ns
+    since_ns = time_ns - scene.period_ns
+    if scene.acts_on_arrival:
+        hold_arrived(settings, state, rows, parts, time_ns)
+    else:
+        until = time_ns + scene.causal_ns if scene.is_timed else tick
+        sample = take(settings, now, rows, until)
+        if sample >= 0:
+            row = rows.samples[sample]
+            parts.hold(settings, state.plant, rows, since_ns, row.speed_m_s, row.turn_rate_rad_s)
+    if scene.is_pushed:
+        push(settings, state, rows, parts, tick, since_ns)
+    moves = parts.move(settings, state.plant, rows, time_ns)
+    if not moves:
+        now.failure = RUNS_AWAY
+
+
+@called
+def push(settings: Any, state: Any, rows: Any, parts: Any, tick: int, since_ns: int) -> None:
+    """Push the plant in the step to a tick, from where on each push acts."""
+    now, scene = state.now, settings.scene
+    until_ns = since_ns + scene.period_ns
+    at_ns = until_ns
+    if scene.acts_in_steps:
+        push_at(settings, state, rows, parts, tick, at_ns)
+    elif tick > 0:
+        at_ns = since_ns
+    while at_ns < until_ns and now.failure == 0:
+        push_at(settings, state, rows, parts, tick, at_ns)
+        at_ns = parts.next_push(settings, state, rows, tick, at_ns, NEVER_NS)
+
+
+@called
+def push_at(settings: Any, state: Any, rows: Any, parts: Any, tick: int, at_ns: int) -> None:
+    """Push the plant from a time of the step to a tick on, unless that changes nothing."""
+    now = state.now
+    speed, turn_rate = parts.push(settings, state, rows, tick, at_ns, (0.0, 0.0))
+    if speed == now.push_speed and turn_rate == now.push_turn_rate:
+        return
+    now.push_speed, now.push_turn_rate = speed, turn_rate
+    moves = True
+    if not settings.scene.acts_in_steps:
+        moves = parts.move(settings, state.plant, rows, at_ns)
+    if not moves:
+        now.failure = RUNS_AWAY
+        return
+    parts.apply_push(settings, state.plant, speed, turn_rate)
+
+
+# Commands on their way: transport, then the plant's queue.
+
+
+def publish(settings: Any, state: Any, rows: Any, parts: Any, tick: int, sample: int) -> None:
+    """Send the command of a sample on its way. No command overtakes another."""
+    now, scene, row = state.now, settings.scene, rows.samples[sample]
+    now.published += 1
+    now.stop = row.stop
+    row.arrivals = 1
+    if not scene.is_timed:
+        delay_ticks = settings.loop.transport_delay_ticks
+        row.arrival_ns = tick + delay_ticks
+        if delay_ticks == 0:
+            queue_command(settings, now, rows, row)
+            now.commands_arrived += 1
+    elif parts.lose_command(settings, state, rows, sample, 0, False):  # noqa: FBT003
+        row.arrivals = 0
+        count_lost(now, now.lost_commands, row.published_ns)
+    else:
+        if now.has_losses:
+            end_stretch(now.lost_commands)
+        arrival_ns = parts.command_travel(settings, state, rows, sample, 0, row.published_ns)
+        row.arrival_ns = max(arrival_ns, now.command_arrived_ns)
+        now.command_arrived_ns = row.arrival_ns
+        row.arrivals = parts.repeat(settings, state, rows, sample, 0, 1)
+
+
+@called
+def arrive(settings: Any, now: Any, rows: Any, until: int) -> None:
+    """Queue the commands that arrive before a time."""
+    while now.commands_arrived < now.published:
+        row = rows.samples[now.commands_arrived]
+        if row.arrivals > 0 and row.arrival_ns >= until:
+            return
+        for _ in range(row.arrivals):
+            queue_command(settings, now, rows, row)
+        now.commands_arrived += 1
+
+
+def queue_command(settings: Any, now: Any, rows: Any, row: Any) -> None:
+    """Queue a command; a full queue pushes the oldest out."""
+    if settings.scene.newest_only:
+        now.newest_command, now.queue_count = row.sequence, 1
+        return
+    if now.queue_count == settings.loop.command_queue:
+        take_oldest(now, rows)
+        now.commands_dropped += 1
+        if settings.scene.is_timed:
+            count_lost(now, now.dropped_commands, row.arrival_ns)
+    row.queued += 1
+    now.queue_count += 1
+
+
+def take_oldest(now: Any, rows: Any) -> int:
+    """Take the oldest command of the queue; return its sample."""
+    oldest: int = now.queue_first
+    row = rows.samples[oldest]
+    while row.queued == 0:
+        oldest += 1
+        row = rows.samples[oldest]
+    row.queued -= 1
+    now.queue_first = oldest
+    now.queue_count -= 1
+    return oldest
+
+
+def take(settings: Any, now: Any, rows: Any, until: int) -> int:
+    """Return the sample whose command a step begins with, -1 where none has arrived."""
+    if now.commands_arrived < now.published:
+        arrive(settings, now, rows, until)
+    if now.has_losses and now.queue_count < settings.loop.command_queue:
+        end_stretch(now.dropped_commands)
+    if now.queue_count == 0:
+        return -1
+    if not settings.scene.newest_only:
+        return take_oldest(now, rows)
+    now.queue_count, now.queue_first = 0, now.commands_arrived
+    newest: int = now.newest_command
+    return newest
+
+
+@called
+def hold_arrived(settings: Any, state: Any, rows: Any, parts: Any, until_ns: int) -> None:
+    """Hand the commands over that arrive before a time, past the queue."""
+    now = state.now
+    while now.commands_arrived < now.published:
+        row = rows.samples[now.commands_arrived]
+        if row.arrivals > 0 and row.arrival_ns >= until_ns:
+            return
+        for _ in range(row.arrivals):
+            command = row.speed_m_s, row.turn_rate_rad_s
+            parts.hold(settings, state.plant, rows, row.arrival_ns, command[0], command[1])
+        now.commands_arrived += 1
+    now.queue_first = now.commands_arrived
+
+
+# Poses on their way to the controller.
+
+
+def sense(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> bool:
+    """Sense the pose of a tick; return whether it arrives at all."""
+    now, scene = state.now, settings.scene
+    if parts.lose_pose(settings, state, rows, tick, 0, False):  # noqa: FBT003
+        count_lost(now, now.lost_poses, tick * scene.period_ns)
+        return False
+    if now.has_losses:
+        end_stretch(now.lost_poses)
+    pose = parts.sense(settings, state, rows, tick, 0, (row.x_m, row.y_m, row.heading_rad))
+    x_m, y_m, heading_rad = pose
+    # turtlesim's own headings reach a rounding beyond pi: what nothing changed stays.
+    if heading_rad != row.heading_rad:
+        heading_rad = wrap_angle(heading_rad)
+    if not scene.is_exact:
+        x_m, y_m, heading_rad = pose_to_float32(x_m, y_m, heading_rad)
+    row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad = x_m, y_m, heading_rad
+    return True
+
+
+@called
+def receive(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> None:
+    """Send the pose of a tick on its way. No pose overtakes another."""
+    now, time_ns = state.now, tick * settings.scene.period_ns
+    arrival_ns = parts.pose_travel(settings, state, rows, tick, 0, time_ns)
+    row.arrival_ns = max(arrival_ns, now.pose_arrived_ns)
+    now.pose_arrived_ns = row.arrival_ns
+
+
+def queue_pose(settings: Any, now: Any, rows: Any, row: Any, tick: int) -> None:
+    """Queue the pose of a tick, every n-th of them; a full queue pushes the oldest out."""
+    loop = settings.loop
+    if loop.period_ticks != 1 and tick % loop.period_ticks != 0:
+        row.arrival_ns = -1
+        return
+    if now.poses_count == loop.pose_queue:
+        take_pose(now, rows)
+        now.poses_dropped += 1
+    now.poses_count += 1
+    if now.waits_for > 0:
+        now.waits_for -= 1
+
+
+def take_pose(now: Any, rows: Any) -> int:
+    """Take the oldest pose of the queue; return its number."""
+    while rows.ticks[now.poses_first].arrival_ns < 0:
+        now.poses_first += 1
+    oldest: int = now.poses_first
+    now.poses_first += 1
+    now.poses_count -= 1
+    return oldest
+
+
+def find_arrival(now: Any, rows: Any) -> int:
+    """Return when the next pose arrives [ns]."""
+    while now.poses_arrived < now.ticks:
+        arrival_ns: int = rows.ticks[now.poses_arrived].arrival_ns
+        if arrival_ns >= 0:
+            return arrival_ns
+        now.poses_arrived += 1
+    return NEVER_NS
+
+
+@called
+def find_next(now: Any, rows: Any) -> int:
+    """Return when something happens next [ns]: a pose arrives, the timer fires, the law is free."""
+    next_ns = min(find_arrival(now, rows), now.fires_ns)
+    if now.blocked >= 0:
+        next_ns = min(next_ns, now.free_at)
+    return next_ns  # type: ignore[no-any-return]
+
+
+@called
+def deliver(settings: Any, now: Any, rows: Any, now_ns: int) -> None:
+    """Queue the poses that have arrived by now; mark an answer as due where the timer fires."""
+    scene = settings.scene
+    while find_arrival(now, rows) <= now_ns:
+        pose = now.poses_arrived
+        now.poses_arrived += 1
+        if scene.timer_ns == 0:
+            queue_pose(settings, now, rows, rows.ticks[pose], pose)
+            continue
+        now.newest = pose
+        if now.waits_for > 0:
+            now.waits_for -= 1
+            now.fires_ns = NEVER_NS if now.waits_for > 0 else now_ns
+    if scene.timer_ns > 0 and now.fires_ns == now_ns:
+        now.is_due = True
+        now.fires_ns += scene.timer_ns
+
+
+# The controller.
+
+
+def answer(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
+    """Answer the poses that wait or come up to the next tick, and publish what goes out.
+
+    While the law blocks, poses pile up, and one firing of the timer waits.
+    """
+    now, scene = state.now, settings.scene
+    delays_poses = scene.delays_poses
+    time_ns = tick * scene.period_ns
+    before_ns = min(time_ns + scene.period_ns, scene.end_ns)
+    goes_on = True
+    while goes_on and now.stop == 0:
+        goes_on = delays_poses
+        if delays_poses:
+            time_ns = find_next(now, rows)
+            if time_ns >= before_ns:
+                return
+            deliver(settings, now, rows, time_ns)
+        if now.blocked >= 0:
+            if (time_ns if delays_poses else tick) < now.free_at:
+                continue
+            publish(settings, state, rows, parts, tick, now.blocked)
+            now.blocked = -1
+        if now.waits_for > 0:
+            continue
+        if scene.timer_ns > 0 and now.is_due:
+            now.poses_count, now.is_due = 1, False
+        while now.poses_count > 0 and now.stop == 0 and now.blocked < 0:
+            if scene.timer_ns > 0:
+                now.poses_count, pose = 0, now.newest
+            else:
+                pose = take_pose(now, rows)
+            blocks = answer_pose(settings, state, rows, parts, time_ns, pose)
+            if now.failure != 0:
+                return
+            if blocks > 0:
+                now.free_at = (time_ns if delays_poses else tick) + blocks * scene.block
+                now.blocked = now.samples - 1
+            else:
+                publish(settings, state, rows, parts, tick, now.samples - 1)
+
+
+def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, number: int) -> int:
+    """Make the sample of a pose; return for how many ticks the law blocks."""
+    now, scene = state.now, settings.scene
+    read = rows.ticks[number]
+    row = begin_row(rows.samples, rows.new[0].sample, now.samples)
+    row.time_ns, row.sequence, row.pose_sequence = time_ns, now.samples, number
+    pose = read.x_m, read.y_m, read.heading_rad
+    if scene.senses:
+        pose = read.sensed_x_m, read.sensed_y_m, read.sensed_heading_rad
+    speed, turn_rate = parts.decide(settings, state, rows, row, time_ns, pose)
+    row.wanted_speed_m_s, row.wanted_turn_rate_rad_s = speed, turn_rate
+    # A sum of numbers is finite where all are.
+    total = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m
+    total += row.world_v_x_m_s + row.world_v_y_m_s
+    if (
+        not -LARGEST_FLOAT < speed < LARGEST_FLOAT
+        or not -LARGEST_FLOAT < turn_rate < LARGEST_FLOAT
+        or scene.has_reference
+        or not math.isfinite(total)
+    ):
+        judge(scene, now, row, speed, turn_rate)
+        if now.failure != 0:
+            return 0
+    is_finite = parts.record(state.law, rows, now.samples)
+    if not is_finite:
+        now.failure = STATES_FAILED
+        return 0
+    dt_s = scene.first_s if now.last_ns < 0 else (time_ns - now.last_ns) / 1e9
+    now.last_ns = time_ns
+    command = (speed, turn_rate)
+    if scene.shapes:
+        command = parts.shape(settings, state, rows, now.samples, dt_s, command)
+        row.shaped_speed_m_s, row.shaped_turn_rate_rad_s = command
+    command = parts.limit(settings, state, rows, now.samples, dt_s, command)
+    row.speed_m_s, row.turn_rate_rad_s = command
+    row.published_ns = time_ns + row.blocks_ticks * scene.tick_ns
+    now.samples += 1
+    blocks: int = row.blocks_ticks
+    return blocks
+
+
+def judge(scene: Any, now: Any, row: Any, speed: float, turn_rate: float) -> None:
+    """Refuse what cannot be executed or recorded; without a goal there are no errors."""
+    reference = row.reference_x_m + row.reference_y_m + row.reference_heading_rad
+    errors = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m
+    if not (abs(speed) < LARGEST_FLOAT and abs(turn_rate) < LARGEST_FLOAT):
+        now.failure = COMMAND_FAILED
+    elif scene.has_reference and not math.isfinite(reference):
+        now.failure = REFERENCE_FAILED
+    elif (
+        math.isinf(row.world_v_x_m_s)
+        or math.isinf(row.world_v_y_m_s)
+        or (scene.has_goal and not math.isfinite(errors))
+    ):
+        now.failure = NUMBERS_FAILED

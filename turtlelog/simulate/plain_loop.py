@@ -1,0 +1,509 @@
+"""The loop run plain: tick by tick, around a law in any Python, with no compiler."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import inf, isnan
+from operator import attrgetter
+from typing import Any, Final
+
+import msgspec
+
+from turtlelog.errors import SimulationError, TurtlelogError
+from turtlelog.laws import (
+    AnyLaw,
+    Goal,
+    Law,
+    LawPart,
+    Pose,
+    declare_law,
+    describe_law_error,
+    find_law,
+    print_to_stderr,
+)
+from turtlelog.loops import Declaration
+from turtlelog.parts import LARGEST_FLOAT, Plant
+from turtlelog.plants.kinds import PLANTS
+from turtlelog.run import Event
+from turtlelog.scenario import LawChoice, Scenario, resolve_law, resolve_scenario
+from turtlelog.simulate import loop
+from turtlelog.simulate.assemble import Parts, bind_parts, bind_states, bind_step
+from turtlelog.simulate.class_law import ClassLaw, describe_command
+from turtlelog.simulate.events import describe_event
+from turtlelog.simulate.rows import (
+    COMMAND_FAILED,
+    LAW_FAILED,
+    MAX_DURATION,
+    NUMBERS_FAILED,
+    REFERENCE_FAILED,
+    STEP_BUDGET as LATE,
+    EventRow,
+    SampleRow,
+    TickRow,
+)
+from turtlelog.simulate.settings import build_settings, find_states, list_acting
+from turtlelog.simulate.step_budget import (
+    STEP_BUDGET,
+    STEP_BUDGET_S,
+    TIMED_BELOW_S,
+    LimitedLoop,
+    StepBudget,
+    StepBudgetError,
+    StepEnded,
+    advise_budget,
+    describe_excess,
+    needs_watch,
+    require_budget,
+)
+from turtlelog.simulate.streams import DrawnEvents, list_streams
+
+_FORGET_EVERY: Final = 512
+"""Ticks between two times at which the rows are forgotten that nothing needs any more."""
+
+Samples = tuple[SampleRow, ...]
+
+_NONE: Final[tuple[Any, ...]] = ()
+
+
+class Tick(msgspec.Struct, frozen=True, gc=False):
+    """What one plant step brought.
+
+    Attributes:
+        time_ns: Simulated time [ns].
+        row: The pose as published and as sensed.
+        computed: Samples whose pose was answered in this tick, in order.
+        published: Samples whose command went out in this tick, in order.
+        states: The law's own numbers, of each computed sample.
+        events: What else happened.
+        stop_reason: Why this tick is the last one, None while it is not.
+    """
+
+    time_ns: int
+    row: TickRow
+    computed: Samples
+    published: Samples
+    states: tuple[tuple[float, ...], ...]
+    events: tuple[Event, ...]
+    stop_reason: str | None
+
+
+def iterate_ticks(
+    scenario: Scenario,
+    plant: Plant | None = None,
+    *,
+    step_budget_s: float | None = STEP_BUDGET_S,
+    one_by_one: bool = False,
+) -> Iterator[Tick]:
+    """Return the ticks of a closed loop until the law is done or `max_duration_s` has passed.
+
+    Ticks are steps of the plant, one per period; what the scenario counts in ticks as well.
+
+    Args:
+        scenario: What to simulate.
+        plant: On whose clock; None: on that of the scenario's plant.
+        step_budget_s: Time that the law may compute for one answer, by the computer's clock [s];
+            None: as long as it takes. From 1 s on the steps of built-in laws are not watched, and
+            the loop of another law computes in a thread of its own.
+        one_by_one: Compute a tick when it is taken, not some ticks ahead.
+
+    Raises:
+        ScenarioError: If the law cannot be loaded or may not run.
+        SimulationError: If the budget is no time. While iterating, if the law fails or answers with
+            something that is no number; after the tick in which it does, whose stop reason is
+            `law_failed`, or `step_budget` if it computed for too long.
+    """
+    scenario = resolve_scenario(scenario)
+    if step_budget_s is not None:
+        require_budget(step_budget_s)
+    made: list[PlainLoop] = []
+    ticks = _iterate(scenario, plant, step_budget_s, made)
+    law = find_law(scenario.law.kind)
+    if step_budget_s is None or not needs_watch(step_budget_s, is_built_in=is_built_in(law)):
+        return ticks
+    kind = scenario.law.kind
+    return LimitedLoop(ticks, made, step_budget_s, law=kind, one_by_one=one_by_one).iterate()
+
+
+def _iterate(
+    scenario: Scenario, plant: Plant | None, step_budget_s: float | None, made: list["PlainLoop"]
+) -> Iterator[Tick]:
+    """Yield the ticks; `made` gets the loop."""
+    made.append(PlainLoop(scenario, plant, step_budget_s=step_budget_s))
+    yield from made[0].iterate()
+
+
+def is_built_in(law: AnyLaw) -> bool:
+    """Whether a law is one of turtlelog's."""
+    from turtlelog.laws import LAWS
+
+    return law in LAWS.values()
+
+
+class PlainLoop:
+    """A loop around a scenario, plain.
+
+    Attributes:
+        declaration: What the law declares.
+        now: Where the loop stands: of `Progress`.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        plant: Plant | None = None,
+        *,
+        law: Law | None = None,
+        step_budget_s: float | None = None,
+    ) -> None:
+        """Begin.
+
+        Args:
+            scenario: Its law is resolved.
+            plant: On whose clock; None: on that of the scenario's plant.
+            law: Takes the place of the scenario's.
+            step_budget_s: With a budget a step that computes for longer by the clock fails with a
+                StepBudgetError: a short one is measured here, of a longer one a `LimitedLoop` takes
+                care.
+        """
+        self._kind = scenario.law.kind
+        parameters = scenario.law.parameters
+        self._law: AnyLaw = find_law(self._kind) if law is None else type(law)
+        self._budget_s, self._asked_ns = inf if step_budget_s is None else step_budget_s, 0
+        goal = build_goal(scenario)
+        self.declaration = declare_law(self._law, parameters, goal, scenario.path)
+        plant = scenario.plant.facts if plant is None else plant
+        _, self.settings, self.state = build_settings(scenario, self._law, self.declaration, plant)
+        self.now = self.state.now
+        self._class_law: ClassLaw | None = None
+        part = PLANTS[scenario.plant.kind]
+        decide, record = self._bind_law(scenario, law, goal)
+        self.parts: Parts = bind_parts(part, decide, record, list_acting(scenario))
+        self.rows: Any = _build_rows(scenario, self._law, self.declaration)
+        self._read_states = _find_reader(self._law, self.declaration)
+
+    def _bind_law(
+        self, scenario: Scenario, law: Law | None, goal: Goal
+    ) -> tuple[Callable[..., Any], Callable[..., Any]]:
+        """Return what the loop asks of the law, and what enters its states."""
+        is_timed = self._budget_s < TIMED_BELOW_S
+        if isinstance(self._law, LawPart):
+            decide = bind_step(self._law.step)
+            record = bind_states(self.declaration.states)
+            return (StepBudget(decide, self._budget_s) if is_timed else decide), record
+        law = build_law(scenario.law) if law is None else law
+        self._class_law = found = ClassLaw(
+            law,
+            self.declaration,
+            step=StepBudget(law.step, self._budget_s) if is_timed else law.step,
+            goal=goal,
+            path=scenario.path,
+            limits=(scenario.limits.speed_m_s, scenario.limits.turn_rate_rad_s),
+        )
+        return found.decide, found.record
+
+    def iterate(self) -> Iterator[Tick]:
+        """Yield the ticks until the law is done or the run is over.
+
+        Raises:
+            SimulationError: If the law fails, after the tick in which it does.
+        """
+        settings, state, rows, parts = self.settings, self.state, self.rows, self.parts
+        now, scene = self.now, settings.scene
+        period_ns, delays_poses = scene.period_ns, scene.delays_poses
+        move_plant, answer, finish_tick = loop.move_plant, loop.answer, loop.finish_tick
+        samples, ticks, states = rows.samples, rows.ticks, rows.states
+        before = published = events = 0
+        for tick in range(scene.last_tick + 1):
+            move_plant(settings, state, rows, parts, tick)
+            if now.failure != 0:
+                raise self._describe_runaway(tick)
+            failure, stop, told = None, None, _NONE
+            if now.waits_for == 0 or delays_poses:
+                failure = self._answer(answer, tick)
+            finish_tick(settings, state, rows, parts, tick, before)
+            computed = _list_rows(samples, before, now.samples)
+            sent = _list_rows(samples, published, now.published)
+            before, published = now.samples, now.published
+            if now.events != events:
+                events = now.events
+                told = self._describe_events(period_ns, "" if failure is None else f": {failure}")
+                stop = self.name_stop(now.stop) if now.stop != 0 else None
+            own = self._take_states(computed) if states else _NONE
+            yield Tick(tick * period_ns, ticks[tick], computed, sent, own, told, stop)
+            if failure is not None:
+                raise failure
+            if stop is not None:
+                return
+            if tick % _FORGET_EVERY == 0:
+                self._forget()
+
+    def _answer(self, answer: Callable[..., None], tick: int) -> SimulationError | None:
+        """Let the controller answer in a tick; return why the law failed, None where it did not."""
+        failure: SimulationError | None = None
+        try:
+            answer(self.settings, self.state, self.rows, self.parts, tick)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as err:
+            failure = self.describe_failure(err)
+        if self.now.failure != 0:
+            failure = self._describe_numbers()
+        if failure is not None:
+            self.now.stop = LATE if isinstance(failure, StepBudgetError) else LAW_FAILED
+        return failure
+
+    def _take_states(self, computed: Samples) -> tuple[tuple[float, ...], ...]:
+        """Return the states of samples, which are forgotten then."""
+        return tuple([self.take_states(sample.sequence) for sample in computed])
+
+    def answer_pose(self, time_ns: int, number: int, pose: Pose) -> SampleRow:
+        """Return the sample that a pose makes, which no loop of this one moved to.
+
+        Raises:
+            SimulationError: Where the law fails or answers with something that is no number.
+        """
+        row = self.rows.ticks[number] = TickRow(pose.x_m, pose.y_m, pose.heading_rad)
+        row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad = (
+            pose.x_m,
+            pose.y_m,
+            pose.heading_rad,
+        )
+        sample = self.now.samples
+        try:
+            loop.answer_pose(self.settings, self.state, self.rows, self.parts, time_ns, number)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as err:
+            raise self.describe_failure(err) from err
+        if self.now.failure != 0:
+            raise self._describe_numbers()
+        del self.rows.ticks[number]
+        found: SampleRow = self.rows.samples.pop(sample)
+        self.rows.forgotten += 1
+        return found
+
+    def take_states(self, sample: int) -> tuple[float, ...]:
+        """Return the states of a sample, which are forgotten with that."""
+        return () if self._read_states is None else self._read_states(self.rows.states.pop(sample))
+
+    @property
+    def asked(self) -> int:
+        """How many poses the law was asked to answer."""
+        asked: int = len(self.rows.samples) + self.rows.forgotten
+        return asked
+
+    def name_stop(self, stop: int) -> str:
+        """Return why the run ends, in one word."""
+        if stop < 0:
+            return {MAX_DURATION: "max_duration", LAW_FAILED: "law_failed", LATE: STEP_BUDGET}[stop]
+        if self._class_law is not None:
+            return self._class_law.stops[stop - 1]
+        return self._law.stops[stop - 1]  # type: ignore[union-attr]
+
+    def describe_late(self, what: str) -> str:
+        """Return that the latest answer is late, and how a longer budget is set."""
+        number = max(self.asked - 1, 0)
+        row = self.rows.samples.get(number)
+        at_s = (0 if row is None else row.time_ns) / 1e9
+        place = f"law {self._kind}, sample {number}"
+        return f"{place} {what}, at {at_s:.3f} s; {advise_budget(self._budget_s)}"
+
+    def describe_failure(self, err: BaseException) -> SimulationError:
+        """Return why the law gave no answer, from what it raised."""
+        if isinstance(err, StepBudgetError | StepEnded):
+            budget_s = self._budget_s
+            ended = describe_excess(budget_s, budget_s, has_returned=False)
+            what = ended if isinstance(err, StepEnded) else str(err)
+            return StepBudgetError(self.describe_late(what))
+        reason = describe_law_error(err, self._law)
+        failure = SimulationError(f"law {self._kind}, sample {self.now.samples}: {reason}")
+        failure.__cause__ = err
+        return failure
+
+    def _describe_numbers(self) -> SimulationError:
+        """Return why an answer of the law cannot be executed or recorded."""
+        now = self.now
+        row = self.rows.samples[now.samples]
+        place = f"law {self._kind}, sample {now.samples}"
+        if now.failure == COMMAND_FAILED:
+            speed, turn_rate = self._wanted
+            return SimulationError(f"{place}: {describe_command(speed, turn_rate)}")
+        if now.failure == REFERENCE_FAILED:
+            pose = Pose(row.reference_x_m, row.reference_y_m, row.reference_heading_rad)
+            return SimulationError(f"{place}: expected a finite reference pose, found {pose}")
+        if now.failure == NUMBERS_FAILED:
+            return SimulationError(f"{place}: expected finite numbers, found {row}")
+        names = self.declaration.states
+        values = self._read_states(self.rows.states[now.samples])  # type: ignore[misc]
+        bad = next(
+            (name, value) for name, value in zip(names, values, strict=True) if not abs(value) < inf
+        )
+        return SimulationError(
+            f"{place}: expected a finite number as state {bad[0]}, found {bad[1]}"
+        )
+
+    @property
+    def _wanted(self) -> tuple[float, float]:
+        row = self.rows.samples[self.now.samples]
+        return row.wanted_speed_m_s, row.wanted_turn_rate_rad_s
+
+    def _describe_runaway(self, tick: int) -> SimulationError:
+        state = self.parts.read(self.state.plant)
+        return describe_runaway(tick * self.settings.scene.period_ns, state)
+
+    def _describe_events(self, period_ns: int, because: str) -> tuple[Event, ...]:
+        rows = self.rows.events
+        found = [rows[number] for number in sorted(rows)]
+        rows.clear()
+        return tuple(
+            describe_event(row, period_ns, self.name_stop, because=because) for row in found
+        )
+
+    def _forget(self) -> None:
+        """Forget the rows that nothing needs any more."""
+        now, rows = self.now, self.rows
+        arrived = now.poses_arrived if self.settings.scene.delays_poses else now.ticks
+        if now.poses_count == 0:
+            now.poses_first = arrived  # none of the poses before waits any more
+        newest = now.newest if now.newest >= 0 else now.ticks
+        _drop(rows.ticks, min(now.poses_first, arrived, newest))
+        sample = min(now.queue_first, now.commands_arrived, now.published)
+        rows.forgotten += _drop(rows.samples, sample)
+        first = getattr(self.state.plant, "waiting_first", 0)
+        _drop(rows.waiting, first)
+
+
+def _list_rows(rows: dict[int, Any], first: int, end: int) -> Samples:
+    if first + 1 == end:
+        return (rows[first],)
+    if first == end:
+        return _NONE
+    return tuple([rows[number] for number in range(first, end)])
+
+
+@dataclass(slots=True)
+class _New:
+    """What makes a row of each kind."""
+
+    tick: type[TickRow]
+    sample: type[SampleRow]
+    event: type[EventRow]
+    waiting: type[Any] | None
+    states: type[Any] | None
+
+
+@dataclass(slots=True)
+class _Rows:
+    """The rows of a loop by number, those that are still needed; as `compiled_loop.Rows`."""
+
+    ticks: dict[int, TickRow]
+    samples: dict[int, SampleRow]
+    states: dict[int, Any]
+    events: dict[int, EventRow]
+    waiting: dict[int, Any]
+    table: Any
+    pieces: Any
+    drawn_ticks: DrawnEvents
+    drawn_samples: DrawnEvents
+    new: tuple[_New]
+    forgotten: int
+
+
+def _drop(rows: dict[int, Any], before: int) -> int:
+    """Drop the rows before a number; return how many."""
+    old = [number for number in rows if number < before]
+    for number in old:
+        del rows[number]
+    return len(old)
+
+
+def _build_rows(scenario: Scenario, law: AnyLaw, declaration: Declaration) -> Any:
+    used = list_streams(scenario)
+    is_part = isinstance(law, LawPart)
+    table = law.build_table if isinstance(law, LawPart) else None
+    return _Rows(
+        ticks={},
+        samples={},
+        states={},
+        events={},
+        waiting={},
+        table=() if table is None else table(scenario.law.parameters),
+        pieces=() if scenario.path is None else scenario.path.ways,
+        drawn_ticks=DrawnEvents(scenario.seed, used, ticks=True),
+        drawn_samples=DrawnEvents(scenario.seed, used, ticks=False),
+        new=(
+            _New(
+                tick=TickRow,
+                sample=SampleRow,
+                event=EventRow,
+                waiting=PLANTS[scenario.plant.kind].Waiting,
+                states=find_states(declaration.states) if is_part else None,
+            ),
+        ),
+        forgotten=0,
+    )
+
+
+def _find_reader(
+    law: AnyLaw, declaration: Declaration
+) -> Callable[[Any], tuple[float, ...]] | None:
+    """Return what makes a tuple of the states of a sample; None without states."""
+    if not declaration.states:
+        return None
+    if not isinstance(law, LawPart):
+        return tuple
+    if len(declaration.states) == 1:
+        read = attrgetter(*declaration.states)
+        return lambda row: (read(row),)
+    return attrgetter(*declaration.states)
+
+
+def describe_runaway(
+    time_ns: int, state: tuple[float, float, float, float, float]
+) -> SimulationError:
+    """Return that a plant is further or faster than a pose can hold."""
+    return SimulationError(
+        f"the robot runs away: at {time_ns / 1e9:g} s x = {state[0]:g} m,"
+        f" y = {state[1]:g} m, speed {state[3]:g} m/s, turn rate {state[4]:g} rad/s;"
+        f" a pose holds numbers below {LARGEST_FLOAT:g}"
+    )
+
+
+def build_law(choice: LawChoice) -> Any:
+    """Return the law of a scenario with its parameters.
+
+    Raises:
+        SimulationError: Where it does not take them.
+        ScenarioError: As `resolve_law`.
+        LawError: Where there is no such law.
+    """
+    choice = resolve_law(choice)
+    law = find_law(choice.kind)
+    try:
+        with print_to_stderr():
+            return law(choice.parameters)
+    except (TurtlelogError, KeyboardInterrupt):
+        raise
+    except BaseException as err:
+        raise SimulationError(f"law {choice.kind}: {describe_law_error(err, law)}") from err
+
+
+def declare_scenario(scenario: Scenario) -> Declaration:
+    """Return what the law of a scenario declares; its code is loaded if need be.
+
+    Raises:
+        ScenarioError: As `resolve_law`.
+        LawError: Where there is no such law, or its declaration is wrong.
+    """
+    choice = resolve_law(scenario.law)
+    law = find_law(choice.kind)
+    return declare_law(law, choice.parameters, build_goal(scenario), scenario.path)
+
+
+def build_goal(scenario: Scenario) -> Goal:
+    """Return the goal of a scenario."""
+    return Goal(scenario.goal.x_m, scenario.goal.y_m, scenario.goal.heading_rad)
+
+
+def has_sensed(row: TickRow) -> bool:
+    """Whether a pose was sensed; it may have dropped out, or none is sensed."""
+    return not isnan(row.sensed_x_m)

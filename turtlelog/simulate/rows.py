@@ -1,0 +1,268 @@
+"""What the loop keeps: settings of its own, where it stands, and a row of each kind.
+
+Plain they are objects, compiled they are records of the same fields.
+"""
+
+import math
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Final
+
+from turtlelog.parts import NEVER_NS
+
+MAX_DURATION, LAW_FAILED, STEP_BUDGET = -1, -2, -3
+"""Why a run ends, where it is not its law that ends it; a law's own reasons are numbers above 0."""
+
+COMMAND_FAILED, NUMBERS_FAILED, REFERENCE_FAILED, STATES_FAILED, RUNS_AWAY = 1, 2, 3, 4, 5
+"""What fails: the command is no number that a pose could hold, an error is none, a reference pose
+is none, a state is none; the plant is further than a pose could hold."""
+
+EVENT_KINDS: Final = (
+    *("poses_lost", "commands_lost", "commands_dropped"),
+    *("wall_hit", "poses_dropped", "stop"),
+)
+"""By number."""
+POSES_LOST, COMMANDS_LOST, COMMANDS_DROPPED, WALL_HIT, POSES_DROPPED, STOP = range(6)
+
+
+@dataclass(slots=True, kw_only=True)
+class Scene:
+    """What the loop reads of a scenario, and what its parts share.
+
+    Attributes:
+        period_ns: Step of the plant's clock [ns].
+        period_s: Likewise [s].
+        tick_ns: Step of the plant as it is, for which laws block [ns].
+        block: Likewise, in the unit in which the loop counts: nanoseconds if poses travel,
+            otherwise steps of the clock.
+        watchdog_ns: The plant stops so long after it took a command [ns].
+        last_tick: Number of the last tick.
+        end_ns: When the run ends [ns], and one more.
+        timer_ns: Period of the controller's timer [ns]; 0: it answers poses.
+        first_s: What passes before the first sample [s].
+        causal_ns: How long after a pose a command that arrives is taken for its step [ns].
+        start_backlog: Poses that come before the first answer.
+        is_exact: Whether poses are published in 64 bits.
+        newest_only: Whether the plant takes the newest command, and drops the rest.
+        is_timed: Whether commands travel for nanoseconds of their own, not for whole ticks.
+        acts_in_steps: As of the plant.
+        acts_on_arrival: Whether a command acts from its arrival on.
+        delays_poses: Whether poses travel, or a timer asks for answers.
+        senses: Whether poses are read otherwise than they are published.
+        is_pushed: Whether something pushes the plant.
+        shapes: Whether commands are shaped.
+        has_goal: Whether the law has a goal.
+        has_reference: Whether every sample has a reference pose.
+    """
+
+    period_ns: int = 0
+    period_s: float = 0.0
+    tick_ns: int = 0
+    block: int = 1
+    watchdog_ns: float = math.inf
+    last_tick: int = 0
+    end_ns: int = 0
+    timer_ns: int = 0
+    first_s: float = 0.0
+    causal_ns: int = 0
+    start_backlog: int = 1
+    is_exact: bool = False
+    newest_only: bool = True
+    is_timed: bool = False
+    acts_in_steps: bool = True
+    acts_on_arrival: bool = False
+    delays_poses: bool = False
+    senses: bool = False
+    is_pushed: bool = False
+    shapes: bool = False
+    has_goal: bool = True
+    has_reference: bool = False
+
+
+@dataclass(slots=True)
+class GoalNumbers:
+    """Where the robot should be; the heading is NaN where any will do."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_rad: float = math.nan
+
+
+@dataclass(slots=True)
+class Losses:
+    """What is lost, by stretches: an event each would fill a log.
+
+    Attributes:
+        kind: Of `EVENT_KINDS`.
+        since_ns: When the stretch began that goes on [ns].
+        count: How many it lost so far.
+        finished_since_ns: When the first stretch began that is over and not told yet [ns].
+        finished: How many such stretches lost.
+    """
+
+    kind: int = 0
+    since_ns: int = 0
+    count: int = 0
+    finished_since_ns: int = 0
+    finished: int = 0
+
+
+@dataclass(slots=True)
+class Progress:
+    """Where the loop stands.
+
+    Attributes:
+        ticks: Rows of poses so far; so `samples` and `events`.
+        published: Commands that went out, which are those of the first samples.
+        stop: Why it ends, 0 while it goes on.
+        failure: What failed, 0 while nothing does.
+        waits_for: Poses that are to come before the first answer.
+        blocked: Sample whose command waits as the law blocks; -1: none.
+        free_at: Until when it blocks.
+        last_ns: Time of the last answer [ns]; -1: none.
+        phase_ended: Phase that the last sample ended; -1: none.
+        poses_first: No earlier pose waits.
+        poses_count: How many wait.
+        poses_arrived: No earlier pose is on its way.
+        pose_arrived_ns: When the last one arrives [ns].
+        poses_dropped: How many the full queue pushed out; `poses_told` of them by an event.
+        newest: The newest pose that came, for the timer; -1: none.
+        fires_ns: When the timer fires next [ns].
+        is_due: Whether it fired.
+        queue_first: No command of an earlier sample waits for the plant.
+        queue_count: How many wait.
+        commands_arrived: No command of an earlier sample is on its way.
+        command_arrived_ns: When the last one arrives [ns].
+        newest_command: Sample of the newest command that came.
+        commands_dropped: How many the full queue pushed out; `commands_told` of them by an event.
+        has_losses: Whether a pose or command was lost so far.
+        was_at_wall: Whether the plant was at the wall a tick ago.
+        push_speed: What is added to the plant's speed now [m/s].
+        push_turn_rate: Likewise [rad/s].
+    """
+
+    ticks: int = 0
+    samples: int = 0
+    events: int = 0
+    published: int = 0
+    stop: int = 0
+    failure: int = 0
+    waits_for: int = 1
+    blocked: int = -1
+    free_at: int = 0
+    last_ns: int = -1
+    phase_ended: int = -1
+    poses_first: int = 0
+    poses_count: int = 0
+    poses_arrived: int = 0
+    pose_arrived_ns: int = 0
+    poses_dropped: int = 0
+    poses_told: int = 0
+    newest: int = -1
+    fires_ns: int = NEVER_NS
+    is_due: bool = False
+    queue_first: int = 0
+    queue_count: int = 0
+    commands_arrived: int = 0
+    command_arrived_ns: int = 0
+    newest_command: int = -1
+    commands_dropped: int = 0
+    commands_told: int = 0
+    has_losses: bool = False
+    was_at_wall: bool = False
+    push_speed: float = 0.0
+    push_turn_rate: float = 0.0
+    lost_poses: Losses = field(default_factory=partial(Losses, POSES_LOST))
+    lost_commands: Losses = field(default_factory=partial(Losses, COMMANDS_LOST))
+    dropped_commands: Losses = field(default_factory=partial(Losses, COMMANDS_DROPPED))
+
+
+@dataclass(slots=True)
+class TickRow:
+    """A pose as published and as sensed (NaN: it dropped out), and what the plant did.
+
+    Attributes:
+        x_m: World frame [m]; so `y_m`.
+        heading_rad: Counter-clockwise from +x [rad].
+        speed_m_s: Magnitude of the applied velocity [m/s].
+        turn_rate_rad_s: Applied turn rate [rad/s].
+        arrival_ns: When it reaches the controller [ns]; -1: it does not, or is not queued.
+    """
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_rad: float = 0.0
+    speed_m_s: float = 0.0
+    turn_rate_rad_s: float = 0.0
+    sensed_x_m: float = math.nan
+    sensed_y_m: float = math.nan
+    sensed_heading_rad: float = math.nan
+    arrival_ns: int = -1
+
+
+@dataclass(slots=True)
+class SampleRow:
+    """One controller callback. What a law does not enter is NaN, or 0.
+
+    Attributes:
+        time_ns: When the pose was answered [ns].
+        sequence: Number of the sample, from 0.
+        pose_sequence: Number of the pose that it read, from 0.
+        published_ns: When its command goes out: later where the law blocks [ns].
+        arrival_ns: When its command arrives [ns], or in which tick; -1: never.
+        arrivals: How often it arrives.
+        queued: How often it waits for the plant.
+        phase: Index of the phase in the declaration's `phase_names`. Entered by the law, as all
+            that follows but for the commands.
+        blocks_ticks: Ticks that the law blocks for before its command goes out.
+        stop: Why this is the last sample: place in the law's `stops`, from 1; 0: it is not.
+        ends_phase: Whether the next sample is of another phase.
+        bearing_rad: Goal bearing [rad].
+        heading_error_rad: What the heading should be minus the heading [rad].
+        error_x_m: Goal minus position, world frame [m]; so `error_y_m`.
+        distance_m: From the pose to the goal [m].
+        world_v_x_m_s: Gain times error before projection [m/s]; so `world_v_y_m_s`.
+        reference_x_m: Where the robot should be [m]; so `reference_y_m`.
+        reference_heading_rad: Likewise [rad].
+        wanted_speed_m_s: Command before shaping and limits [m/s]; so `wanted_turn_rate_rad_s`.
+        shaped_speed_m_s: After shaping, before the limits [m/s]; so `shaped_turn_rate_rad_s`.
+        speed_m_s: Command after the limits [m/s]; so `turn_rate_rad_s`.
+    """
+
+    time_ns: int = 0
+    sequence: int = 0
+    pose_sequence: int = 0
+    published_ns: int = 0
+    arrival_ns: int = -1
+    arrivals: int = 0
+    queued: int = 0
+    phase: int = 0
+    blocks_ticks: int = 0
+    stop: int = 0
+    ends_phase: bool = False
+    bearing_rad: float = math.nan
+    heading_error_rad: float = math.nan
+    error_x_m: float = math.nan
+    error_y_m: float = math.nan
+    distance_m: float = math.nan
+    world_v_x_m_s: float = math.nan
+    world_v_y_m_s: float = math.nan
+    reference_x_m: float = math.nan
+    reference_y_m: float = math.nan
+    reference_heading_rad: float = math.nan
+    wanted_speed_m_s: float = math.nan
+    wanted_turn_rate_rad_s: float = math.nan
+    shaped_speed_m_s: float = math.nan
+    shaped_turn_rate_rad_s: float = math.nan
+    speed_m_s: float = math.nan
+    turn_rate_rad_s: float = math.nan
+
+
+@dataclass(slots=True)
+class EventRow:
+    """What happened in a tick: the number of `EVENT_KINDS`, and two numbers of the kind."""
+
+    tick: int = 0
+    kind: int = 0
+    first: float = 0.0
+    second: float = 0.0

@@ -1,0 +1,210 @@
+"""Compiled twins of plain functions: numba compiles the same source, inlined, without marks in it.
+
+A function is bound anew, with the functions that it calls replaced by their twins. It may call
+functions that stand in a module by name, those of `math`, and Python's own; what numba would freeze
+unseen (other modules, objects, closures, defaults) is refused.
+"""
+
+import builtins
+import dataclasses
+import dis
+import hashlib
+import math
+import re
+import typing
+from collections.abc import Callable
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType, FunctionType
+from typing import Any, Final
+
+import numpy as np
+
+from turtlelog.simulate.compiled_arithmetic import TWINS
+
+Function = Callable[..., Any]
+
+_PLAIN: Final = (int, float, bool, str, type(None))
+
+
+class TwinError(TypeError):
+    """A function that numba cannot take."""
+
+
+def find_globals(function: FunctionType) -> dict[str, Any]:
+    """Return what a function looks up by name in its module; not by the names of attributes.
+
+    Raises:
+        TwinError: Where it has a closure or defaults.
+    """
+    if function.__closure__ or function.__defaults__ or function.__kwdefaults__:
+        place = f"{function.__code__.co_filename}, line {function.__code__.co_firstlineno}"
+        what = f"{function.__qualname__} has default values, or names of an outer function"
+        raise TwinError(f"{place}: {what}; {ALLOWED}")
+    codes = [function.__code__]
+    for code in codes:
+        codes += [one for one in code.co_consts if isinstance(one, CodeType)]
+    names = {
+        one.argval
+        for code in codes
+        for one in dis.get_instructions(code)
+        if one.opname == "LOAD_GLOBAL"
+    }
+    scope = function.__globals__
+    return {name: scope[name] for name in sorted(names) if name in scope}
+
+
+def take_twin(thing: Any) -> Any:
+    """Return what compiled code has in place of a function or another thing."""
+    return TWINS.get(thing, thing) if callable(thing) else thing
+
+
+def sum_up(functions: typing.Iterable[Function], *more: Any) -> str:
+    """Return a stamp of all code and constants that functions reach, as they are compiled.
+
+    Raises:
+        TwinError: Where one reaches what numba would freeze unseen.
+    """
+    stamp = _Stamp()
+    stamp.add_text(*more)
+    for function in functions:
+        stamp.add(function, "")
+    return stamp.digest.hexdigest()[:16]
+
+
+class _Stamp:
+    """A digest of code and constants."""
+
+    def __init__(self) -> None:
+        self.digest = hashlib.sha256()
+        self._seen: set[Any] = set()
+
+    def add(self, thing: Any, place: str) -> None:
+        """Add a function with all that it reaches, or what stands in one at a place."""
+        thing = take_twin(thing)
+        if isinstance(thing, FunctionType):
+            if thing not in self._seen:
+                self._seen.add(thing)
+                self._add_function(thing)
+        elif isinstance(thing, CodeType):
+            self._add_code(thing, None, place)
+        elif isinstance(thing, tuple):
+            self.add_text(len(thing))
+            for one in thing:
+                self.add(one, place)
+        else:
+            self.add_text(_describe(thing, place))
+
+    def add_text(self, *things: Any) -> None:
+        """Add what has a text of its own."""
+        self.digest.update(repr(things).encode())
+
+    def _add_function(self, function: FunctionType) -> None:
+        code = function.__code__
+        place = f"{code.co_filename}, line {code.co_firstlineno}: {function.__qualname__}"
+        self.add_text(getattr(function, "is_called", False))
+        self._add_code(code, function.__doc__, place)
+        for name, one in find_globals(function).items():
+            self.add(one, f"{place}: {name}")
+
+    def _add_code(self, code: CodeType, doc: str | None, place: str) -> None:
+        self.add_text(code.co_name, code.co_code, code.co_names, code.co_varnames)
+        for one in code.co_consts:
+            if one is not doc or doc is None:
+                self.add(one, place)
+
+
+def _describe(thing: Any, place: str) -> tuple[str, Any]:
+    """Return what a constant is, as compiled code knows it."""
+    if isinstance(thing, _PLAIN):
+        return type(thing).__name__, thing
+    if thing is math or isinstance(thing, BuiltinFunctionType | np.ufunc | type):
+        return "name", thing.__name__
+    raise TwinError(f"{place} is {thing!r:.60}; {ALLOWED}")
+
+
+class Twins:
+    """Compiles functions, and those that they call."""
+
+    def __init__(self) -> None:
+        """Begin. Numba is loaded."""
+        from numba import njit
+
+        # No Python calls these functions, which would crash: that would take a third longer.
+        # Without `_nrt` numba counts nobody's references to the arrays, and refuses what would
+        # allocate memory, as a set does: counting took two thirds of the loop's time.
+        options: dict[str, Any] = {
+            "error_model": "numpy",
+            "no_cpython_wrapper": True,
+            "no_cfunc_wrapper": True,
+            "_nrt": False,
+        }
+        self._inline, self._call = njit(forceinline=True, **options), njit(**options)
+        self._known: dict[Function, Any] = {}
+
+    def compile(self, function: Function) -> Any:
+        """Return the compiled twin of a function.
+
+        Raises:
+            TwinError: Where it is no function of Python's, or has a closure or defaults.
+        """
+        if function not in self._known:
+            source = take_twin(function)
+            if not isinstance(source, FunctionType):
+                raise TwinError(f"expected a function of Python, found {source!r:.60}")
+            scope = {name: self._take(thing) for name, thing in find_globals(source).items()}
+            scope |= {"__name__": source.__module__ or __name__, "__builtins__": builtins}
+            bound = FunctionType(source.__code__, scope, source.__name__)
+            make = self._call if getattr(source, "is_called", False) else self._inline
+            self._known[function] = make(bound)
+        return self._known[function]
+
+    def _take(self, thing: Any) -> Any:
+        is_ours = isinstance(thing, FunctionType) or (callable(thing) and thing in TWINS)
+        return self.compile(thing) if is_ours else thing
+
+
+_CODES: Final[dict[Any, str]] = {float: "f8", int: "i8", bool: "?"}
+
+
+def build_dtype(kind: type[Any]) -> np.dtype[Any]:
+    """Return the record of a dataclass of numbers, truths, and nested ones."""
+    hints = typing.get_type_hints(kind)
+    found: list[tuple[str, Any]] = []
+    for one in dataclasses.fields(kind):
+        hint = hints[one.name]
+        nested = dataclasses.is_dataclass(hint)
+        found.append((one.name, build_dtype(hint) if nested else _CODES[hint]))
+    return np.dtype(found or [("nothing", "i8")], align=True)
+
+
+def to_tuple(thing: Any) -> tuple[Any, ...]:
+    """Return a dataclass as the tuple that fills its record."""
+    values = tuple(
+        to_tuple(value) if dataclasses.is_dataclass(value) else value
+        for value in (getattr(thing, one.name) for one in dataclasses.fields(thing))
+    )
+    return values or (0,)
+
+
+def as_record(thing: Any, dtype: np.dtype[Any] | None = None) -> np.ndarray[Any, Any]:
+    """Return a dataclass as a record, shape (1,)."""
+    return np.array([to_tuple(thing)], build_dtype(type(thing)) if dtype is None else dtype)
+
+
+ALLOWED: Final = (
+    "a step is compiled of numbers, `if`, `while`, `for` over a `range`, `math`, functions of"
+    " turtlelog.arithmetic and of its own file"
+)
+
+_PLACE: Final = re.compile(r'File "([^"]+)", line (\d+)')
+_HEADS: Final = ("Failed in", "During", "File", "[", "-", "^", "<", "There are", "Overload")
+
+
+def describe_numba_error(text: str) -> str:
+    """Return in one line what numba says of a function that it cannot compile, and where."""
+    places = [one for one in _PLACE.findall(text) if "numba" not in Path(one[0]).parts]
+    lines = [line.strip() for line in text.splitlines()]
+    said = [line for line in lines if line and not line.startswith(_HEADS)]
+    reason = said[0] if said else "numba cannot compile it"
+    place = f"{Path(places[0][0]).resolve()}, line {places[0][1]}: " if places else ""
+    return f"{place}{reason}; {ALLOWED}"
