@@ -8,16 +8,21 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # The tests start hundreds of processes: without compiled files each compiles the package anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check torture recordings pictures contact-sheet bench clean
+.PHONY: demo test test-all check torture recordings pictures contact-sheet bench clean
 
 demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
 
+# Of costly tests of one kind `make test` runs one; all of them run in `make test-all`.
+test: CHOSEN := and not thorough
+test-all: CHOSEN :=
+
 # Workers fill the cores: threads for small matrices beside them only wait for each other.
-test: export OPENBLAS_NUM_THREADS := 1
-test: .venv/compiled
-	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime"
-	$(BIN)/python -m pytest -n 2 -m realtime $$(grep -rl realtime tests --include='test_*.py')
+test test-all: export OPENBLAS_NUM_THREADS := 1
+test test-all: .venv/compiled
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime $(CHOSEN)"
+	$(BIN)/python -m pytest -n 2 -m "realtime $(CHOSEN)" \
+		$$(grep -rl realtime tests --include='test_*.py')
 
 # Once: each worker of the tests would compile them for itself.
 LOOPS := $(wildcard turtlelog/*.py turtlelog/effects/*.py turtlelog/laws/*.py turtlelog/plants/*.py) \

@@ -11,6 +11,8 @@ from typing import Final
 import pytest
 from hypothesis import settings
 
+from tests.costly import list_unexplained, measure_time, require_reason, thin_out
+
 # How long an example takes says more of the machine than of the code.
 settings.register_profile("turtlelog", deadline=None)
 settings.load_profile("turtlelog")
@@ -54,3 +56,35 @@ def _wait_for(file: Path) -> None:
     deadline_s = time.monotonic() + _LONGEST_S
     while not file.exists() and time.monotonic() < deadline_s:
         time.sleep(0.05)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark as thorough what is not for every day, before `-m` chooses."""
+    thin_out(items, is_whole=not any("::" in word for word in config.args))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    """Measure what a test takes."""
+    with measure_time(item):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Let no test take long without a reason."""
+    report = yield
+    require_reason(item, report)
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name what takes long without a reason on this machine."""
+    reports = [one for found in terminalreporter.stats.values() for one in found]
+    if names := list_unexplained(reports):
+        terminalreporter.section("over 2 s, and the first line does not say why")
+        for name in names:
+            terminalreporter.line(name)

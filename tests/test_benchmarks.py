@@ -60,6 +60,7 @@ def test_calls_take_turns_and_the_least_time_counts(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("way", ["compiled", "plain"])
 def test_reading_is_timed_with_the_compiled_loops_and_without(way: str, tmp_path: Path) -> None:
+    """A process starts and compiles or loads the loops."""
     bench_engine.write_file(tmp_path / "some.mcap", 100)
     said = table.run_apart(bench_engine.READ, way, str(tmp_path / "some.mcap"))
     assert said["loaded"] is (way == "compiled")
@@ -74,6 +75,7 @@ def test_benchmark_yields_rows(name: str) -> None:
 
 
 def test_benchmark_in_a_process_of_its_own_hands_over_its_rows() -> None:
+    """A process starts and loads the program."""
     jobs = [row.job for row in run_all.run_benchmark("loop", 1e-3)]
     assert jobs[:2] == ["simulate, a sample", "replay the loop, a sample"]
 

@@ -166,9 +166,11 @@ def test_an_address_that_is_none_is_one_line_without_its_password(
     assert "PW" not in err
 
 
+@pytest.mark.everyday("SIGKILL")
 @pytest.mark.parametrize("end", ["SIGTERM", "SIGKILL"])
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows ends processes in other ways")
 def test_a_scheduler_that_ends_is_one_line_and_the_sweep_goes_on(end: str, tmp_path: Path) -> None:
+    """A scheduler and a worker start, end, and start again."""
     rows = tl.sweep.build_plan(["law.kp_linear=1:9:0.02"])
     base = tl.override_scenario(tl.load_scenario("paper-kp4"), {"max_duration_s": 4.0})
     sweep = tl.sweep.prepare_sweep(base, rows, metrics=["rotate.dead_time"])
@@ -275,6 +277,7 @@ def test_an_error_of_the_work_is_raised_here(cluster: str) -> None:
 
 
 def test_a_worker_that_is_killed_in_the_middle_loses_nothing(cluster: str) -> None:
+    """Workers start, one is killed, and what it did is done again."""
     with _start("worker", cluster, "--nthreads", "1", "--no-nanny") as doomed:
         with connect_patiently(cluster, workers=3):
             pass
@@ -300,6 +303,7 @@ def test_another_turtlelog_on_a_worker_is_one_line(
 def test_a_worker_with_another_turtlelog_that_joins_late_does_nothing(
     scheduler: str, tmp_path: Path
 ) -> None:
+    """A worker with a package of its own starts and joins."""
     shutil.copytree("turtlelog", tmp_path / "turtlelog")
     (tmp_path / "turtlelog" / "version.py").write_text('__version__ = "99.0"\n')
     expected = rf"^{scheduler}: expected turtlelog {tl.__version__} on every worker, found 99\.0 on"

@@ -121,10 +121,12 @@ def test_an_index_of_another_python_is_of_no_use(module: Path) -> None:
     assert find_cost_s() == 9.0
 
 
+@pytest.mark.everyday("beside", "NUMBA_CACHE_DIR")
 @pytest.mark.parametrize("place", ["beside", "NUMBA_CACHE_DIR", "user"])
 def test_loops_are_found_where_numba_keeps_them(
     module: Path, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
+    """Functions are compiled, and loaded by another process."""
     pytest.importorskip("numba")
     module.write_text(COMPILED, encoding="utf-8")
     if place == "NUMBA_CACHE_DIR":
@@ -163,10 +165,12 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.everyday("sys.executable")
 @pytest.mark.parametrize("executable", ["sys.executable", "''"])
 def test_modules_compile_side_by_side_and_here_where_no_process_starts(
     tmp_path: Path, executable: str
 ) -> None:
+    """Functions are compiled, with processes that start."""
     pytest.importorskip("numba")
     for name in ("first_part", "second_part"):
         (tmp_path / f"{name}.py").write_text(COMPILED, "utf-8")
@@ -208,6 +212,7 @@ print(measure(), sum(measure.stats.cache_hits.values()))
 
 
 def test_a_constant_of_another_file_is_compiled_anew(tmp_path: Path) -> None:
+    """Functions are compiled, twice."""
     pytest.importorskip("numba")
     (tmp_path / "function.py").write_text(FUNCTION, "utf-8")
     path = os.pathsep.join([str(Path(__file__).parents[1]), str(tmp_path)])

@@ -31,6 +31,7 @@ def run_main(code: str, *words: str, folder: Path) -> subprocess.CompletedProces
     )
 
 
+@pytest.mark.everyday("check", "run", "metrics", "replay", "recover", "info", "theory", "compare")
 @pytest.mark.parametrize(
     "words",
     [
@@ -47,6 +48,7 @@ def run_main(code: str, *words: str, folder: Path) -> subprocess.CompletedProces
     ids=lambda words: words[0],
 )
 def test_slim_installation_gives_the_same_output(words: tuple[str, ...], tmp_path: Path) -> None:
+    """A command starts with libraries and without."""
     full = partial(run_command, *words)
     slim = partial(run_main, LACKS, *words)
     outputs = []

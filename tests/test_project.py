@@ -89,6 +89,7 @@ def list_imports() -> set[str]:
 
 
 def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
+    """All files of the package are parsed."""
     imported = {PACKAGES.get(name, name) for name in list_imports() - BROUGHT_BY_OTHERS}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]

@@ -84,7 +84,9 @@ def test_where_no_viewer_can_run_there_is_no_picture_and_the_reason(
     assert NO_GRAPHICS in found.notes[0]
 
 
+@pytest.mark.thorough
 def test_one_viewer_shows_every_recording_in_its_own_layout(tmp_path: Path) -> None:
+    """Rerun's viewer starts and draws two pictures in software."""
     runs = [simulate("paper-kp10"), simulate()]
     names, pictures = [], []
     try:

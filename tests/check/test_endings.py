@@ -125,6 +125,7 @@ def join(trace: Trace, after: Mapping[str, Column], end_ns: int) -> Trace:
 ends = st.integers(0, 40).map(lambda end: end * HALF_NS)
 
 
+@pytest.mark.everyday("RunEnding.CUT")
 @seed(3)
 @settings(deadline=None, max_examples=150)
 @given(formulas, signals, ends)
@@ -132,6 +133,7 @@ ends = st.integers(0, 40).map(lambda end: end * HALF_NS)
 def test_a_verdict_on_a_cut_trace_is_that_of_the_definitions(
     ending: RunEnding, tree: Node, trace: Trace, end_ns: int
 ) -> None:
+    """Hypothesis compares with the definitions, moment by moment."""
     expression, seen = parse_expression(format_expression(tree)), cut(trace, end_ns)
     found = check_formula(seen, expression, window_ns=(0, end_ns), ending=ending)
     is_closed = ending is RunEnding.UNDECLARED
@@ -146,6 +148,7 @@ def test_a_verdict_on_a_cut_trace_is_that_of_the_definitions(
 def test_a_verdict_on_a_cut_trace_stands_however_it_goes_on(
     tree: Node, trace: Trace, end_ns: int, futures: list[Trace]
 ) -> None:
+    """Each of Hypothesis' traces goes on in several ways."""
     expression, seen = parse_expression(format_expression(tree)), cut(trace, end_ns)
     found = check_formula(seen, expression, window_ns=(0, end_ns), ending=RunEnding.CUT)
     if found.holds is None:

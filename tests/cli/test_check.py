@@ -147,6 +147,7 @@ def test_artifacts_are_written_of_what_fails(
 def test_artifacts_are_the_same_of_files_judged_in_several_processes(
     call: Call, spec: Path, kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: Any
 ) -> None:
+    """Processes start, as for many files."""
     for variable in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.setenv(variable, "/none")
     answers, written = [], []

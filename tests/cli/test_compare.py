@@ -202,10 +202,12 @@ def test_runs_are_sorted_by_the_gain_as_its_column_is_called(
     assert "--sort: expected Kp turn or Kp drive, found 'Kp'" in answer.err
 
 
+@pytest.mark.everyday("table")
 @pytest.mark.parametrize("options", [[], ["--json"], ["--csv"]], ids=["table", "json", "csv"])
 def test_runs_are_held_to_a_reference_in_several_processes(
     call: Call, kp4: Path, kp10: Path, options: list[str]
 ) -> None:
+    """Processes start, as for many files."""
     words = ("compare", kp10, kp4, kp10, "--reference", kp4, *options, "--jobs")
     alone, together = call(*words, "1"), call(*words, "2")
     assert together == alone

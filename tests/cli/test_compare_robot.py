@@ -41,6 +41,7 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_bag_is_compared_with_the_robot_of_a_scenario(
     call: Call, bag: Path, scenario: Path, tmp_path: Path
 ) -> None:
+    """A robot is identified with its intervals."""
     plot, rrd = tmp_path / "robot.png", tmp_path / "robot.rrd"
     found = call("compare", scenario, bag, "--plot", plot, "--rrd", rrd)
     assert "1 recorded robot beside robot, driven with the recorded commands, 39 seeds" in found.out

@@ -93,6 +93,7 @@ def files(kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_what_every_command_shares_and_gathers_crosses_as_it_is(
     call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Each command that hands out work runs once, in this process."""
     assert set(SHARERS) == find_modules(hands_out)
     processes._pickle_read_only_mappings()
     used: list[str] = []

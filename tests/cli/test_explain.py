@@ -29,6 +29,7 @@ def test_explain_finds_what_was_built_in(call: Call, kp10: Path) -> None:
 
 
 def test_explain_names_the_settings_that_it_tried(call: Call, kp10: Path) -> None:
+    """That nothing is found shows when the whole search is done."""
     tried = call("explain", kp10, "--json").json["tried"]
     assert tried["loop.transport_delay_ticks"] == [0, 1, 2, 3, 4]
     assert tried["loop.queue_policy"] == ["newest", "one-per-tick"]

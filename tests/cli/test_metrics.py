@@ -59,8 +59,12 @@ def test_csv_has_a_row_per_file_with_full_precision(call: Call, kp4: Path, kp10:
     assert len(rows[0]) == 2 + len(METRICS)
 
 
+@pytest.mark.thorough
 def test_csv_of_many_files_keeps_their_values_alone(call: Call, kp4: Path, tmp_path: Path) -> None:
-    """Of a run its summary would be 17 kB; its row of text is 2.6 kB."""
+    """Memory is traced while 80 recordings are measured, which takes long.
+
+    Of a run its summary would be 17 kB; its row of text is 2.6 kB.
+    """
     files = [Path(shutil.copy(kp4, tmp_path / f"{number}.mcap")) for number in range(60)]
     call("metrics", *files[:2], "--csv", "--jobs", "1")
     peaks = []

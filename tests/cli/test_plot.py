@@ -53,9 +53,11 @@ def test_json_names_files_titles_and_the_paper_s_figures(
     assert (answer["files"], answer["tables"]) == ([], [])
 
 
+@pytest.mark.thorough
 def test_of_somebody_s_recording_that_is_drawn_which_it_holds_and_the_rest_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """All figures that a bag allows are drawn."""
     tl.write_recording(make_foreign_run(50), tmp_path / "bag.mcap")
     words = [str(tmp_path / "bag.mcap"), "-o", str(tmp_path / "out"), "--format", "svg"]
     code, out, err = run_plot(capsys, *words)
@@ -157,6 +159,7 @@ def test_without_recordings_a_file_shows_theory(
 def test_a_folder_gets_each_figure_once_and_table_1_after_the_final_errors(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """All usual figures are drawn, as PDF."""
     assert run_plot(capsys, str(RECORDING), "-o", str(tmp_path / "out"))[0] == 0
     written = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert written == sorted(

@@ -142,6 +142,7 @@ def test_measuring_shows_how_many_files_are_done(
 @pytest.mark.realtime
 @on_terminals
 def test_a_live_run_shows_its_seconds_on_a_terminal_and_nothing_elsewhere() -> None:
+    """A bar appears after a second by the clock, of two runs."""
     words = ("run", "paper", "--set", "max_duration_s=1.7", "--realtime")
     command = [sys.executable, "-m", "turtlelog", *words]
     terminal, quiet = Terminal(), subprocess.run(command, capture_output=True, cwd=ROOT, check=True)

@@ -28,6 +28,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
 def test_a_report_of_four_runs_is_one_file_that_names_all_of_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """A report with the plots of four runs; the first one loads Bokeh."""
     files = [RECORDINGS / f"kp{gain}.mcap" for gain in (1, 2, 4, 10)]
     path = tmp_path / "report.html"
     code, out, _ = run(capsys, "report", *files, "-o", path, "--json")
@@ -43,6 +44,7 @@ def test_a_report_of_four_runs_is_one_file_that_names_all_of_it(
 def test_a_run_alone_is_explained_with_its_ghosts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """A report with its explanation: Bokeh is loaded and all subsets of effects are simulated."""
     path = tmp_path / "report.html"
     assert run(capsys, "report", RECORDINGS / "kp10.mcap", "-o", path)[0] == 0
     text = path.read_text("utf-8")
@@ -54,6 +56,7 @@ def test_a_run_alone_is_explained_with_its_ghosts(
 def test_a_check_that_fails_is_told_on_top_and_by_the_exit_code(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Three reports are written, one with each command and verdict."""
     spec, path = tmp_path / "spec.toml", tmp_path / "report.html"
     spec.write_text('format = 1\n[checks.line]\nholds = "always(abs(cross_track) <= 0.05)"\n')
     words = [RECORDINGS / "kp10.mcap", "--spec", spec, "-o", path, "--explain", "none"]
@@ -74,6 +77,7 @@ def test_a_check_that_fails_is_told_on_top_and_by_the_exit_code(
 def test_the_command_that_writes_a_report_again_reads_as_it_was_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Two reports are written."""
     table, spec, path = tmp_path / "way.csv", tmp_path / "spec.toml", tmp_path / "report.html"
     rows = "\n".join(f"{0.1 * n:.1f},{0.1 * n:.1f},0,0" for n in range(30))
     table.write_text(f"t,px,y,heading\n{rows}\n")

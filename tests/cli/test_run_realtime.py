@@ -72,9 +72,11 @@ def wait_for_messages(path: Path) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.everyday("SIGINT", "SIGTERM", "SIGQUIT")
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows ends processes in other ways")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
 def test_an_interrupt_finishes_the_file_and_says_so_in_a_line(name: str, tmp_path: Path) -> None:
+    """A command starts, runs by the clock and is interrupted."""
     path = tmp_path / "a.mcap"
     process = start("-o", path)
     wait_for_messages(path)

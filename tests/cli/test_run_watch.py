@@ -197,6 +197,7 @@ def test_the_last_of_two_quick_saves_counts(law: Path, tmp_path: Path) -> None:
 def test_a_file_that_is_replaced_or_gone_for_a_while_is_waited_for(
     law: Path, tmp_path: Path
 ) -> None:
+    """The watch looks again by the clock, three times."""
     with start(tmp_path, "--law", "own.py:Own") as watch:
         watch.wait_for("watching own.py")
         new = tmp_path / "own.py.new"
@@ -266,6 +267,7 @@ def test_what_is_to_be_known_before_a_run_is_told_each_time(tmp_path: Path) -> N
 def test_a_law_without_end_is_ended_by_its_budget_and_the_watch_goes_on(
     law: Path, tmp_path: Path
 ) -> None:
+    """A law without end is ended after its budget of time."""
     words = ("--law", "own.py:Own", "--step-budget-ms", "250")
     with start(tmp_path, *words) as watch:
         watch.wait_for("watching own.py")
@@ -333,6 +335,7 @@ def test_what_cannot_be_watched_is_one_line(words: tuple[str, ...], error: str, 
 @signals
 @pytest.mark.viewer
 def test_one_viewer_shows_run_after_run(law: Path, tmp_path: Path) -> None:
+    """Rerun's viewer starts, and two runs are drawn."""
     with start_headless() as viewer:
         words = ("--law", "own.py:Own", "--connect", viewer.url)
         with start(tmp_path, *words) as watch:

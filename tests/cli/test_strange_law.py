@@ -166,6 +166,7 @@ def test_replay_sets_the_declared_gains(call: Call, strange: Path, tmp_path: Pat
 
 
 def test_explain_names_the_effect_that_the_law_declares(call: Call, strange: Path) -> None:
+    """All subsets of the effects are simulated with an interpreted law."""
     metric = ("--metric", "run.duration")
     answer = call("explain", strange, TRUST, "--json", *metric).json
     shares = {share["mechanism"]: share["share"] for share in answer["attribution"]["shares"]}
@@ -190,7 +191,9 @@ def test_tables_have_columns_of_states_and_references(
     assert float(rows[3]["reference_heading_rad"]) > 0.0
 
 
+@pytest.mark.thorough
 def test_plot_draws_it(call: Call, strange: Path, tmp_path: Path) -> None:
+    """All usual figures are drawn."""
     answer = call("plot", strange, "-o", tmp_path / "figures", "--format", "svg")
     assert answer.code == 0
     assert list((tmp_path / "figures").glob("*.svg"))
@@ -203,9 +206,11 @@ def test_view_writes_a_recording_of_it(call: Call, strange: Path, tmp_path: Path
     assert all((tmp_path / f"{name}.rrd").stat().st_size > 10_000 for name in ("both", "one"))
 
 
+@pytest.mark.thorough
 def test_view_takes_a_picture_from_the_start_of_a_phase(
     call: Call, strange: Path, tmp_path: Path
 ) -> None:
+    """Rerun's viewer starts and draws in software."""
     other = tmp_path / "other.mcap"
     tl.write_recording(simulate_strange(law__gain_b=2.0, name="faster"), other)
     words = ("--at", "1", "--snapshot", tmp_path / "two.png", "--size", "800x500")

@@ -146,6 +146,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 def test_of_several_figures_none_stands_where_the_disk_is_full(
     call: Call, kp4: Path, small_disk: Path
 ) -> None:
+    """Three figures are drawn in three formats until the disk is full."""
     folder = small_disk / "figures"
     folder.mkdir()
     (folder / "heading.pdf").write_text("the old one")

@@ -25,6 +25,7 @@ def list_listeners(process_id: int) -> set[str]:
 
 @pytest.mark.skipif(not PROC.exists(), reason="other systems tell who listens in other ways")
 def test_web_serves_on_this_machine_only_until_it_is_ended(kp10: Path) -> None:
+    """A command starts a server, and is ended."""
     command = [sys.executable, "-m", "turtlelog", "view", str(kp10), "--web"]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT

@@ -57,6 +57,7 @@ def test_a_time_at_which_a_view_has_nothing_is_refused() -> None:
 
 
 def test_a_picture_that_shows_nothing_is_one_line_and_no_file(tmp_path: Path) -> None:
+    """The first command forks from a process that loads the program."""
     run = tl.simulate_run(get_preset("paper-kp10"))
     tl.write_recording(run, tmp_path / "run.mcap")
     words = ("view", tmp_path / "run.mcap", "--snapshot", tmp_path / "x.png", "--at", "99")

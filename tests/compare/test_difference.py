@@ -46,6 +46,7 @@ def test_what_is_sensed_and_shaped_is_compared_where_both_hold_it(alignment: str
 
 @given(row=st.integers(10, 600), by_m=st.floats(1e-6, 1.0))
 def test_a_change_of_one_pose_is_found_where_it_was_made(row: int, by_m: float) -> None:
+    """Hypothesis changes a pose in each of 100 runs."""
     comparison = tl.compare_runs(KP4, shift_poses(KP4, row, by_m))
     found = next(found for found in comparison.signals if found.signal == "x")
     assert found.largest == pytest.approx(by_m, rel=1e-6)

@@ -194,6 +194,7 @@ def _write_robot(folder: Path) -> None:
 def test_every_command_ends_well_and_says_nothing_strange(
     files: Path, tmp_path: Path, call: Call
 ) -> None:
+    """Every command starts as a user starts it, and each example of its help runs."""
     assert [*DEFAULTS] == COMMANDS
     once = dict.fromkeys([*list_examples(call), *DEFAULTS.values()])
     for command, _ in list_console(README):

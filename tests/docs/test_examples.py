@@ -51,12 +51,15 @@ def run_script(script: Path, *words: str, folder: Path) -> str:
 
 @pytest.mark.parametrize("name", FINDINGS)
 def test_example_scripts_find_what_they_are_shown_for(name: str, tmp_path: Path) -> None:
+    """A script runs as a reader runs it; one explains a run."""
     printed = run_script(EXAMPLES / f"{name}.py", folder=tmp_path)
     assert [found for found in FINDINGS[name] if found not in printed] == []
 
 
+@pytest.mark.everyday("what_if")
 @pytest.mark.parametrize("name", ["explain_run", "what_if"])
 def test_example_scripts_take_a_recording(name: str, tmp_path: Path) -> None:
+    """A script runs as a reader runs it; one explains a run."""
     recording = ROOT / "recordings" / "paper" / "kp1.mcap"
     printed = run_script(EXAMPLES / f"{name}.py", str(recording), folder=tmp_path)
     assert "0.0025 m" in printed or "0.002521 m" in printed

@@ -71,6 +71,7 @@ def run_python(*words: str, folder: Path) -> str:
 
 @pytest.mark.parametrize(("code", "files"), find_blocks("python"))
 def test_python_blocks_run_as_they_stand(code: str, files: dict[str, str], tmp_path: Path) -> None:
+    """Blocks run as a reader runs them: those that explain or draw take seconds."""
     write_files(files, tmp_path)
     answer = run_code(code, folder=tmp_path)
     assert answer.returncode == 0, answer.stderr
@@ -115,6 +116,7 @@ def matches_shown(shown: str, printed: str) -> bool:
 def test_console_blocks_print_what_they_show(
     commands: list[tuple[str, str]], files: dict[str, str], tmp_path: Path, run_here: Command
 ) -> None:
+    """Commands run as a reader runs them: pages with many take seconds."""
     write_files(files, tmp_path)
     for command, shown in commands:
         assert shown.strip() != "...", f"{command}: expected some of its output, found none"
@@ -124,6 +126,7 @@ def test_console_blocks_print_what_they_show(
 
 
 def test_the_test_of_a_law_of_ones_own_passes(tmp_path: Path) -> None:
+    """A test session of its own starts."""
     write_files(find_files(ROOT / "docs" / "own-law.md"), tmp_path)
     options = ("-m", "pytest", "-p", "turtlelog.pytest_plugin", "-p", "no:hypothesispytest")
     assert " 1 passed" in run_python(*options, "test_my_law.py", folder=tmp_path)

@@ -115,6 +115,7 @@ def test_the_value_with_one_mechanism_out_is_that_of_a_simulation_without_it() -
 def test_shares_add_up_to_the_last_bit_or_that_of_the_smallest(
     name: str, mechanisms: list[str], metric: str
 ) -> None:
+    """Each of 12 examples simulates all subsets of up to three effects."""
     found = attribute(name, *mechanisms, metric=metric)
     shares = [share for share in read_shares(found).values() if share]
     assert found.as_built is not None
@@ -146,6 +147,7 @@ def test_two_effects_that_need_each_other_share_alike() -> None:
 
 
 def test_of_more_than_six_those_take_part_that_change_most() -> None:
+    """All 64 subsets of six effects are simulated."""
     found = attribute("paper-kp10", *(name for name in MECHANISMS if name != "wrap"))
     assert found.mechanisms == (
         "queue",
@@ -181,6 +183,7 @@ def test_the_value_of_the_log_stands_beside_the_re_simulation() -> None:
 def test_shares_are_told_up_to_a_tenth_of_what_the_effects_add(
     part: float, *, is_told: bool
 ) -> None:
+    """All subsets of the effects are simulated."""
     run, found = simulate("paper-kp10"), attribute_scenario(KP10)
     assert found.as_built is not None
     assert found.without_all is not None
@@ -193,6 +196,7 @@ def test_shares_are_told_up_to_a_tenth_of_what_the_effects_add(
 def test_where_the_effects_add_nothing_a_millionth_is_the_same(
     part: float, *, is_told: bool
 ) -> None:
+    """All subsets of the effects are simulated."""
     run = simulate("textbook", law__wrap_error=False)
     identified = identify_run(run)
     logged = attribute_run(run, identified=identified).as_logged

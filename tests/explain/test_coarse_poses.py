@@ -78,7 +78,9 @@ def test_coarse_poses_do_not_tell_a_pause_of_one_tick_from_none() -> None:
     assert holds(found["start.y_m"], 5.544444561004639)
 
 
+@pytest.mark.thorough
 def test_a_lag_in_coarse_poses_is_not_fitted_as_dead_time() -> None:
+    """A robot with lags is fitted to coarse poses, which takes the longest search."""
     steps = {"sensing__quantum_heading_rad": 2e-2, "sensing__quantum_position_m": 2e-2}
     found = identify("lagged", **SLOW, **steps)
     for key in ("dead_time.rotate", "dead_time.translate", "loop.transport_delay_ticks"):

@@ -103,6 +103,9 @@ def half_of_the_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("turtlelog.explain.game.SEEDS", SEEDS[:16])
 
 
+@pytest.mark.everyday(
+    "outlier", "disturbance, noise", "queue", "wrap", "pause", "delay", "quantum", "bias"
+)
 @pytest.mark.usefixtures("half_of_the_seeds")
 @pytest.mark.parametrize("case", EFFECTS)
 def test_an_effect_alone_gets_all_of_what_effects_add(case: str) -> None:

@@ -118,8 +118,10 @@ def test_noise_leaves_gains_within_two_percent(file: str) -> None:
         assert read_values(found, "loop.start_backlog", "law.pause_ticks") == (6, 34)
 
 
+@pytest.mark.everyday("7-fit0", "9-fit2")
 @pytest.mark.parametrize(("backlog", "fit"), [(7, (7, 8)), (8, (7, 8)), (9, (9,)), (11, (10, 12))])
 def test_backlogs_past_the_queues_depth_look_alike(backlog: int, fit: tuple[int, ...]) -> None:
+    """Every backlog that fits alike is simulated."""
     log = as_log(simulate("paper-kp4", loop__start_backlog=backlog), hides_start=True)
     found = identify_run(log).findings["loop.start_backlog"]
     assert {*fit} <= {*(found.candidates or (found.value,))}
@@ -269,6 +271,7 @@ SCENARIOS = st.fixed_dictionaries(
 def test_what_was_put_in_comes_back_or_the_log_cannot_tell(
     values: dict[str, Any], is_log: bool, jitter_ns: int, seed: int  # noqa: FBT001
 ) -> None:  # fmt: skip
+    """25 random scenarios are searched for: each takes half a second."""
     run = simulate_run(build_scenario(nest_parameters(values)))
     truth = flatten_scenario(restore_scenario(run))
     found = identify_run(as_log(run, jitter_ns=jitter_ns, seed=seed) if is_log else forget(run))

@@ -22,8 +22,10 @@ def jump_at(tick: int, turned_rad: float) -> dict[int, tuple[float, float, float
     return {tick: (x_m, y_m, heading_rad + turned_rad)}
 
 
+@pytest.mark.everyday("0", "1")
 @pytest.mark.parametrize("seed", range(3))
 def test_how_far_the_robot_turned_is_an_interval_where_there_is_noise(seed: int) -> None:
+    """Many seeds are tried where the noise is large."""
     log = make_log(Truth(log_noise=1e-2, seed=seed))
     turned = identify_run(log.to_run()).findings["pause.turned_rad"]
     low, high = turned.interval or (0.0, 0.0)

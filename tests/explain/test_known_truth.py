@@ -23,6 +23,18 @@ def identify(log: Log) -> Identification:
     return identify_run(log.to_run())
 
 
+@pytest.mark.everyday(
+    "clean-4",
+    "cut-4",
+    "cut delay-3",
+    "depths-2",
+    "period-2",
+    "gap-2",
+    "quantum-1",
+    "sensed 1e-4-1",
+    "quantum in the log-1",
+    "stops-3",
+)
 @pytest.mark.parametrize(
     ("family", "amount"),
     [
@@ -32,6 +44,7 @@ def identify(log: Log) -> Identification:
     ],
 )
 def test_nothing_is_exact_that_is_not_true(family: str, amount: int) -> None:
+    """Each family is identified several times: seconds for those with most unknowns."""
     total: Counter[tuple[str, str]] = Counter()
     for log in make_family(family, 20, amount):
         total += score(log, identify(log))
@@ -40,10 +53,12 @@ def test_nothing_is_exact_that_is_not_true(family: str, amount: int) -> None:
     assert sum(said == "exact true" for _, said in total) >= 2
 
 
+@pytest.mark.everyday("logged 1e-4", "misread 1e-5")
 @pytest.mark.parametrize(
     "family", ["logged 1e-4", "logged 1e-2", "misread 1e-5", "misread 1e-4", "misread 1e-3"]
 )
 def test_an_interval_of_a_gain_holds_the_truth_in_95_of_100_logs(family: str) -> None:
+    """A share of 95 % shows in many logs: 80 fits a family."""
     said: Counter[str] = Counter()
     for log in make_family(family, 21, 40):
         trace, truth = mark_breaks(trace_run(log.to_run(), PHASES)), list_truth(log)
@@ -55,8 +70,10 @@ def test_an_interval_of_a_gain_holds_the_truth_in_95_of_100_logs(family: str) ->
     assert 0.9 <= said["fitted true"] / fitted <= 0.995
 
 
+@pytest.mark.everyday("0.0001")
 @pytest.mark.parametrize("noise", [1e-4, 1e-2])
 def test_noise_in_what_is_read_leaves_gains_exact_and_fits_the_loop(noise: float) -> None:
+    """With large noise the search tries all backlogs and pauses."""
     log = make_log(Truth(noise=noise, seed=3))
     found = identify(log).findings
     gains = found["law.kp_angular"], found["law.kp_linear"]
@@ -116,6 +133,7 @@ def test_another_stop_rule_is_not_told_as_the_usual_one(
 
 
 def test_a_jump_is_named_and_the_loop_fitted_over_what_is_clean() -> None:
+    """A jump leaves the whole search to a fit over the rest."""
     log = make_log(Truth(teleports={320: (6.0, 6.5, 2.4)}))
     found = identify(log)
     assert found.notes[0].startswith("the pose jumps by 1.57 m")

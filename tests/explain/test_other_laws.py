@@ -66,6 +66,7 @@ def list_claims(found: Identification) -> list[str]:
     return [key for key in keys if found.findings[key].certainty is not Certainty.UNKNOWN]
 
 
+@pytest.mark.everyday("little I-named", "turn and drive-unnamed", "PID-unnamed")
 @pytest.mark.parametrize("forgotten", [False, True], ids=["named", "unnamed"])
 @pytest.mark.parametrize(
     ("kind", "parameters"),
@@ -80,6 +81,7 @@ def list_claims(found: Identification) -> list[str]:
 def test_nothing_is_claimed_of_another_law(
     kind: str, parameters: dict[str, float], *, forgotten: bool
 ) -> None:
+    """That nothing is found shows when the whole search is done."""
     run = simulate_law(kind, **parameters)
     found = identify_run(forget(run) if forgotten else run)
     assert list_claims(found) == []
@@ -271,6 +273,7 @@ def test_two_mechanisms_of_one_name_are_refused() -> None:
 
 
 def test_the_recorded_scenario_of_the_sequential_law_stands_where_none_is_found() -> None:
+    """That none is found shows when the whole search is done, twice."""
     values = {"loop.transport_delay_ticks": 45, "law.kp_linear": 0.5, "law.kp_angular": 0.5}
     run = simulate_run(override_scenario(get_preset("textbook"), values))
     found = identify_run(run)
@@ -335,6 +338,7 @@ def test_a_dead_time_is_told_where_it_leaves_noise(whiteness: float, *, claims: 
 
 
 def test_of_a_law_that_is_not_deterministic_nothing_is_claimed() -> None:
+    """The search tries every setting before it gives up."""
     found = identify_run(simulate_loop(f"{OTHERS}:Tiring"), trust_law=True)
     assert (found.scenario, found.resimulation) == (None, None)
     assert "its law is not deterministic" in found.notes[-1]
@@ -356,7 +360,9 @@ def vars_of(columns: Any) -> dict[str, Any]:
     return {field.name: getattr(columns, field.name) for field in fields(columns)}
 
 
+@pytest.mark.thorough
 def test_what_reproduces_to_rounding_is_not_said_to_be_bit_for_bit() -> None:
+    """The search runs to its end."""
     run = simulate_loop(WEAVING)
     changed = replace(run, parameters={**run.parameters, "law.gain": 2.0 + 1e-12})
     assert (
@@ -366,8 +372,10 @@ def test_what_reproduces_to_rounding_is_not_said_to_be_bit_for_bit() -> None:
     )
 
 
+@pytest.mark.everyday("other queues")
 @pytest.mark.parametrize("is_usual", [True, False], ids=["usual queues", "other queues"])
 def test_what_is_said_of_the_loops_of_other_laws_is_true(*, is_usual: bool) -> None:
+    """Shares of what is found show in many logs: 12 for each of several laws."""
     said = count_true(make_loop_logs(5, 12, is_usual=is_usual))
     assert {key for key in said if key[1].endswith(" false")} == set()
     assert sum(count for (_, how), count in said.items() if how == "fitted true") > 26

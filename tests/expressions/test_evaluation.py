@@ -39,6 +39,7 @@ def agree(found: float | None, expected: float | None) -> bool:
 @settings(deadline=None)
 @given(exact_numbers | truths, VALUES)
 def test_arithmetic_and_logic_are_those_of_python(tree: Node, values: dict[str, Any]) -> None:
+    """Hypothesis makes deep expressions, which take long to draw."""
     found = evaluate_expression(parse_expression(format_expression(tree)), values)
     expected = compute_with_python(tree, values)
     assert found == expected
@@ -69,6 +70,7 @@ def test_powers_are_those_of_python(base: float, exponent: float) -> None:
 @settings(deadline=None)
 @given(truths | exact_numbers, ROWS)
 def test_columns_give_what_their_rows_give(tree: Node, rows: list[dict[str, Any]]) -> None:
+    """Hypothesis evaluates each expression over columns and row by row."""
     expression = parse_expression(format_expression(tree))
     expected = [evaluate_expression(expression, row) for row in rows]
     columns = {name: make_column([row[name] for row in rows]) for name in rows[0]}

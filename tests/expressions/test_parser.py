@@ -33,6 +33,7 @@ def test_printed_expressions_parse_to_the_same_tree(tree: Node) -> None:
 @settings(deadline=None)
 @given(st.text(max_size=40) | st.text("0123456789.xe+-*/<>=!()[], 'andotrimplsuwy\n", max_size=60))
 def test_any_text_parses_or_says_in_one_line_where_it_does_not(text: str) -> None:
+    """Hypothesis makes hundreds of texts."""
     try:
         parsed = parse_expression(text)
     except ExpressionError as caught:

@@ -156,7 +156,9 @@ def test_a_robot_that_is_pushed_while_nothing_is_commanded_does_not_stand() -> N
         assert ("in which the robot stands" in " ".join(found.notes)) == stands
 
 
+@pytest.mark.thorough
 def test_noise_that_may_hide_is_bounded() -> None:
+    """Four seeds of two sizes of noise are identified, each twice."""
     sensing, rates = (2e-3, 4e-3), (5e-3, 1e-2)
     still = drive_with_noise(1, sensing=sensing)
     model = tl.identify_robot(still)

@@ -73,6 +73,7 @@ def score_all() -> Score:
 
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_intervals_of_95_percent_hold_the_truth_and_are_not_padded(name: str) -> None:
+    """A share of 95 % shows in many robots: the first of these tests identifies them all."""
     assert 0.90 <= score_all().find_coverage(name) <= 0.995
 
 
@@ -92,6 +93,7 @@ def test_robots_of_first_order_get_no_second() -> None:
 
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_intervals_hold_where_there_is_no_dead_time_or_no_lag(name: str) -> None:
+    """The first of these tests identifies all robots at the borders."""
     assert score_edges().find_coverage(name) >= 0.90
 
 
@@ -100,7 +102,9 @@ def score_edges() -> Score:
     return score_robots((seed, draw_log(seed, 25.0, at_edge=True)) for seed in range(20))
 
 
+@pytest.mark.thorough
 def test_a_fit_of_the_whole_way_agrees_on_all_robots() -> None:
+    """All robots are fitted once more, in another way."""
     apart = {axis: [*compare_with_whole_way(axis)] for axis in AXES}
     assert np.shape(apart["turn_rate"]) == np.shape(apart["speed"]) == (ROBOTS, 4)
     assert np.max(apart["turn_rate"]) <= 1.0
@@ -147,8 +151,10 @@ def identify_turns(command: NDArray[np.float64], log: Log, seed: int = 3) -> Axi
 SHORT = Log(duration_s=30.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [*PARAMETERS, "rate_limit"])
 def test_intervals_hold_the_truth_of_robots_whose_acceleration_is_limited(name: str) -> None:
+    """The first of these tests identifies 16 robots with one unknown more."""
     score = score_all_limited()
     assert (score.axes, score.refused, score.of_second_order) == (16, 0, 16)
     assert score.find_coverage(name) >= 0.85  # 14 of 16; stairs instead of ramps had 13
@@ -202,6 +208,7 @@ def test_a_robot_that_turns_the_wrong_way_round_is_told_so(log: Log) -> None:
 
 
 def test_what_follows_no_command_has_no_opposite_sign() -> None:
+    """Several robots are identified, each on both axes."""
     for seed, truth in enumerate([Truth(gain=0.0)] * 2 + [Truth(dead_time_s=1.7)] * 2):
         model = tl.identify_robot(make_run(replace(SHORT, speed=truth, turn_rate=truth), seed))
         assert not any(axis.is_known or "opposite" in axis.reason for axis in model.axes)

@@ -75,6 +75,7 @@ def list_texts(kind: str, size: int) -> Iterator[str]:
 def test_a_long_line_takes_little_time_and_one_line_says_what_is_wrong(
     kind: str, size: int, tmp_path: Path
 ) -> None:
+    """Lines of the greatest length are read, to bound their time."""
     read = list_readers(tmp_path)[kind]
     for text in list_texts(kind, size):
         begun = time.process_time()
@@ -110,9 +111,11 @@ BOMBS: dict[str, tuple[str, Callable[[], str]]] = {
 }
 
 
+@pytest.mark.everyday("quotes", "lists")
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak memory from /proc")
 @pytest.mark.parametrize("kind", BOMBS)
 def test_a_small_file_takes_less_than_256_mb(kind: str, tmp_path: Path) -> None:
+    """A process reads a large file, to bound its memory."""
     name, build = BOMBS[kind]
     (tmp_path / name).write_text(build(), "utf-8")
     path = tmp_path if name == "metadata.yaml" else tmp_path / name

@@ -88,6 +88,7 @@ ALL_PADDINGS = {name: (padding, FIXED) for name, padding in PADDINGS.items()}
 ALL_PADDINGS["no-chunk"] = b"\1\2\3", FIXED | {Opcode.CHUNK}
 
 
+@pytest.mark.everyday("forty", "message", "zeros", "private")
 @pytest.mark.parametrize("kind", ALL_PADDINGS)
 def test_padded_files_of_the_suite_are_read_as_their_twins(suite: Suite, kind: str) -> None:
     padding, fixed = ALL_PADDINGS[kind]

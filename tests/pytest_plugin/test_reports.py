@@ -47,6 +47,7 @@ def test_junit_has_every_metric_as_a_property(suite: pytest.Pytester) -> None:
 
 
 def test_artifacts_show_the_violation(suite: pytest.Pytester) -> None:
+    """Rerun's viewer starts and draws what failed."""
     result = run(suite, BODY, "--turtlelog-artifacts=failed")
     folder = suite.path / "failed"
     result.stdout.fnmatch_lines([f"wrote {folder}/test_it-kp10-rotate.overshoot-*.rrd"])
@@ -80,6 +81,7 @@ def test_accept(recording, reference):
 def test_workers_tell_the_same_and_do_not_write_over_each_other(
     suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Two workers start and load the program."""
     suite.makeconftest(NAMES)
     head = 'import pytest\npytestmark = pytest.mark.recordings("../runs/*")\n'
     for part in ("a", "b"):

@@ -53,6 +53,7 @@ def test_a_row_of_a_map_is_run_again_from_its_url(
 
 
 def test_a_report_of_a_signed_url_holds_no_signature(server: RangeServer, tmp_path: Path) -> None:
+    """A report is written from what a server sends."""
     page = tmp_path / "report.html"
     assert _run(["report", server.url("signed.mcap") + SIGNED, "-o", str(page)]) == 0
     assert "signed.mcap" in page.read_text("utf-8")
@@ -124,6 +125,7 @@ KP4 = "recordings/paper/kp4.mcap"
 def test_no_line_of_a_command_shows_a_password_or_a_signature(
     url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Clients of storage try again before they give up."""
     for words in (["info", url], ["metrics", "--json", url], ["run", url], ["theory", url], [url]):
         assert _run(words) == 2
     assert _run(["info", KP4, f"--time={url}"]) == 2
@@ -147,9 +149,11 @@ def test_an_error_in_python_shows_no_password() -> None:
     assert "SECRET" not in str(caught.value)
 
 
+@pytest.mark.thorough
 def test_a_report_of_checks_of_a_signed_url_names_it_without_its_signature(
     server: RangeServer, tmp_path: Path
 ) -> None:
+    """A report is written from what a server sends."""
     page, spec = tmp_path / "report.html", tmp_path / "spec.toml"
     spec.write_text('format = 1\n[checks.end]\nexpect = "final.position_error < 1"\n')
     url = server.url("signed.mcap")

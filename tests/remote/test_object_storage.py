@@ -118,6 +118,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kp4: bytes) -> Path:
     return tmp_path
 
 
+@pytest.mark.everyday("check", "sweep")
 @pytest.mark.parametrize(
     "words",
     [
@@ -134,6 +135,7 @@ def test_a_table_in_a_bucket_is_that_of_a_disk_and_grows_as_it_does(
     kp4: bytes,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """A server of buckets starts with the first of these tests."""
     place, said = f"{bucket}/tables/{words[0]}.parquet", []
     for count in (2, 2, 3):
         if count == 3:

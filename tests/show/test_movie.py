@@ -84,6 +84,7 @@ def test_a_gif_can_be_read_back(runs: tuple[Run, ...], tmp_path: Path) -> None:
 def test_an_mp4_can_be_read_back(
     runs: tuple[Run, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A film is coded and decoded."""
     cv2 = pytest.importorskip("cv2")
     monkeypatch.setitem(encoding.PICTURES_PER_S, ".mp4", 4.0)
     path = tmp_path / "run.mp4"
@@ -115,6 +116,7 @@ def test_an_mp4_can_be_read_back(
 def test_what_cannot_be_filmed_is_refused_in_a_line(
     words: list[str], found: str, tmp_path: Path
 ) -> None:
+    """The first of these tests loads what makes films."""
     words = [word.format(kp1=RECORDINGS / "kp1.mcap") for word in words]
     done = run_command(*words, folder=tmp_path)
     assert done.returncode == 2
@@ -124,6 +126,7 @@ def test_what_cannot_be_filmed_is_refused_in_a_line(
 
 
 def test_both_commands_film(tmp_path: Path) -> None:
+    """Two films are made."""
     kp1 = str(RECORDINGS / "kp1.mcap")
     for command in ("plot", "view"):
         done = run_command(

@@ -26,6 +26,7 @@ def model(run: tl.Run) -> tl.RobotModel:
 def test_the_same_robot_gives_the_same_bytes(
     run: tl.Run, model: tl.RobotModel, tmp_path: Path
 ) -> None:
+    """Figures are drawn twice."""
     one, two = (tl.show.write_robot_figure(model, run, tmp_path / f"{n}.svg") for n in "ab")
     assert one.read_bytes() == two.read_bytes()
 

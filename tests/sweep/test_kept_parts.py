@@ -137,11 +137,13 @@ def whole_of_command(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return (folder / "t.parquet").read_bytes()
 
 
+@pytest.mark.everyday("2")
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_sweep_that_is_ended_from_outside_goes_on(
     how: signal.Signals, whole_of_command: bytes, tmp_path: Path
 ) -> None:
+    """A command starts, is ended, and starts again."""
     ended = start(tmp_path, "-o", "t.parquet", *NOISE)
     partial = tmp_path / "t.parquet.partial"
     limit = time.monotonic() + 30
@@ -158,6 +160,7 @@ def test_sweep_that_is_ended_from_outside_goes_on(
     assert (tmp_path / "t.parquet").read_bytes() == whole_of_command
 
 
+@pytest.mark.everyday("of the table")
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
 @pytest.mark.parametrize(
     ("most_bytes", "message"),
@@ -175,6 +178,7 @@ def test_sweep_that_is_ended_from_outside_goes_on(
 def test_full_disk_is_one_line_and_the_sweep_goes_on(
     most_bytes: int, message: str, tmp_path: Path
 ) -> None:
+    """A command starts on a full disk, and once more."""
     code = (
         "import resource, signal\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"

@@ -43,6 +43,9 @@ def list_cells(table: ResultTable, name: str) -> list[Any]:
     return list(column.cells)
 
 
+@pytest.mark.everyday(
+    "noisy-track-square", "plain-posture", "noisy-textbook", "noisy-lagged", "plain-paper-kp10"
+)
 @pytest.mark.parametrize("name", ["paper-kp10", "textbook", "posture", "lagged", "track-square"])
 @pytest.mark.parametrize("changes", [{}, NOISY], ids=["plain", "noisy"])
 def test_rows_equal_single_runs_bit_for_bit(
@@ -75,6 +78,7 @@ def test_rows_equal_single_runs_bit_for_bit(
 def test_table_is_the_same_on_two_cores_and_in_the_compiled_loop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A table is made three times, once by processes that start."""
     base = tl.override_scenario(tl.load_scenario("paper-kp4"), NOISY)
     grid = ("law.kp_linear=-1:4:0.5", "seed=0:2")
     loops = find_loop(resolve_scenario(base), base.plant.facts)

@@ -128,6 +128,7 @@ def simulate_overshoot(process: Process, period_s: float, gains: PidGains, *, tu
 
 
 def test_exact_gains_meet_what_is_wanted() -> None:
+    """Gains of 40 random processes are found by root search, for this and the next test."""
     cases = draw_cases()
     assert len({process for process, *_ in cases}) == 40
     for _, _, one in cases:
@@ -149,6 +150,7 @@ def test_integration_in_fine_steps_overshoots_as_much() -> None:
 
 
 def test_simulated_robots_overshoot_as_wanted_on_either_axis() -> None:
+    """A robot is simulated for each of 120 gains."""
     wanted = [case for case in draw_cases() if case[-1].rule == "overshoot"]
     assert len({process for process, *_ in wanted}) == 40
     for number, (process, period_s, one) in enumerate(wanted):

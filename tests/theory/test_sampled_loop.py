@@ -173,6 +173,7 @@ def test_the_double_pole_keeps_all_its_digits(dead_time_ticks: int) -> None:
 def test_poles_at_many_gains_are_those_at_each_to_the_last_bit(
     dead_time_ticks: int, logs: list[float]
 ) -> None:
+    """Eigenvalues are computed at each of many gains, of 100 examples."""
     meeting = compute_overshoot_gain(1.0, dead_time_ticks)
     gains = [*(10.0**log for log in logs), meeting, 2.0 * meeting]
     settings: Any = {"period_s": 1.0, "dead_time_ticks": dead_time_ticks}

@@ -73,10 +73,12 @@ def run(*words: str) -> tuple[int, float, float, str]:
     return int(code), float(memory_mb), float(cpu_s), done.stderr
 
 
+@pytest.mark.everyday("zstd 900 MB", "schema 1e7 fields", "scenario", "a fifth of the channels")
 @pytest.mark.torture
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak memory from /proc")
 @pytest.mark.parametrize("name", BOMBS if IS_FULL else QUICK)
 def test_a_small_file_takes_little_whatever_it_claims(name: str, tmp_path: Path) -> None:
+    """Three commands read a file that is meant to take long."""
     path, output = tmp_path / "bomb.mcap", tmp_path / "out.mcap"
     path.write_bytes(BOMBS[name]())
     most_memory_mb, most_cpu_s = MOST_MEMORY_MB, MOST_CPU_S

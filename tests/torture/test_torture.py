@@ -40,6 +40,7 @@ def make_twin(name: str, folder: Path) -> bytes:
 
 
 def test_damage_is_one_line_or_harmless(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Five recordings are damaged in 100 ways each, and read."""
     counts, failures = {}, []
     for name in (*COMPRESSIONS, "padded", "states"):
         # The mcap library, which lists what is there, does not step over the padding in chunks.
@@ -66,6 +67,7 @@ def test_damage_is_one_line_or_harmless(tmp_path: Path, capsys: pytest.CaptureFi
 def test_killed_recorders_keep_all_but_the_last_second(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Ten recorders run by the clock until they are killed."""
     whole = {preset: simulate_messages(preset, tmp_path) for preset in PRESETS}
     # The pauses of two presets lie at 2.5 to 3.4 s.
     count, latest_s = (100, 6.0) if IS_FULL else (10, 4.5)
@@ -83,6 +85,7 @@ def test_killed_recorders_keep_all_but_the_last_second(
 
 @pytest.mark.realtime
 def test_a_killed_command_leaves_a_recording(tmp_path: Path) -> None:
+    """A recorder runs by the clock for three seconds."""
     killed = kill_command(tmp_path, after_s=3.0)
     report = recover_recording(killed.path, tmp_path / "recovered.mcap")
     messages = list_messages((tmp_path / "recovered.mcap").read_bytes())
@@ -92,8 +95,10 @@ def test_a_killed_command_leaves_a_recording(tmp_path: Path) -> None:
     assert not report.complete
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="limits the address space as Linux does")
 def test_a_lying_length_takes_no_memory(tmp_path: Path) -> None:
+    """Hundreds of files are read in a process whose memory is bounded."""
     paths = [tmp_path / f"{compression}.mcap" for compression in COMPRESSIONS]
     for path in paths:
         path.write_bytes(make_recording(tmp_path, path.stem))

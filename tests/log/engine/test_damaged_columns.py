@@ -75,8 +75,17 @@ def damage(data: bytes, random: Random) -> bytes:
     return bytes(damaged)
 
 
+@pytest.mark.everyday(
+    "compiled-lz4",
+    "plain-none",
+    "plain-zstd",
+    "compiled-no index",
+    "plain-unchunked",
+    "compiled-one chunk",
+)
 @pytest.mark.parametrize("kind", OPTIONS)
 def test_damage_is_found_or_does_no_harm(kind: str, tmp_path: Path) -> None:
+    """Hundreds of flips are read, each in a file of its own."""
     path, random = tmp_path / "a.mcap", Random(kind)
     data = write_sample(path, **OPTIONS[kind])
     expected, messages = list_all(path), list[str]()

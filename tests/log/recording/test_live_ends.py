@@ -158,6 +158,7 @@ for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows ends processes in other ways")
 def test_a_signal_at_any_moment_tears_no_write(tmp_path: Path) -> None:
+    """Sixty recorders are ended at random moments."""
     subprocess.run([sys.executable, "-c", RANDOM_MOMENTS, tmp_path], check=True, cwd=ROOT)
     paths = list(tmp_path.iterdir())
     assert len(paths) > 60  # the others were asked to end before they had begun

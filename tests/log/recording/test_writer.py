@@ -95,6 +95,7 @@ def test_every_index_of_a_run_that_lacks_much_points_where_it_says(tmp_path: Pat
 
 
 def test_many_messages_make_many_chunks_that_others_read_in_order(tmp_path: Path) -> None:
+    """Libraries in Python read 60,000 messages back."""
     path, twists = tmp_path / "a.mcap", make_twists(60_000)
     write_columns([twists, make_texts([5, 5, 30_000, 59_999])], path)
     assert len(check_strictly(path).chunk_indexes) > 4

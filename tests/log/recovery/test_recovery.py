@@ -301,8 +301,10 @@ def test_channels_without_messages_are_kept(tmp_path: Path) -> None:
     assert topics == [("/heard", "", 1), ("/silent", "std_msgs/msg/String", 0)]
 
 
+@pytest.mark.everyday("plain-conformance", "plain-ros2", "compiled-ros2")
 @pytest.mark.parametrize("folder", ["conformance", "ros2"])
 def test_whole_files_by_others_lose_nothing(folder: str, tmp_path: Path) -> None:
+    """All files of MCAP's conformance suite are recovered."""
     for path in sorted(find_shared(folder).rglob("*.mcap")):
         data = path.read_bytes()
         if messages := list_messages(data):

@@ -93,6 +93,7 @@ def test_who_stops_early_leaves_no_process_behind() -> None:
 
 
 def test_figures_are_the_same_bytes_from_one_process_and_from_several(tmp_path: Path) -> None:
+    """Figures are drawn as files, once here and once by processes that start."""
     run, only = simulate_preset("paper-kp10"), ["heading", "plane", "speed", "turn-rate"]
     found = [
         [path.read_bytes() for path in tl.write_figures([run], folder, only=only, jobs=jobs)]
@@ -102,7 +103,9 @@ def test_figures_are_the_same_bytes_from_one_process_and_from_several(tmp_path: 
     assert len(found[0]) == len(only) * 3
 
 
+@pytest.mark.thorough
 def test_figures_are_the_same_bytes_from_several_threads() -> None:
+    """Eight figures are drawn as PDF, twice."""
     run, only = simulate_preset("paper-kp10"), ["heading", "plane", "speed", "turn-rate"] * 2
     work = partial(writing._draw_files, runs=[run], formats=["pdf"], page=page.Page(), kinds=None)
     settings, load_font = dict(matplotlib.rcParams), subset.load_font

@@ -65,8 +65,10 @@ def test_of_a_law_that_is_drawn_which_its_loops_are_of(kind: str, drawn: set[str
     assert list_drawn(simulate_law(kind)) == drawn
 
 
+@pytest.mark.everyday("strange", "OpenLoop", "EightPhases")
 @pytest.mark.parametrize("kind", KINDS)
 def test_figures_and_tables_of_every_law_are_written(kind: str, tmp_path: Path) -> None:
+    """All figures that a run allows are drawn."""
     run = simulate_law(kind)
     names = [path.stem for path in tl.write_figures([run], tmp_path, formats=["svg"])]
     assert set(names) == list_drawn(run)
@@ -76,7 +78,9 @@ def test_figures_and_tables_of_every_law_are_written(kind: str, tmp_path: Path) 
         assert "translate." not in text
 
 
+@pytest.mark.thorough
 def test_runs_of_laws_of_all_kinds_are_drawn_over_each_other() -> None:
+    """All usual figures are drawn, of ten runs each."""
     runs = [KP4, *map(simulate_law, KINDS), *map(simulate_tracker, TRACKERS), simulate_pid()]
     for name in [*list_usual_figures(), "bode", "nyquist", "step", "gains", "strips"]:
         tl.show.draw_figure(name, runs).draw_without_rendering()

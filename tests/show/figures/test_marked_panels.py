@@ -149,6 +149,7 @@ def test_coordinates_have_arrival_settling_and_their_own_end_values() -> None:
     ],
 )
 def test_figures_without_marks_are_told(names: list[str], lines: tuple[str, ...]) -> None:
+    """All figures that have no marks are drawn."""
     assert list_unmarked(RUNS, names) == lines
     for name in names:
         words = [

@@ -80,6 +80,7 @@ def read_pixels(page: Any, place: str) -> bytes:
 def test_the_slider_drives_turtles_and_values_by_keyboard(
     two_runs: Path, open_report: Open
 ) -> None:
+    """Chromium starts with the first of these tests."""
     page = open_report(two_runs)
     before = read_pixels(page, "#plane")
     assert "12.608 s" in page.inner_text("#values caption")
@@ -140,6 +141,7 @@ def test_paper_shows_light_copies_of_the_plots_without_controls(
 def test_a_robot_s_bag_six_samples_and_a_long_name_are_shown(
     tmp_path: Path, open_report: Open
 ) -> None:
+    """Chromium draws a report of its own."""
     bag, run = make_foreign_run(50), tl.read_run(RECORDINGS / "kp4.mcap")
     short = replace(run.slice(0.0, 0.08), name="six_" * 60)
     tl.show.write_report([bag], tmp_path / "bag.html")

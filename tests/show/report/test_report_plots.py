@@ -93,6 +93,7 @@ def test_the_marks_of_one_run_are_named_and_those_of_many_are_left_out() -> None
 
 
 def test_a_hundred_runs_share_one_model_for_each_plot() -> None:
+    """Plots of a hundred runs are made."""
     plots = draw(*[read(4)] * 100)
     figure = plots.roots["plot-speed"]
     (lines,) = figure.renderers

@@ -45,6 +45,7 @@ def grow(scenario: tl.Scenario, grown: Path) -> None:
 
 
 def test_a_run_drawn_while_it_grows_has_the_rows_of_its_file(tmp_path: Path) -> None:
+    """All rows of two files are compared."""
     grown, once = tmp_path / "grown.rrd", tmp_path / "once.rrd"
     grow(tl.load_scenario("paper-kp10"), grown)
     tl.write_run_rrd(simulate_preset("paper-kp10"), once)
@@ -54,8 +55,10 @@ def test_a_run_drawn_while_it_grows_has_the_rows_of_its_file(tmp_path: Path) -> 
     assert list_entities(grown) == list_entities(once)
 
 
+@pytest.mark.everyday("strange", "Follower", "EightPhases", "OpenLoop")
 @pytest.mark.parametrize("kind", ["strange", "Follower", "EightPhases", "OpenLoop", *TRACKERS])
 def test_a_run_of_any_law_drawn_while_it_grows_is_its_file(kind: str, tmp_path: Path) -> None:
+    """All rows of two files are compared, of a path with many references."""
     is_tracker = kind in TRACKERS
     scenario = build_tracker(kind) if is_tracker else build_scenario(kind)
     grown, once = tmp_path / "grown.rrd", tmp_path / "once.rrd"
@@ -143,6 +146,7 @@ def test_a_viewer_that_is_killed_does_the_recording_no_harm(tmp_path: Path) -> N
 @pytest.mark.realtime
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot stop a process for a while")
 def test_a_viewer_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight seconds are simulated by the clock: that fills the connection."""
     monkeypatch.setattr(live_scene, "_FLUSH_S", 0.5)
     # Long enough to fill what a connection takes without an answer, however few batches it makes.
     scenario = tl.override_scenario(SHORT, {"max_duration_s": 8.0})

@@ -150,7 +150,10 @@ def turn_of_ten_minutes() -> tl.Run:
 def test_a_run_of_ten_minutes_is_drawn_from_its_beginning_to_its_end(
     turn_of_ten_minutes: tl.Run, tmp_path: Path
 ) -> None:
-    """And so is the short one beside it, which has ended after 2 % of the time."""
+    """Rerun's viewer draws ten minutes in software.
+
+    And so is the short one beside it, which has ended after 2 % of the time.
+    """
     tl.write_comparison_rrd([turn_of_ten_minutes, RUN], tmp_path / "both.rrd")
     picture = picture_heading(tmp_path / "both.rrd", "sim_time")
     long, short = (find_pixels(picture, color) for color in choose_run_colors(2))
@@ -158,10 +161,12 @@ def test_a_run_of_ten_minutes_is_drawn_from_its_beginning_to_its_end(
     assert len(short)
 
 
+@pytest.mark.thorough
 @pytest.mark.viewer
 def test_ticks_of_a_run_of_ten_minutes_are_drawn_from_first_to_last(
     turn_of_ten_minutes: tl.Run, tmp_path: Path
 ) -> None:
+    """Rerun's viewer draws ten minutes in software."""
     tl.write_run_rrd(turn_of_ten_minutes, tmp_path / "run.rrd")
     picture = picture_heading(tmp_path / "run.rrd", "tick")
     assert_spans(find_pixels(picture, palette.MAIN), picture)

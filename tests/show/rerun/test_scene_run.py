@@ -61,6 +61,7 @@ def test_properties_tell_the_recording_apart(run_rrd: Path) -> None:
 
 
 def test_scenario_and_metrics_are_properties(run_rrd: Path) -> None:
+    """The file is searched for each of some 200 keys."""
     for key, value in RUN.parameters.items():
         expected = float(value) if isinstance(value, bool | int | float) else str(value)
         assert read_static(run_rrd, "/__properties/scenario", key) == [expected]

@@ -44,6 +44,7 @@ def test_the_layout_holds_the_cursor_at_the_violation(violation_rrd: Path) -> No
 
 @pytest.mark.viewer
 def test_the_viewer_opens_at_the_violation(violation_rrd: Path) -> None:
+    """Rerun's viewer starts and draws in software."""
     with start_headless() as viewer:
         viewer.open(violation_rrd)
         viewer.wait_for_time(AT_NS)

@@ -66,11 +66,13 @@ def read_size(png: Path) -> tuple[int, int]:
     return width, height
 
 
+@pytest.mark.everyday("run_rrd", "explanation_rrd")
 @pytest.mark.viewer
 @pytest.mark.parametrize("scene", ["run_rrd", "comparison_rrd", "explanation_rrd", "violation_rrd"])
 def test_viewer_shows_every_view_without_problems(
     scene: str, take: Take, request: pytest.FixtureRequest
 ) -> None:
+    """Rerun's viewer draws in software; the first of these tests starts it."""
     rrd: Path = request.getfixturevalue(scene)
     report, png = take(rrd)
     assert read_size(png) == SIZE
@@ -84,6 +86,7 @@ def test_viewer_shows_every_view_without_problems(
 
 @pytest.mark.viewer
 def test_a_snapshot_without_a_time_is_of_the_end(run_rrd: Path, take: Take) -> None:
+    """Rerun's viewer draws two pictures in software."""
     _, early = take(run_rrd)
     _, late = take(run_rrd, at_s=None)
     assert early.read_bytes() != late.read_bytes()
@@ -93,15 +96,18 @@ def test_a_snapshot_without_a_time_is_of_the_end(run_rrd: Path, take: Take) -> N
 def test_a_picture_may_be_told_from_the_start_of_translation(
     comparison_rrd: Path, take: Take
 ) -> None:
+    """Rerun's viewer draws two pictures in software."""
     _, aligned = take(comparison_rrd)
     _, translating = take(comparison_rrd, timeline="translate_time")
     assert translating.read_bytes() != aligned.read_bytes()
 
 
+@pytest.mark.thorough
 @pytest.mark.viewer
 def test_one_picture_after_the_other_is_as_that_of_a_viewer_of_its_own(
     run_rrd: Path, comparison_rrd: Path, take: Take, tmp_path: Path
 ) -> None:
+    """Rerun's viewer starts once more, for itself."""
     take(comparison_rrd)
     alone = take_snapshot(run_rrd, tmp_path / "x.png")
     assert alone.views == take(run_rrd)[0].views
@@ -111,6 +117,7 @@ def test_one_picture_after_the_other_is_as_that_of_a_viewer_of_its_own(
 def test_a_timeline_that_a_recording_lacks_is_named(
     run_rrd: Path, take: Take, tmp_path: Path
 ) -> None:
+    """Rerun's viewer loads a recording."""
     take(run_rrd)  # skips where nothing can be drawn
     with pytest.raises(ShowError, match="expected sim_time, found translate_time"):
         write_snapshot(run_rrd, tmp_path / "y.png", timeline="translate_time", size=(400, 300))

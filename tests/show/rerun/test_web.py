@@ -79,6 +79,7 @@ def test_nothing_to_serve_is_an_error(tmp_path: Path) -> None:
 @pytest.mark.viewer
 @pytest.mark.browser
 def test_the_page_asks_nobody_but_this_machine(tmp_path: Path) -> None:
+    """Chromium loads Rerun's page, and compiles it."""
     playwright, chromium = pytest.importorskip("playwright.sync_api"), shutil.which("chromium")
     if chromium is None:
         pytest.skip("no chromium is installed")
