@@ -1,10 +1,10 @@
 """What tests may cost: which parameters run every day, and what takes long says why."""
 
 import inspect
-import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from time import process_time  # bound here: a test replaces that of the module
 from typing import Any, Final
 
 import pytest
@@ -51,11 +51,11 @@ def thin_out(items: Sequence[pytest.Item], *, is_whole: bool) -> None:
 @contextmanager
 def measure_time(item: pytest.Item) -> Iterator[None]:
     """Note the processor time of this process while a test runs, without that of its children."""
-    begin_s = time.process_time()
+    begin_s = process_time()
     try:
         yield
     finally:
-        item.stash[_USED_S] = time.process_time() - begin_s
+        item.stash[_USED_S] = process_time() - begin_s
 
 
 def require_reason(

@@ -82,13 +82,23 @@ class Headless:
             self.client.set_time(timeline, sequence=end, play_state="paused")
         else:
             self.client.set_time(timeline, duration=end / 1e9, play_state="paused")
-        (view,) = [view for view in self.client.get_state().views if view.name == name]
-        before, picture = b"", self.client.take_screenshot(view.view_id)
+        before, picture = b"", self._take_view(name, deadline)
         while picture != before:
             assert time.monotonic() < deadline
             time.sleep(0.1)
-            before, picture = picture, self.client.take_screenshot(view.view_id)
+            before, picture = picture, self._take_view(name, deadline)
         return np.asarray(imread(BytesIO(picture)), dtype=np.float64)[..., :3]
+
+    def _take_view(self, name: str, deadline: float) -> bytes:
+        """Return a picture of a view; a layout that is exchanged gives its views other ids."""
+        while True:
+            (view,) = [view for view in self.client.get_state().views if view.name == name]
+            try:
+                return self.client.take_screenshot(view.view_id)
+            except ConnectionError as err:
+                if "not found" not in str(err) or time.monotonic() > deadline:
+                    raise
+                time.sleep(0.05)
 
     def list_times(self) -> list[int]:
         found = [recording.current_time for recording in self.client.get_state().recordings]
