@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, TextIO
 
+import msgspec
 from cyclopts import Parameter
 
 import turtlelog as tl
@@ -206,10 +207,12 @@ def print_error(text: str) -> None:
 def print_json(value: Any) -> None:
     """Print one JSON value and nothing else; what is not finite becomes null.
 
-    Numbers, booleans and arrays of numpy are printed as Python's.
+    Args:
+        value: An answer: a dataclass, or what JSON has. Numbers, booleans and arrays of numpy are
+            printed as Python's.
     """
     with outlive_reader():
-        sys.stdout.write(json.dumps(_make_finite(value), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(_format_json(value) + "\n")
 
 
 def print_json_list(values: Iterable[Any]) -> None:
@@ -220,8 +223,7 @@ def print_json_list(values: Iterable[Any]) -> None:
     with _spool() as spool:
         before = "[\n"
         for value in values:
-            text = json.dumps(_make_finite(value), indent=2, allow_nan=False)
-            spool.write(before + textwrap.indent(text, "  "))
+            spool.write(before + textwrap.indent(_format_json(value), "  "))
             before = ",\n"
         spool.write("[]\n" if before == "[\n" else "\n]\n")
 
@@ -271,9 +273,20 @@ def find_command_name() -> str:
     return f"{python} -m turtlelog"
 
 
-def _make_finite(value: Any) -> Any:
+def _format_json(value: Any) -> str:
+    plain = msgspec.to_builtins(value, enc_hook=_take_from_numpy)
+    return json.dumps(_make_finite(plain), indent=2, allow_nan=False)
+
+
+def _take_from_numpy(value: Any) -> Any:
     if hasattr(value, "dtype"):
-        value = value.tolist()
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"expected what JSON has, found {type(value).__name__}")
+
+
+def _make_finite(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _make_finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
