@@ -16,6 +16,7 @@ demo: .venv/installed
 # Of costly tests of one kind `make test` runs one; all of them run in `make test-all`.
 test: CHOSEN := and not thorough
 test-all: CHOSEN :=
+test-all: export PYTEST_ADDOPTS += --hypothesis-profile=thorough
 
 # Workers fill the cores: threads for small matrices beside them only wait for each other.
 test test-all: export OPENBLAS_NUM_THREADS := 1

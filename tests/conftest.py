@@ -14,8 +14,9 @@ from hypothesis import settings
 from tests.costly import list_unexplained, measure_time, require_reason, thin_out
 
 # How long an example takes says more of the machine than of the code.
-settings.register_profile("turtlelog", deadline=None)
-settings.load_profile("turtlelog")
+settings.register_profile("everyday", deadline=None, max_examples=30)
+settings.register_profile("thorough", deadline=None, max_examples=100)
+settings.load_profile("everyday")
 
 # A shell without job control turns the keyboard's signals off for what it starts in the background,
 # and every program that a test starts and interrupts would inherit that.

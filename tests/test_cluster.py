@@ -300,6 +300,7 @@ def test_another_turtlelog_on_a_worker_is_one_line(
         pass
 
 
+@pytest.mark.thorough
 def test_a_worker_with_another_turtlelog_that_joins_late_does_nothing(
     scheduler: str, tmp_path: Path
 ) -> None:

@@ -165,6 +165,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.everyday("sys.executable")
 @pytest.mark.parametrize("executable", ["sys.executable", "''"])
 def test_modules_compile_side_by_side_and_here_where_no_process_starts(

@@ -33,6 +33,7 @@ def monitor(formula: str, trace: dict[str, Column]) -> list[Any]:
     return found
 
 
+@pytest.mark.thorough
 @settings(deadline=None)
 @given(formulas, signals)
 def test_margins_agree_with_rtamt_at_every_moment(tree: Node, trace: dict[str, Column]) -> None:

@@ -84,6 +84,7 @@ def test_what_grows_never_falls_while_a_run_goes_on(change: str) -> None:
         assert None not in values[len(values) - len(known) :], name
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name",
     [

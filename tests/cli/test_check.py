@@ -144,6 +144,7 @@ def test_artifacts_are_written_of_what_fails(
     assert 1.28 <= times_s.min() <= times_s.max() <= 3.29
 
 
+@pytest.mark.thorough
 def test_artifacts_are_the_same_of_files_judged_in_several_processes(
     call: Call, spec: Path, kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: Any
 ) -> None:

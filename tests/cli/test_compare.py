@@ -202,6 +202,7 @@ def test_runs_are_sorted_by_the_gain_as_its_column_is_called(
     assert "--sort: expected Kp turn or Kp drive, found 'Kp'" in answer.err
 
 
+@pytest.mark.thorough
 @pytest.mark.everyday("table")
 @pytest.mark.parametrize("options", [[], ["--json"], ["--csv"]], ids=["table", "json", "csv"])
 def test_runs_are_held_to_a_reference_in_several_processes(

@@ -127,6 +127,7 @@ def test_runs_of_one_name_are_called_by_their_files(
     assert str(far) in out
 
 
+@pytest.mark.thorough
 def test_files_are_measured_in_several_processes_in_their_order(
     call: Call, kp4: Path, kp10: Path
 ) -> None:

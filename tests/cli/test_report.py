@@ -74,6 +74,7 @@ def test_a_check_that_fails_is_told_on_top_and_by_the_exit_code(
     assert 'id="violation-0"' in path.read_text("utf-8")
 
 
+@pytest.mark.thorough
 def test_the_command_that_writes_a_report_again_reads_as_it_was_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -133,6 +134,7 @@ def test_without_bokeh_one_line_says_what_to_install(
     assert "needed for reports, and not installed; `pip install bokeh`" in err
 
 
+@pytest.mark.thorough
 def test_of_a_bag_the_files_in_its_folder_are_hashed(tmp_path: Path) -> None:
     bag, path = tmp_path / "bag", tmp_path / "report.html"
     bag.mkdir()

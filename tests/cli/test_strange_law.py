@@ -199,6 +199,7 @@ def test_plot_draws_it(call: Call, strange: Path, tmp_path: Path) -> None:
     assert list((tmp_path / "figures").glob("*.svg"))
 
 
+@pytest.mark.thorough
 def test_view_writes_a_recording_of_it(call: Call, strange: Path, tmp_path: Path) -> None:
     assert call("compare", strange, strange, "--rrd", tmp_path / "both.rrd").code == 0
     assert call("explain", strange, TRUST, "--rrd", tmp_path / "why.rrd").code == 0

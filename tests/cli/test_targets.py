@@ -143,6 +143,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.thorough
 def test_of_several_figures_none_stands_where_the_disk_is_full(
     call: Call, kp4: Path, small_disk: Path
 ) -> None:

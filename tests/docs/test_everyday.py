@@ -1,6 +1,8 @@
 """Every command as users give it, in processes of its own on two cores: it ends well, in silence.
 
 The commands are those of README and of the examples in `--help`, and each one with its defaults.
+Those of README and of the defaults start Python as a user does; the other examples are forked from
+a process that has loaded the program.
 """
 
 import glob
@@ -11,7 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import chain, pairwise
@@ -23,6 +25,7 @@ import pytest
 import turtlelog as tl
 from tests.cli.conftest import SPEC, Call, call as call
 from tests.docs.test_pages import README, ROOT, list_console, matches_shown
+from tests.fresh_process import run_command
 from tests.identify.robots import Log, Truth, make_run, write_bag
 from tests.log.ros2.bags import write_metadata
 from tests.log.test_importers import make_log, write_json
@@ -93,17 +96,13 @@ def link_files(words: Sequence[str], source: Path, folder: Path) -> None:
             os.link(source / name, folder / name)
 
 
-def run(command: str, folder: Path, source: Path | None = None) -> Ended:
-    """Run a command as a shell does, or what stands in for it, with the files that it reads."""
-    for pattern, other in STAND_INS.items():
-        command = re.sub(f"{pattern}$", other, command)
-    words = shlex.split(command)
-    if source is not None:
-        link_files(words, source, folder)
-    words = words[: words.index(">")] if ">" in words else words
-    found = [sorted(glob.glob(word, root_dir=folder)) or [word] for word in words]  # noqa: PTH207
+Start = Callable[[Sequence[str], Path], tuple[int, str, str]]
+
+
+def start_python(words: Sequence[str], folder: Path) -> tuple[int, str, str]:
+    """Start a command as a shell does; return its exit code and what it wrote."""
     done = subprocess.run(
-        [sys.executable, "-m", "turtlelog", *chain.from_iterable(found)],
+        [sys.executable, "-m", "turtlelog", *words],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUTF8": "1"},
         capture_output=True,
@@ -112,7 +111,27 @@ def run(command: str, folder: Path, source: Path | None = None) -> Ended:
         timeout=120,
         check=False,
     )
-    return Ended(command, done.returncode, done.stdout, done.stderr)
+    return done.returncode, done.stdout, done.stderr
+
+
+def fork(words: Sequence[str], folder: Path) -> tuple[int, str, str]:
+    """Run a command as `start_python` does, where the program is loaded already."""
+    answer = run_command(*words, folder=folder)
+    return answer.returncode, answer.stdout, answer.stderr
+
+
+def run(
+    command: str, folder: Path, source: Path | None = None, start: Start = start_python
+) -> Ended:
+    """Run a command, or what stands in for it, with the files that it reads."""
+    for pattern, other in STAND_INS.items():
+        command = re.sub(f"{pattern}$", other, command)
+    words = shlex.split(command)
+    if source is not None:
+        link_files(words, source, folder)
+    words = words[: words.index(">")] if ">" in words else words
+    found = [sorted(glob.glob(word, root_dir=folder)) or [word] for word in words]  # noqa: PTH207
+    return Ended(command, *start([*chain.from_iterable(found)], folder))
 
 
 def describe_fault(ended: Ended, code: int = 0) -> list[str]:
@@ -202,7 +221,10 @@ def test_every_command_ends_well_and_says_nothing_strange(
 
     def run_apart(command: str) -> list[str]:
         place = Path(tempfile.mkdtemp(dir=tmp_path))
-        return describe_fault(run(command, place, files)) if command else run_readme(place)
+        if not command:
+            return run_readme(place)
+        start = start_python if command in DEFAULTS.values() else fork
+        return describe_fault(run(command, place, files, start))
 
     with ThreadPoolExecutor(2) as pool:
         assert [*chain.from_iterable(pool.map(run_apart, ["", *once]))] == []

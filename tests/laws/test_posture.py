@@ -19,7 +19,7 @@ FREE = {
     "limits.turn_rate_rad_s": math.inf,
     "loop.pose_precision": "float64",
 }
-POSES = 200
+POSES = 120
 
 
 def change(**values: Any) -> tl.Scenario:
@@ -97,6 +97,7 @@ def test_walls_are_not_in_the_way() -> None:
     assert xy_m.max() < 9.0
 
 
+@pytest.mark.thorough
 def test_published_gains_reach_every_pose_as_well() -> None:
     runs = drive_everywhere(*PUBLISHED.items())
     assert [run.stop_reason for run in runs] == ["within_tolerance"] * POSES

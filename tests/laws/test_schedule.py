@@ -227,6 +227,7 @@ def test_longer_schedule_is_refused() -> None:
         GainSchedule(over="distance", at=at, kp_linear=at)
 
 
+@pytest.mark.thorough
 @BOTH
 def test_nothing_is_identified_of_a_scheduled_law_and_its_scenario_still_explains(
     kind: str,

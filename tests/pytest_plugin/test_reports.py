@@ -46,6 +46,7 @@ def test_junit_has_every_metric_as_a_property(suite: pytest.Pytester) -> None:
     assert "first violated  2.288 s" in (failure.text or "")
 
 
+@pytest.mark.thorough
 def test_artifacts_show_the_violation(suite: pytest.Pytester) -> None:
     """Rerun's viewer starts and draws what failed."""
     result = run(suite, BODY, "--turtlelog-artifacts=failed")

@@ -23,6 +23,7 @@ def model(run: tl.Run) -> tl.RobotModel:
     return tl.identify_robot(run)
 
 
+@pytest.mark.thorough
 def test_the_same_robot_gives_the_same_bytes(
     run: tl.Run, model: tl.RobotModel, tmp_path: Path
 ) -> None:

@@ -66,6 +66,7 @@ def require_reason(failed: str | None, reason: str) -> None:
     assert failed.endswith(reason)
 
 
+@pytest.mark.everyday("0", "1", "2")
 @pytest.mark.parametrize("block", range(10))
 def test_batch_measures_what_a_single_run_measures(block: int) -> None:
     for seed in range(1000 + block * 20, 1020 + block * 20):
@@ -116,6 +117,7 @@ def test_metric_is_the_same_asked_for_alone_and_with_all_others(preset: str) -> 
         assert alone.statuses[name].tobytes() == rows.statuses[name].tobytes()
 
 
+@pytest.mark.thorough
 def test_batch_that_another_process_compiled_runs_from_the_cache() -> None:
     code = (
         "from turtlelog.scenario import get_preset; from turtlelog.sweep import batch\n"

@@ -160,6 +160,7 @@ def test_sweep_that_is_ended_from_outside_goes_on(
     assert (tmp_path / "t.parquet").read_bytes() == whole_of_command
 
 
+@pytest.mark.thorough
 @pytest.mark.everyday("of the table")
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
 @pytest.mark.parametrize(
@@ -335,6 +336,7 @@ def test_part_that_is_damaged_ends_what_was_kept(tmp_path: Path) -> None:
     again.close()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("cells", [1, 40, 200])
 def test_table_of_many_groups_holds_what_one_group_does(
     cells: int, whole: bytes, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

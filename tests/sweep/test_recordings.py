@@ -209,6 +209,7 @@ def test_two_tables_into_one_file_at_once_are_refused(folder: Path) -> None:
     assert tabulate(folder, watch=begin_another).read == 8
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("cells", [1, 150])
 def test_a_table_of_many_groups_is_that_of_one(
     folder: Path, cells: int, monkeypatch: pytest.MonkeyPatch, runs: list[Path]

@@ -127,6 +127,7 @@ def simulate_overshoot(process: Process, period_s: float, gains: PidGains, *, tu
     return 100.0 * (float(moved.max()) - 1.0)
 
 
+@pytest.mark.thorough
 def test_exact_gains_meet_what_is_wanted() -> None:
     """Gains of 40 random processes are found by root search, for this and the next test."""
     cases = draw_cases()

@@ -73,7 +73,7 @@ def run(*words: str) -> tuple[int, float, float, str]:
     return int(code), float(memory_mb), float(cpu_s), done.stderr
 
 
-@pytest.mark.everyday("zstd 900 MB", "schema 1e7 fields", "scenario", "a fifth of the channels")
+@pytest.mark.everyday("zstd 900 MB", "a fifth of the channels")
 @pytest.mark.torture
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak memory from /proc")
 @pytest.mark.parametrize("name", BOMBS if IS_FULL else QUICK)

@@ -131,6 +131,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [path for folder in folders for path in tl.write_figures(RUNS, folder, only=["heading"])]
 
 
+@pytest.mark.thorough
 def test_figures_are_written_in_every_format(written: list[Path]) -> None:
     assert [path.name for path in written[:3]] == ["heading.pdf", "heading.png", "heading.svg"]
     starts = [path.read_bytes()[:5] for path in written[:3]]
@@ -196,6 +197,7 @@ OF_ONE = ("attribution", "rates")
 """Figures of one run."""
 
 
+@pytest.mark.everyday("gains", "panel", "plane", "strips", "rates", "step-responses", "states")
 @pytest.mark.parametrize("name", [name for name in tl.show.FIGURES if name != "violation"])
 def test_no_lettering_is_cut_off_on_the_narrowest_page(name: str) -> None:
     runs = {"path-error": [simulate_tracker("kanayama")], "states": [simulate_pid()]}

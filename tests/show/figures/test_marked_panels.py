@@ -138,6 +138,7 @@ def test_coordinates_have_arrival_settling_and_their_own_end_values() -> None:
         assert any(dot[1] == pytest.approx(goal_m - end_m) for dot in list_dots(axes))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("names", "lines"),
     [

@@ -71,6 +71,7 @@ def test_a_signal_that_goes_far_beyond_its_limit_is_shown_close_up() -> None:
     assert 0.1067 < figure.y_range.end < 0.2
 
 
+@pytest.mark.thorough
 def test_no_more_than_six_failed_checks_have_a_plot() -> None:
     run = read(10)
     one = violate(run, "always(abs(cross_track) <= 0.05)")
@@ -78,6 +79,7 @@ def test_no_more_than_six_failed_checks_have_a_plot() -> None:
     assert len([place for place in places if place.startswith("violation-")]) == 6
 
 
+@pytest.mark.thorough
 def test_the_marks_of_one_run_are_named_and_those_of_many_are_left_out() -> None:
     run = read(10)
     figure = draw(run).roots["plot-heading"]
@@ -92,6 +94,7 @@ def test_the_marks_of_one_run_are_named_and_those_of_many_are_left_out() -> None
     assert draw(*[run] * (MOST_MARKED + 1)).config["marks"] == []
 
 
+@pytest.mark.thorough
 def test_a_hundred_runs_share_one_model_for_each_plot() -> None:
     """Plots of a hundred runs are made."""
     plots = draw(*[read(4)] * 100)

@@ -44,6 +44,7 @@ def grow(scenario: tl.Scenario, grown: Path) -> None:
     stream.disconnect()
 
 
+@pytest.mark.thorough
 def test_a_run_drawn_while_it_grows_has_the_rows_of_its_file(tmp_path: Path) -> None:
     """All rows of two files are compared."""
     grown, once = tmp_path / "grown.rrd", tmp_path / "once.rrd"

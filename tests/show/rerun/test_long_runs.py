@@ -146,6 +146,7 @@ def turn_of_ten_minutes() -> tl.Run:
     return tl.simulate_run(tl.override_scenario(tl.load_scenario("paper"), changes))
 
 
+@pytest.mark.thorough
 @pytest.mark.viewer
 def test_a_run_of_ten_minutes_is_drawn_from_its_beginning_to_its_end(
     turn_of_ten_minutes: tl.Run, tmp_path: Path

@@ -205,6 +205,7 @@ def end_at(run: Run, number: int, x_m: float, y_m: float) -> Run:
     return set_gain(replace(run, poses=replace(run.poses, xy_m=xy_m)), 1.0 + number)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("ends", "named"),
     [
@@ -229,6 +230,7 @@ def test_three_runs_that_end_far_from_goal_and_each_other_are_named_in_the_plane
         assert read_static(path, entity, "Points2D:labels") == named
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("count", "told"), [(2, "a, b"), (3, "a, b and 1 more")])
 def test_titles_name_two_runs_that_never_rest(count: int, told: str, tmp_path: Path) -> None:
     calm, swinging = simulate_gains()[0], simulate_gains()[-1]

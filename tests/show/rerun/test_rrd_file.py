@@ -59,9 +59,9 @@ except tl.TurtlelogError as err:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows knows no largest size of files")
 def test_a_file_that_can_grow_no_further_is_one_line(tmp_path: Path) -> None:
-    """Four processes start Rerun, which waits for seconds when a write fails."""
-    # All at once: Rerun leaves some of them waiting for seconds.
-    started = {limit: start_limited(limit, tmp_path) for limit in (1, 100_000, 600_000, -20_000)}
+    """Two processes start Rerun, which waits for seconds when a write fails."""
+    # At once: Rerun leaves some of them waiting for seconds.
+    started = {limit: start_limited(limit, tmp_path) for limit in (1, -20_000)}
     for limit, process in started.items():
         out, err = process.communicate(timeout=60)
         assert "b.rrd: expected a place that can be written, found: File too large" in out, limit
