@@ -19,11 +19,14 @@ settings.register_profile("thorough", deadline=None, max_examples=100)
 settings.load_profile("everyday")
 
 # A shell without job control turns the keyboard's signals off for what it starts in the background,
-# and every program that a test starts and interrupts would inherit that.
+# as nohup does that of a terminal that hangs up; every program that a test starts and ends would
+# inherit that.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-if sys.platform != "win32" and signal.getsignal(signal.SIGQUIT) == signal.SIG_IGN:
-    signal.signal(signal.SIGQUIT, signal.SIG_DFL)
+if sys.platform != "win32":
+    for number in (signal.SIGQUIT, signal.SIGHUP):
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
 
 
 _LONGEST_S: Final = 300.0
