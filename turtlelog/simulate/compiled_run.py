@@ -14,8 +14,8 @@ from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate.compiled_loop import PIECE, CompiledLoop
 from turtlelog.simulate.events import describe_event
-from turtlelog.simulate.plain_loop import declare_scenario
 from turtlelog.simulate.rows import MAX_DURATION
+from turtlelog.simulate.scenario_law import declare_scenario
 from turtlelog.simulate.settings import build_settings, count_rows
 from turtlelog.simulate.streams import STREAMS, draw_events, list_of, list_streams
 from turtlelog.simulate.twins import as_record

@@ -20,7 +20,7 @@ from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.collect import simulate_run
 from turtlelog.simulate.compiled_run import CompiledRunner
-from turtlelog.simulate.plain_loop import declare_scenario, is_built_in
+from turtlelog.simulate.scenario_law import declare_scenario, is_built_in
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 
 COST_S: Final = 1.0
