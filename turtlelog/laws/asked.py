@@ -111,10 +111,10 @@ class AskedLaw:
             speed_m_s=speed,
             turn_rate_rad_s=turn_rate,
             phase=self._phases[row.phase],
-            bearing_rad=row.bearing_rad,
-            heading_error_rad=row.heading_error_rad,
-            error_x_m=row.error_x_m,
-            error_y_m=row.error_y_m,
+            bearing_rad=_read_error(row.bearing_rad),
+            heading_error_rad=_read_error(row.heading_error_rad),
+            error_x_m=_read_error(row.error_x_m),
+            error_y_m=_read_error(row.error_y_m),
             world_v_x_m_s=row.world_v_x_m_s,
             world_v_y_m_s=row.world_v_y_m_s,
             states=tuple(getattr(state, name) for name in self._states),
@@ -123,6 +123,11 @@ class AskedLaw:
             ends_phase=row.ends_phase,
             stop_reason=self._part.stops[row.stop - 1] if row.stop else None,
         )
+
+
+def _read_error(value: float) -> float | None:
+    """Return what a step entered, None where it left it out."""
+    return None if math.isnan(value) else value
 
 
 @cache
