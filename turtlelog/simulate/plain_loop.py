@@ -89,6 +89,7 @@ def iterate_ticks(
     *,
     step_budget_s: float | None = STEP_BUDGET_S,
     one_by_one: bool = False,
+    made: list["PlainLoop"] | None = None,
 ) -> Iterator[Tick]:
     """Return the ticks of a closed loop until the law is done or `max_duration_s` has passed.
 
@@ -101,6 +102,7 @@ def iterate_ticks(
             None: as long as it takes. From 1 s on the steps of built-in laws are not watched, and
             the loop of another law computes in a thread of its own.
         one_by_one: Compute a tick when it is taken, not some ticks ahead.
+        made: Gets the loop as it begins.
 
     Raises:
         ScenarioError: If the law cannot be loaded or may not run.
@@ -111,7 +113,7 @@ def iterate_ticks(
     scenario = resolve_scenario(scenario)
     if step_budget_s is not None:
         require_budget(step_budget_s)
-    made: list[PlainLoop] = []
+    made = [] if made is None else made
     ticks = _iterate(scenario, plant, step_budget_s, made)
     law = find_law(scenario.law.kind)
     if step_budget_s is None or not needs_watch(step_budget_s, is_built_in=is_built_in(law)):
