@@ -29,11 +29,13 @@ COST_S: Final = 1.0
 FIRST_S: Final = 9.0
 """What they take before the loop is in the cache [s]: numba compiles it for 8 s."""
 
-_SAVED_S: Final = 6e-6
-"""What a compiled loop saves of a sample around turtlesim, at least [s]."""
+_SAVED_S: Final = 1.2e-5
+"""What a compiled loop saves of a sample around turtlesim, at least [s]: with the columns of its
+run a sample takes 15 us plain and 1 us compiled, and some processors are faster."""
 
-_STEPPED_SAVED_S: Final = 4e-5
-"""Likewise of a lagged robot, which steps through its lag, and of a path that is searched [s]."""
+_STEPPED_SAVED_S: Final = 3e-5
+"""Likewise of a lagged robot, which steps through its lag, and of a path that is searched [s]: 33
+to 44 us plain, 1 to 3 us compiled."""
 
 MOST_TICKS: Final = 1_000_000
 """Longer scenarios run plain: the arrays of a compiled loop are made for all ticks at once, 600
