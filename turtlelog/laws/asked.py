@@ -57,14 +57,18 @@ _NO_PATH: Final = PathNumbers()
 
 
 class AskedLaw:
-    """A law with its parameters; of each part there is a class of its own."""
+    """A law with its parameters; of each part there is a class of its own.
+
+    Attributes:
+        parameters: What it was made with.
+    """
 
     Parameters: ClassVar[type[Any]]
     _part: ClassVar[LawPart]
 
     def __init__(self, parameters: Any) -> None:
         """Take the parameters; until `take_limits` nothing is clipped."""
-        part, self._parameters = self._part, parameters
+        part, self.parameters = self._part, parameters
         numbers = parameters if part.prepare is None else part.prepare(parameters)
         self._settings = _Settings(numbers, _Goal(), _Limits(), _NO_PATH)
         self._table = () if part.build_table is None else part.build_table(parameters)
@@ -81,7 +85,7 @@ class AskedLaw:
             LawError: Where it needs a goal or a path, and there is none.
         """
         del start
-        declaration = self._part.declare(self._parameters, goal, path)
+        declaration = self._part.declare(self.parameters, goal, path)
         if declaration.uses_goal and goal is None:
             raise LawError("expected a goal, found none")
         if goal is not None:

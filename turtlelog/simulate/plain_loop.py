@@ -18,6 +18,7 @@ from turtlelog.laws import (
     declare_law,
     describe_law_error,
     find_law,
+    name_law,
 )
 from turtlelog.loops import Declaration
 from turtlelog.parts import LARGEST_FLOAT, Plant
@@ -151,13 +152,14 @@ class PlainLoop:
         Args:
             scenario: Its law is resolved.
             plant: On whose clock; None: on that of the scenario's plant.
-            law: Takes the place of the scenario's.
+            law: Takes the place of the scenario's. It declares by its attribute `parameters`, if it
+                has one, otherwise by those of the scenario.
             step_budget_s: With a budget a step that computes for longer by the clock fails with a
                 StepBudgetError: a short one is measured here, of a longer one a `LimitedLoop` takes
                 care.
         """
-        self._kind = scenario.law.kind
-        parameters = scenario.law.parameters
+        self._kind = scenario.law.kind if law is None else name_law(type(law))
+        parameters = getattr(law, "parameters", scenario.law.parameters)
         self._law: AnyLaw = find_law(self._kind) if law is None else type(law)
         self._budget_s, self._asked_ns = inf if step_budget_s is None else step_budget_s, 0
         goal = build_goal(scenario)
