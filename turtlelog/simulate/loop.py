@@ -426,15 +426,16 @@ def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, 
     speed, turn_rate = parts.decide(settings, state, rows, row, time_ns, pose)
     row.wanted_speed_m_s, row.wanted_turn_rate_rad_s = speed, turn_rate
     # A sum of numbers is finite where all are.
-    total = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m
-    total += row.distance_m + row.world_v_x_m_s + row.world_v_y_m_s
+    errors = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m
+    errors += row.distance_m
+    total = errors + row.world_v_x_m_s + row.world_v_y_m_s
     if (
         not -LARGEST_FLOAT < speed < LARGEST_FLOAT
         or not -LARGEST_FLOAT < turn_rate < LARGEST_FLOAT
         or scene.has_reference
         or not math.isfinite(total)
     ):
-        if scene.has_goal:
+        if scene.has_goal and math.isnan(errors):
             complete(settings.goal, row, pose)
         judge(scene, now, row, speed, turn_rate)
         if now.failure != 0:
@@ -460,10 +461,6 @@ def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, 
 @called
 def complete(goal: Any, row: Any, pose: tuple[float, float, float]) -> None:
     """Enter the errors of a goal that the law leaves out, from the present position."""
-    if not math.isnan(
-        row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m + row.distance_m
-    ):
-        return
     x_m, y_m = goal.x_m - pose[0], goal.y_m - pose[1]
     bearing_rad = math.atan2(y_m, x_m)
     if math.isnan(row.bearing_rad):
