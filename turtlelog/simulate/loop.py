@@ -479,7 +479,6 @@ def judge(scene: Any, now: Any, row: Any, speed: float, turn_rate: float) -> Non
     """Refuse what cannot be executed or recorded; without a goal there are no errors."""
     reference = row.reference_x_m + row.reference_y_m + row.reference_heading_rad
     errors = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m
-    errors += row.distance_m
     if not (abs(speed) < LARGEST_FLOAT and abs(turn_rate) < LARGEST_FLOAT):
         now.failure = COMMAND_FAILED
     elif scene.has_reference and not math.isfinite(reference):
@@ -487,6 +486,6 @@ def judge(scene: Any, now: Any, row: Any, speed: float, turn_rate: float) -> Non
     elif (
         math.isinf(row.world_v_x_m_s)
         or math.isinf(row.world_v_y_m_s)
-        or (scene.has_goal and not math.isfinite(errors))
+        or (scene.has_goal and not (math.isfinite(errors) and math.isfinite(row.distance_m)))
     ):
         now.failure = NUMBERS_FAILED

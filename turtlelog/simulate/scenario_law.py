@@ -1,8 +1,8 @@
 """The law of a scenario: what it declares, how it is made, and what of an answer is refused."""
 
 from collections.abc import Mapping
-from math import isfinite
-from typing import Any
+from math import isfinite, isinf
+from typing import Any, Final
 
 from turtlelog.errors import SimulationError, TurtlelogError
 from turtlelog.laws import (
@@ -19,6 +19,12 @@ from turtlelog.loops import Declaration
 from turtlelog.scenario import LawChoice, Scenario, resolve_law
 from turtlelog.simulate.class_law import describe_command
 from turtlelog.simulate.rows import COMMAND_FAILED, NUMBERS_FAILED, REFERENCE_FAILED, SampleRow
+
+_ERRORS: Final = (
+    *("bearing_rad", "heading_error_rad", "error_x_m", "error_y_m", "distance_m"),
+    *("world_v_x_m_s", "world_v_y_m_s"),
+)
+"""What a law enters of a sample beside its command, as numbers."""
 
 
 def is_built_in(law: AnyLaw) -> bool:
@@ -76,6 +82,9 @@ def describe_numbers(failure: int, row: SampleRow, states: Mapping[str, float]) 
         pose = Pose(row.reference_x_m, row.reference_y_m, row.reference_heading_rad)
         return f"expected a finite reference pose, found {pose}"
     if failure == NUMBERS_FAILED:
-        return f"expected finite numbers, found {row}"
+        values = {name: getattr(row, name) for name in _ERRORS}
+        bad = {name: value for name, value in values.items() if isinf(value)} or values
+        listed = ", ".join(f"{name} {value}" for name, value in bad.items())
+        return f"expected finite numbers, found {listed}"
     name, value = next(one for one in states.items() if not isfinite(one[1]))
     return f"expected a finite number as state {name}, found {value}"
