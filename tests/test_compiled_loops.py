@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from functools import partial
+from hashlib import sha1
 from pathlib import Path
 from types import ModuleType
 from typing import Final
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from turtlelog.compiled_loops import CompiledLoops, is_kept, remove_others
+from turtlelog.simulate import compiled_entry
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}"
 COMPILED = """
@@ -96,6 +98,28 @@ def test_older_versions_of_a_function_are_removed(module: Path) -> None:
         (cache / f"some_loops.{name}").touch()
     remove_others("some_loops", "loop_p", "loop_p_12")
     assert {path.name.partition(".")[2] for path in cache.iterdir()} == {*names[2:]}
+
+
+def test_a_loop_that_is_compiled_anew_replaces_its_older_versions(tmp_path: Path) -> None:
+    pytest.importorskip("numba")
+    (tmp_path / "small.py").write_text("def small(value):\n    return value + STAMP\n", "utf-8")
+    code = (
+        "from numba import types; import small\n"
+        "from turtlelog.simulate import compiled_loop\n"
+        "kind = types.int64(types.int64)\n"
+        "compiled_loop._compile_entry(small.small, 'rows_p_12', {'STAMP': 2}, kind)\n"
+    )
+    source = Path(str(compiled_entry.__file__)).parent
+    hashed = sha1(str(source).encode(), usedforsecurity=False).hexdigest()
+    cache = tmp_path / "cache" / f"{source.name}_{hashed}"
+    cache.mkdir(parents=True)
+    names = ["rows_p_11-1.py311.nbi", "rows_p_11-1.py311.1.nbc", "p_11-1.py311.nbi"]
+    for name in names:
+        (cache / f"compiled_entry.{name}").touch()
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": paths}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
+    assert [path.name for path in cache.iterdir()] == ["compiled_entry.p_11-1.py311.nbi"]
 
 
 def test_loops_that_cannot_be_compiled_say_why() -> None:

@@ -73,6 +73,18 @@ def wrap_angle(angle_rad: float) -> float:
     return -math.pi if rest >= math.pi else rest
 
 
+def count_begun(table: Any, rows: int, place: float) -> int:
+    """Return how many rows begin at a place or before it, by their first column, which rises."""
+    low, high = 0, rows
+    while low < high:
+        middle = (low + high) // 2
+        if place < table[middle][0]:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
 def round_to_step(value: float, step: float) -> float:
     """Return the nearest multiple of a step, the even one of two; without a step the value."""
     if step == 0.0:

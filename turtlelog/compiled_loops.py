@@ -36,7 +36,7 @@ class CompiledLoops:
     So no process takes more than twice as long as if it had known before how much it has to do.
 
     Attributes:
-        problem: Why it could not be compiled, None where it could or was not tried.
+        problem: Why it could not be compiled, or is not used any more; None where neither is so.
     """
 
     def __init__(
@@ -87,6 +87,11 @@ class CompiledLoops:
     def find(self) -> Any:
         """Return the code where it is loaded, otherwise None."""
         return self._loops
+
+    def give_up(self, problem: str) -> None:
+        """Use the code no more."""
+        with self._loading:
+            self._loops, self.problem = None, problem
 
     def load(self) -> Any:
         """Return the code; None without numba, and where it cannot keep what it compiles.

@@ -20,6 +20,8 @@ from turtlelog.check.formula_trace import find_window
 from turtlelog.check.judge_formula import find_metric_violation
 from turtlelog.check.spec import build_schema
 from turtlelog.errors import CheckError, ExpressionError
+from turtlelog.laws.sequential_pid import SequentialPID, SequentialPIDParameters
+from turtlelog.scenario import LawChoice, get_preset
 
 RUN = simulate_strange()
 PAPER = simulate()
@@ -194,6 +196,36 @@ def test_its_law_answers_the_recorded_poses_as_was_recorded(tmp_path: Path) -> N
     other: Any = StrangeLaw(StrangeParameters(gain_a=5.0))
     failures = recording.driven_by(other).matches(recording).failures
     assert "law.turn_rate" in [result.check for result in failures]
+
+
+def test_a_driven_law_is_named_and_declares_by_the_parameters_it_was_made_with(
+    tmp_path: Path,
+) -> None:
+    keys = {"law.kind": "sequential-pid", "law.reorient": True, "goal.heading_rad": 1.0}
+    scenario = tl.override_scenario(get_preset("textbook"), keys)
+    tl.write_recording(tl.simulate_run(scenario), tmp_path / "a.mcap")
+    recording = Recording(tmp_path / "a.mcap")
+    parameters = SequentialPIDParameters(reorient=True)
+    driven = recording.driven_by(SequentialPID(parameters))
+    assert driven.matches(recording)
+    assert driven.replay().scenario.law == LawChoice(kind="sequential-pid", parameters=parameters)
+
+
+@pytest.mark.parametrize(
+    ("law", "found"),
+    [
+        (SequentialPID, "sequential-pid"),
+        (StrangeLaw, "<class .*StrangeLaw'>"),
+        ("my_law.py:MyLaw", "'my_law.py:MyLaw'"),
+    ],
+    ids=["part", "class", "name"],
+)
+def test_a_recording_is_driven_by_no_law_without_parameters(
+    law: Any, found: str, tmp_path: Path
+) -> None:
+    tl.write_recording(RUN, tmp_path / "a.mcap")
+    with pytest.raises(CheckError, match=f"driven_by: expected a law .*, found {found}$"):
+        Recording(tmp_path / "a.mcap").driven_by(law)
 
 
 def test_a_recording_offers_the_metrics_of_its_loops(tmp_path: Path) -> None:

@@ -1,5 +1,8 @@
 """How deep queues must be to push nothing out, from which depth on runs are simulated once."""
 
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,7 +11,8 @@ import pytest
 from turtlelog.explain import resimulation
 from turtlelog.explain.resimulation import Depths, QueueGauge, list_lost_commands
 from turtlelog.scenario import Scenario, get_preset, override_scenario
-from turtlelog.simulate import PlainLoop, iterate_ticks, simulate_run
+from turtlelog.simulate import Tick, iterate_ticks, simulate_run
+from turtlelog.simulate.step_budget import StepBudgetError
 
 DEEP = {"loop.command_queue": 90, "loop.pose_queue": 90}
 
@@ -72,12 +76,23 @@ def test_of_runs_whose_queues_are_deep_enough_one_is_simulated(
 ) -> None:
     needed, asked = gauge(build()), []
 
-    def simulate(scenario: Scenario) -> PlainLoop:
+    def simulate(scenario: Scenario, **options: Any) -> Iterator[Tick]:
         asked.append(scenario)
-        return PlainLoop(scenario)
+        return iterate_ticks(scenario, **options)
 
-    monkeypatch.setattr(resimulation, "PlainLoop", simulate)
+    monkeypatch.setattr(resimulation, "iterate_ticks", simulate)
     shallow = build(**{"loop.command_queue": needed.commands - less})
     counts = list_lost_commands([build(), shallow])
     assert len(asked) == simulated
     assert counts == [0, less]
+
+
+def test_lost_commands_of_a_law_are_counted_within_its_budget(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    law = "import time\n\ndef law(time_ns, pose, goal):\n    time.sleep(0.3)\n    return 0.0, 0.0\n"
+    (tmp_path / "slow.py").write_text(law, "utf-8")
+    slow = {"law.kind": f"{tmp_path / 'slow.py'}:law", "max_duration_s": 0.05}
+    monkeypatch.setattr(resimulation, "iterate_ticks", partial(iterate_ticks, step_budget_s=0.1))
+    with pytest.raises(StepBudgetError, match="of a budget of 100 ms"):
+        list_lost_commands([override_scenario(get_preset("textbook"), slow)])

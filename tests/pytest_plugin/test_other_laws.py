@@ -100,7 +100,7 @@ def test_helper(turtlelog_simulate, tmp_path):
 def test_no_class_of_a_module(turtlelog_simulate):
     class Inner(SequentialP):
         pass
-    with pytest.raises(CheckError, match="law: expected a class at the top of a module, or path"):
+    with pytest.raises(CheckError, match="law: expected a class or LawPart at the top"):
         turtlelog_simulate(law=Inner)
     with pytest.raises(CheckError, match="found 3"):
         turtlelog_simulate(law=3)

@@ -157,7 +157,7 @@ def test_own(turtlelog_simulate):
     assert recording.phase("rotate").overshoot < 5
 
 def test_unknown_place(turtlelog_simulate):
-    with pytest.raises(CheckError, match="law: expected a class at the top of a module, or path"):
+    with pytest.raises(CheckError, match="law: expected a class or LawPart at the top"):
         turtlelog_simulate(law=replace(Own, name="nowhere"))
 """
     run(suite, body, marker='"runs/kp4.mcap"').assert_outcomes(passed=3)

@@ -210,4 +210,4 @@ def test_sample_holds_its_distance_to_the_goal() -> None:
 def test_command_that_is_not_finite_is_refused(name: str, value: float) -> None:
     controller = make_controller(Script({}, {name: value}))
     run_ticks(controller, range(2))
-    assert re.match(r"\Alaw sequential-p, sample 1: expected [^\n]*\Z", str(controller.failure))
+    assert re.match(r"\Alaw Script, sample 1: expected [^\n]*\Z", str(controller.failure))

@@ -246,6 +246,39 @@ def test_metric_or_law_that_is_not_compiled_takes_the_path_of_a_run() -> None:
     assert (other.compiled, other.interpreted) == (0, 2)
 
 
+@pytest.mark.parametrize(
+    ("column", "compiled"),
+    [
+        (["lagged", "lagged"], 0),
+        (["lagged", "turtlesim"], 1),
+        (["turtlesim", "lagged"], 1),
+    ],
+    ids=["none", "last", "first"],
+)
+def test_rows_of_another_plant_than_the_base_take_the_path_of_a_run(
+    column: list[str], compiled: int
+) -> None:
+    rows = measure_rows(PAPER, {"plant.kind": column}, METRICS, threads=1)
+    assert (rows.compiled, rows.interpreted) == (compiled, 2 - compiled)
+    for row, kind in enumerate(column):
+        require_row(rows, row, override_scenario(PAPER, {"plant.kind": kind}))
+
+
+def test_no_batch_is_found_for_laws_that_it_does_not_take(tmp_path: Path) -> None:
+    path = tmp_path / "own.py"
+    lines = (
+        *("import dataclasses", "from turtlelog.laws import SequentialP"),
+        "def step(settings, pose):\n    return 0.5, 0.0",
+        "P = dataclasses.replace(SequentialP, step=step)",
+    )
+    path.write_text("\n".join(lines), "utf-8")
+    own = override_scenario(PAPER, {"law.kind": f"{path}:P"})
+    found = [batch.find_batch(one) for one in (PAPER, own, get_preset("posture"))]
+    assert [one is not None for one in found] == [True, False, False]
+    rows = measure_rows(own, {"law.kp_linear": [1.0, 2.0]}, ["run.duration"])
+    assert (rows.compiled, rows.interpreted, rows.failed) == (0, 2, [None, None])
+
+
 def test_columns_of_different_lengths_are_refused() -> None:
     with pytest.raises(SweepError, match="columns of one length"):
         measure_rows(PAPER, {"law.kp_linear": [1.0], "seed": [1, 2]}, METRICS)

@@ -38,6 +38,7 @@ from turtlelog.remote.urls import make_path
 from turtlelog.replay import LawReplay, replay_law
 from turtlelog.run import Run
 from turtlelog.scenario import (
+    LawChoice,
     Scenario,
     complete_scenario,
     load_scenario,
@@ -191,7 +192,15 @@ class Recording:
         Args:
             law: An instance, or a scenario with one. Where None that of the recording, which runs
                 if it is built in or `trust_law` is set.
+
+        Raises:
+            CheckError: Where it is no law with its parameters.
         """
+        is_made = not isinstance(law, type | LawPart) and hasattr(law, "step")
+        if not (law is None or isinstance(law, Scenario) or is_made):
+            expected = "a law with its parameters, as in MyLaw(Parameters(kp=2)), or a scenario"
+            found = law.name if isinstance(law, LawPart) else f"{law!r:.60}"
+            raise CheckError(f"driven_by: expected {expected}, found {found}")
         return DrivenRecording(
             self.run, law, self._conclude, file=self.file, trust_law=self._trust_law
         )
@@ -319,7 +328,7 @@ class SimulatedRuns:
                 takes.
 
         Raises:
-            CheckError: Where the law is no class that its module knows.
+            CheckError: Where the law is none that its module knows by a name.
             ScenarioError: Where there is no such scenario, or a change is wrong.
             SimulationError: Where the law fails or computes for longer.
         """
@@ -353,7 +362,7 @@ def _name_law(law: object) -> str:
         not isinstance(law, type | LawPart)
         or getattr(sys.modules.get(str(module)), str(name), None) is not law
     ):
-        expected = "a class at the top of a module, or path.py:Class"
+        expected = "a class or LawPart at the top of a module, or path.py:NAME"
         raise CheckError(f"law: expected {expected}, found {name or law!r:.60}")
     return f"{module}:{name}"
 
@@ -419,5 +428,8 @@ class DrivenRecording:
         # The law is at hand: what the recording says of its own need not even load.
         others = {k: v for k, v in self._run.parameters.items() if not k.startswith("law.")}
         scenario = complete_scenario(replace(self._run, parameters=others), Scenario())
-        named = replace(scenario, law=replace(scenario.law, kind=type(self._law).__name__))
+        parameters = getattr(self._law, "parameters", scenario.law.parameters)
+        named = replace(
+            scenario, law=LawChoice(kind=type(self._law).__name__, parameters=parameters)
+        )
         return replay_law(self._run, named, law=self._law, tolerance=tolerance)

@@ -12,7 +12,7 @@ from turtlelog.angles import subtract_headings
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.replay import PoseError
 from turtlelog.run import Run
-from turtlelog.scenario import Scenario, resolve_scenario
+from turtlelog.scenario import Scenario
 from turtlelog.simulate import (
     PlainLoop,
     SampleRow,
@@ -260,14 +260,14 @@ def _set_depths(scenario: Scenario, depth: int) -> Scenario:
 
 
 def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
-    gauge, loop = QueueGauge(scenario), PlainLoop(resolve_scenario(scenario))
+    gauge, loops = QueueGauge(scenario), list[PlainLoop]()
     superseded = 0
-    for number, tick in enumerate(loop.iterate()):
+    for number, tick in enumerate(iterate_ticks(scenario, made=loops)):
         gauge.receive(number)
         superseded += max(len(tick.published) - 1, 0)
         gauge.answer(tick)
     is_newest = scenario.loop.queue_policy == "newest"
-    return superseded if is_newest else loop.now.commands_dropped, gauge.needed
+    return superseded if is_newest else loops[0].now.commands_dropped, gauge.needed
 
 
 def read_pause(scenario: Scenario) -> tuple[float | None, int]:

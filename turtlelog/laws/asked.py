@@ -57,14 +57,18 @@ _NO_PATH: Final = PathNumbers()
 
 
 class AskedLaw:
-    """A law with its parameters; of each part there is a class of its own."""
+    """A law with its parameters; of each part there is a class of its own.
+
+    Attributes:
+        parameters: What it was made with.
+    """
 
     Parameters: ClassVar[type[Any]]
     _part: ClassVar[LawPart]
 
     def __init__(self, parameters: Any) -> None:
         """Take the parameters; until `take_limits` nothing is clipped."""
-        part, self._parameters = self._part, parameters
+        part, self.parameters = self._part, parameters
         numbers = parameters if part.prepare is None else part.prepare(parameters)
         self._settings = _Settings(numbers, _Goal(), _Limits(), _NO_PATH)
         self._table = () if part.build_table is None else part.build_table(parameters)
@@ -81,7 +85,7 @@ class AskedLaw:
             LawError: Where it needs a goal or a path, and there is none.
         """
         del start
-        declaration = self._part.declare(self._parameters, goal, path)
+        declaration = self._part.declare(self.parameters, goal, path)
         if declaration.uses_goal and goal is None:
             raise LawError("expected a goal, found none")
         if goal is not None:
@@ -111,10 +115,10 @@ class AskedLaw:
             speed_m_s=speed,
             turn_rate_rad_s=turn_rate,
             phase=self._phases[row.phase],
-            bearing_rad=row.bearing_rad,
-            heading_error_rad=row.heading_error_rad,
-            error_x_m=row.error_x_m,
-            error_y_m=row.error_y_m,
+            bearing_rad=_read_error(row.bearing_rad),
+            heading_error_rad=_read_error(row.heading_error_rad),
+            error_x_m=_read_error(row.error_x_m),
+            error_y_m=_read_error(row.error_y_m),
             world_v_x_m_s=row.world_v_x_m_s,
             world_v_y_m_s=row.world_v_y_m_s,
             states=tuple(getattr(state, name) for name in self._states),
@@ -123,6 +127,11 @@ class AskedLaw:
             ends_phase=row.ends_phase,
             stop_reason=self._part.stops[row.stop - 1] if row.stop else None,
         )
+
+
+def _read_error(value: float) -> float | None:
+    """Return what a step entered, None where it left it out."""
+    return None if math.isnan(value) else value
 
 
 @cache

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
+from turtlelog.arithmetic import count_begun
 from turtlelog.errors import ParameterError
 from turtlelog.laws.base import Goal, LawPart, Row
 from turtlelog.loops import Declaration
@@ -268,19 +269,13 @@ def step(settings: Any, state: Any, table: Any, row: Any, time_ns: int) -> tuple
 
 def _send_row(signal: Any, table: Any, row: Any, since_ns: int) -> tuple[float, float]:
     """Return speed and turn rate of the last row that has begun."""
-    low, high = 0, signal.rows
-    while low < high:
-        middle = (low + high) // 2
-        if since_ns < table[middle][0]:
-            high = middle
-        else:
-            low = middle + 1
-    if low == 0:
+    begun = count_begun(table, signal.rows, since_ns)
+    if begun == 0:
         row.phase = 0
         return 0.0, 0.0
-    if low == signal.rows:
+    if begun == signal.rows:
         row.stop = _END_OF_SIGNAL
-    return table[low - 1][1], table[low - 1][2]
+    return table[begun - 1][1], table[begun - 1][2]
 
 
 def _compute_value(signal: Any, table: Any, since_ns: int, shift: int) -> float:

@@ -13,6 +13,7 @@ from turtlelog.arithmetic import (
     Direction,
     called,
     clip,
+    count_begun,
     find_direction,
     hypot,
     least,
@@ -179,14 +180,7 @@ def _follow_schedule(
 ) -> None:
     """Take the gains of a distance, or of the error of the heading loop that acts or acted last."""
     place = distance_m if law.has_distances else _find_error(law, state, heading_rad)
-    after, end = 0, law.entries
-    while after < end:
-        middle = (after + end) // 2
-        if place < table[middle][0]:
-            end = middle
-        else:
-            after = middle + 1
-    last = law.entries - 1
+    after, last = count_begun(table, law.entries, place), law.entries - 1
     low, high = min(max(after - 1, 0), last), min(after, last)
     part = 0.0
     if after > 0 and low < high:

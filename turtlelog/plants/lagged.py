@@ -155,10 +155,11 @@ def hold(
     row = begin_row(rows.waiting, rows.new[0].waiting, state.waiting_end)
     row.time_ns, row.speed, row.turn_rate = time_ns, speed, turn_rate
     state.waiting_end += 1
-    keys, first = settings.plant, state.speed.waiting_first
-    state.speed.next_ns = rows.waiting[first].time_ns + to_ns(keys.speed_dead_time_s)
-    first = state.turn.waiting_first
-    state.turn.next_ns = rows.waiting[first].time_ns + to_ns(keys.turn_dead_time_s)
+    keys, speed_axis, turn_axis = settings.plant, state.speed, state.turn
+    if speed_axis.next_ns == NEVER_NS:
+        speed_axis.next_ns = time_ns + to_ns(keys.speed_dead_time_s)
+    if turn_axis.next_ns == NEVER_NS:
+        turn_axis.next_ns = time_ns + to_ns(keys.turn_dead_time_s)
 
 
 def push(settings: Any, state: Any, speed: float, turn_rate: float) -> None:
@@ -206,10 +207,7 @@ def _switch_speed(keys: Any, state: Any, rows: Any) -> None:
     while axis.next_ns <= state.now_ns:
         wanted = keys.speed_gain * rows.waiting[axis.waiting_first].speed
         _follow(axis, wanted, keys.speed_lag_s)
-        axis.next_ns = NEVER_NS
-        if axis.waiting_first < state.waiting_end:
-            next_ns = rows.waiting[axis.waiting_first].time_ns
-            axis.next_ns = next_ns + to_ns(keys.speed_dead_time_s)
+        axis.next_ns = _find_next(axis, state, rows, keys.speed_dead_time_s)
 
 
 def _switch_turn(keys: Any, state: Any, rows: Any) -> None:
@@ -217,10 +215,7 @@ def _switch_turn(keys: Any, state: Any, rows: Any) -> None:
     while axis.next_ns <= state.now_ns:
         wanted = keys.turn_gain * rows.waiting[axis.waiting_first].turn_rate
         _follow(axis, wanted, keys.turn_lag_s)
-        axis.next_ns = NEVER_NS
-        if axis.waiting_first < state.waiting_end:
-            next_ns = rows.waiting[axis.waiting_first].time_ns
-            axis.next_ns = next_ns + to_ns(keys.turn_dead_time_s)
+        axis.next_ns = _find_next(axis, state, rows, keys.turn_dead_time_s)
 
 
 def _follow(axis: Any, wanted: float, lag_s: float) -> None:
@@ -229,6 +224,14 @@ def _follow(axis: Any, wanted: float, lag_s: float) -> None:
     if lag_s != 0.0:
         axis.transient += before - wanted
     axis.waiting_first += 1
+
+
+def _find_next(axis: Any, state: Any, rows: Any, dead_time_s: float) -> int:
+    """Return when an axis begins to follow the next command that waits [ns]."""
+    if axis.waiting_first == state.waiting_end:
+        return NEVER_NS
+    arrived_ns: int = rows.waiting[axis.waiting_first].time_ns
+    return arrived_ns + to_ns(dead_time_s)
 
 
 @called

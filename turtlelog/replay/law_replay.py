@@ -38,7 +38,7 @@ from turtlelog.replay.sample_pairs import (
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import PlainLoop, SampleRow, SampleRows
-from turtlelog.simulate.plain_loop import is_built_in
+from turtlelog.simulate.scenario_law import is_built_in
 from turtlelog.simulate.step_budget import (
     STEP_BUDGET_S,
     LimitedLoop,

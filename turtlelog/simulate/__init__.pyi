@@ -11,13 +11,15 @@ from .many import (
 from .plain_loop import (
     PlainLoop as PlainLoop,
     Tick as Tick,
-    build_law as build_law,
-    declare_scenario as declare_scenario,
     iterate_ticks as iterate_ticks,
 )
 from .rows import (
     SampleRow as SampleRow,
     TickRow as TickRow,
+)
+from .scenario_law import (
+    build_law as build_law,
+    declare_scenario as declare_scenario,
 )
 from .scenario_notes import (
     list_scenario_notes as list_scenario_notes,

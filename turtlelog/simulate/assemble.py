@@ -11,7 +11,7 @@ from inspect import signature
 from types import FunctionType
 from typing import Any, Final, NamedTuple, get_args
 
-from turtlelog.laws import LawPart
+from turtlelog.errors import LawError
 from turtlelog.parts import Effect, Place, PlantPart
 
 PLACES: Final[tuple[Place, ...]] = get_args(Place)
@@ -102,7 +102,17 @@ def _chain(place: Place, effects: tuple[Effect, ...]) -> Function:
 
 @lru_cache(maxsize=64)
 def bind_step(step: Function) -> Function:
-    """Return what the loop asks of a law that is a part."""
+    """Return what the loop asks of a law that is a part.
+
+    Raises:
+        LawError: Where the step asks for what the loop has nothing for.
+    """
+    if unknown := [name for name in list_parameters(step) if name not in _OF_LAW]:
+        code = step.__code__
+        place = f"{code.co_filename}, line {code.co_firstlineno}: {step.__qualname__}"
+        raise LawError(
+            f"{place}: expected parameters among {', '.join(_OF_LAW)}, found {unknown[0]}"
+        )
     call = f"    return step({_list_arguments(step, _OF_LAW)})"
     head = "def decide(settings, state, rows, row, time_ns, pose):"
     return _compile("decide", [head, call], {"step": step})
@@ -134,11 +144,6 @@ def list_parameters(step: Function) -> list[str]:
     return [*signature(step).parameters]
 
 
-def list_unknown(step: Function) -> list[str]:
-    """Return the parameters of a law's step that the loop has nothing for."""
-    return [name for name in list_parameters(step) if name not in _OF_LAW]
-
-
 def _compile(name: str, lines: list[str], names: dict[str, Any]) -> Function:
     scope: dict[str, Any] = {**names, "__name__": __name__}
     text = "\n".join(lines)
@@ -146,8 +151,3 @@ def _compile(name: str, lines: list[str], names: dict[str, Any]) -> Function:
     made: FunctionType = scope[name]
     made.source = text  # type: ignore[attr-defined]
     return made
-
-
-def build_decider(law: LawPart) -> Function:
-    """Return what the loop asks of a law, of its step."""
-    return bind_step(law.step)

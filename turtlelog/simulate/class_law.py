@@ -1,15 +1,14 @@
 """A law that is a class: asked pose by pose, its answers become rows of samples.
 
 A law may answer with numpy's numbers, with whole ones, or with a list that it goes on changing:
-its answer is made complete, and kept as plain numbers.
+its answer is kept as plain numbers.
 """
 
 import sys
-from math import atan2, hypot, isfinite, isinf, nan
+from math import hypot, isfinite, isinf
 from operator import index
 from typing import Any, Final
 
-from turtlelog.angles import wrap_angle
 from turtlelog.errors import SimulationError
 from turtlelog.laws import Decision, Goal, Law, Pose, print_to_stderr
 from turtlelog.loops import Declaration
@@ -100,7 +99,7 @@ class ClassLaw:
             found = self._step(time_ns, pose)
         finally:
             sys.stdout = stdout
-        decision = complete_decision(found, pose, self._goal, self._first_phase)
+        decision = read_decision(found)
         row.phase = self._judge(decision)
         self._enter(row, decision)
         if self._states:
@@ -120,9 +119,15 @@ class ClassLaw:
             self._law.reset(pose, self._goal, self._path)
 
     def _enter(self, row: Any, decision: Decision) -> None:
-        row.bearing_rad, row.heading_error_rad = decision.bearing_rad, decision.heading_error_rad
-        row.error_x_m, row.error_y_m = decision.error_x_m, decision.error_y_m
-        row.distance_m = hypot(row.error_x_m, row.error_y_m)
+        # What is left out stays NaN: the loop completes it.
+        if decision.bearing_rad is not None:
+            row.bearing_rad = decision.bearing_rad
+        if decision.heading_error_rad is not None:
+            row.heading_error_rad = decision.heading_error_rad
+        if decision.error_x_m is not None:
+            row.error_x_m = decision.error_x_m
+        if decision.error_y_m is not None:
+            row.error_y_m = decision.error_y_m
         row.world_v_x_m_s, row.world_v_y_m_s = decision.world_v_x_m_s, decision.world_v_y_m_s
         row.blocks_ticks, row.ends_phase = decision.blocks_ticks, decision.ends_phase
         if decision.stop_reason is not None:
@@ -134,17 +139,18 @@ class ClassLaw:
 
     def _judge(self, decision: Decision) -> int:
         """Return the number of a decision's phase; refuse what cannot be executed or recorded."""
-        speed, turn_rate, phase = decision.speed_m_s, decision.turn_rate_rad_s, decision.phase
+        speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
+        phase = self._first_phase if decision.phase is None else decision.phase
         if not (abs(speed) < LARGEST_FLOAT and abs(turn_rate) < LARGEST_FLOAT):
             raise SimulationError(describe_command(speed, turn_rate))
         self._require_finite(decision)
-        number = self._phases.get(phase)  # type: ignore[arg-type]
+        number = self._phases.get(phase)
         if number is None:
             known = ", ".join(self._declared)
             raise SimulationError(f"expected a phase of {known}, found {phase!r}")
         if self._states or decision.states:
             self._require_states(decision.states)
-        self._require_reference(decision)
+        self._require_reference(decision.reference, phase)
         reason = decision.stop_reason
         if reason is not None and not (isinstance(reason, str) and reason and reason.isprintable()):
             raise SimulationError(f"expected a stop_reason in words, found {reason!r:.60}")
@@ -156,9 +162,9 @@ class ClassLaw:
         return number
 
     def _require_finite(self, decision: Decision) -> None:
-        # A sum of numbers is finite where all of them are.
-        errors = decision.bearing_rad + decision.heading_error_rad  # type: ignore[operator]
-        errors += decision.error_x_m + decision.error_y_m  # type: ignore[operator]
+        # A sum of numbers is finite where all of them are; what is left out is None.
+        errors = (decision.bearing_rad or 0.0) + (decision.heading_error_rad or 0.0)
+        errors += (decision.error_x_m or 0.0) + (decision.error_y_m or 0.0)
         if isfinite(errors + decision.world_v_x_m_s + decision.world_v_y_m_s):
             return
         world = isinf(decision.world_v_x_m_s) or isinf(decision.world_v_y_m_s)
@@ -174,11 +180,9 @@ class ClassLaw:
             if not isfinite(value):
                 raise SimulationError(f"expected a finite number as state {name}, found {value}")
 
-    def _require_reference(self, decision: Decision) -> None:
-        reference = decision.reference
+    def _require_reference(self, reference: Pose | None, phase: str) -> None:
         if reference is None:
-            if decision.phase in self._with_reference:
-                phase = decision.phase
+            if phase in self._with_reference:
                 raise SimulationError(f"expected a reference pose in phase {phase}, found none")
             return
         if not self._has_reference:
@@ -198,8 +202,8 @@ def describe_command(speed: float, turn_rate: float) -> str:
     )
 
 
-def complete_decision(found: object, pose: Pose, goal: Goal | None, first_phase: str) -> Decision:
-    """Return a decision with what it leaves out; without a goal its errors are NaN.
+def read_decision(found: object) -> Decision:
+    """Return a decision with plain numbers.
 
     Raises:
         SimulationError: Where it is no decision, or one of its numbers is none.
@@ -218,39 +222,7 @@ def complete_decision(found: object, pose: Pose, goal: Goal | None, first_phase:
         and type(found.blocks_ticks) is int
         and found.blocks_ticks == 0
     )
-    if not (is_plain and _has_plain_errors(found)):
-        found = _read_decision(found)
-    if (
-        found.phase is not None
-        and found.bearing_rad is not None
-        and found.heading_error_rad is not None
-        and found.error_x_m is not None
-        and found.error_y_m is not None
-    ):
-        return found
-    ahead_m = nan if goal is None else goal.x_m - pose.x_m
-    left_m = nan if goal is None else goal.y_m - pose.y_m
-    bearing_rad = atan2(left_m, ahead_m)
-    turn_rad = nan if goal is None else wrap_angle(bearing_rad - pose.heading_rad)
-    # Built anew: msgspec's replace takes three times as long.
-    return Decision(
-        speed_m_s=found.speed_m_s,
-        turn_rate_rad_s=found.turn_rate_rad_s,
-        phase=first_phase if found.phase is None else found.phase,
-        bearing_rad=bearing_rad if found.bearing_rad is None else found.bearing_rad,
-        heading_error_rad=(
-            turn_rad if found.heading_error_rad is None else found.heading_error_rad
-        ),
-        error_x_m=ahead_m if found.error_x_m is None else found.error_x_m,
-        error_y_m=left_m if found.error_y_m is None else found.error_y_m,
-        world_v_x_m_s=found.world_v_x_m_s,
-        world_v_y_m_s=found.world_v_y_m_s,
-        states=found.states,
-        reference=found.reference,
-        blocks_ticks=found.blocks_ticks,
-        ends_phase=found.ends_phase,
-        stop_reason=found.stop_reason,
-    )
+    return found if is_plain and _has_plain_errors(found) else _read_decision(found)
 
 
 def _has_plain_errors(found: Decision) -> bool:

@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.compiled_loops import remove_others
 from turtlelog.effects import EFFECTS
 from turtlelog.laws import LawPart
 from turtlelog.parts import PlantPart
@@ -19,6 +20,7 @@ from turtlelog.path_pieces import PathPiece
 from turtlelog.simulate import compiled_entry, loop
 from turtlelog.simulate.assemble import Function, Parts, bind_parts, bind_states, bind_step
 from turtlelog.simulate.rows import EventRow, SampleRow, TickRow
+from turtlelog.simulate.scenario_law import is_built_in
 from turtlelog.simulate.settings import Shape, find_law_numbers, find_shape
 from turtlelog.simulate.streams import build_events
 from turtlelog.simulate.twins import (
@@ -246,13 +248,19 @@ def _list_examples(kinds: Kinds) -> tuple[Any, ...]:
 
 
 def _compile_entry(entry: Any, name: str, scope: dict[str, Any], signature: Any) -> Any:
-    """Return an outermost function compiled under a name, by which numba's cache knows it."""
+    """Return an outermost function compiled under a name, by which numba's cache knows it.
+
+    What the cache has of older versions is removed.
+    """
     from numba import njit
 
     scope = {**scope, "__name__": compiled_entry.__name__}
     bound = FunctionType(entry.__code__, scope, entry.__name__)
     bound.__qualname__, bound.__module__ = name, compiled_entry.__name__
-    return njit(signature, nogil=True, cache=True, error_model="numpy", _nrt=False)(bound)
+    made = njit(signature, nogil=True, cache=True, error_model="numpy", _nrt=False)(bound)
+    if not made.stats.cache_hits:
+        remove_others(compiled_entry.__name__, name.rpartition("_")[0], name)
+    return made
 
 
 def name_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> str:
@@ -262,4 +270,6 @@ def name_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> str:
         TwinError: Where the law reaches what cannot be compiled.
     """
     stamp = _bind(law, plant, states)[2]
-    return f"{law.name}_{plant.name}_{stamp}".replace("-", "_")
+    # A law of the user's own may have the name of a built-in one, whose loop stays in the cache.
+    owner = "" if is_built_in(law) else "own_"
+    return f"{owner}{law.name}_{plant.name}_{stamp}".replace("-", "_")

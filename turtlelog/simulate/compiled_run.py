@@ -1,6 +1,7 @@
 """A run by a compiled loop: its arrays filled, simulated, and made the columns of a run."""
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,10 @@ from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate.compiled_loop import PIECE, CompiledLoop
 from turtlelog.simulate.events import describe_event
-from turtlelog.simulate.plain_loop import declare_scenario
 from turtlelog.simulate.rows import MAX_DURATION
+from turtlelog.simulate.scenario_law import declare_scenario, is_built_in
 from turtlelog.simulate.settings import build_settings, count_rows
+from turtlelog.simulate.step_budget import WatchedCode
 from turtlelog.simulate.streams import STREAMS, draw_events, list_of, list_streams
 from turtlelog.simulate.twins import as_record
 
@@ -24,14 +26,23 @@ from turtlelog.simulate.twins import as_record
 class CompiledRunner:
     """Simulates by compiled loops, one scenario after the other in the same arrays."""
 
-    def __init__(self) -> None:
-        """Begin without room for any."""
+    def __init__(self, step_budget_s: float | None = None) -> None:
+        """Begin without room for any.
+
+        Args:
+            step_budget_s: How long a law of the user's own may compute for one answer [s]; None: as
+                long as it takes.
+        """
         self._rows: dict[Any, Any] = {}
+        self._watched = None if step_budget_s is None else WatchedCode(step_budget_s)
 
     def simulate(self, loop: CompiledLoop, scenario: Scenario, plant: Plant) -> Run | None:
         """Return the run of a scenario by a loop that covers it.
 
         Its law is resolved. None where it fails or answers no pose: the plain loop says why.
+
+        Raises:
+            StepBudgetError: Where a step of the user's own does not return within its budget.
         """
         law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
         _, settings, start = build_settings(scenario, law, declaration, plant)
@@ -41,8 +52,14 @@ class CompiledRunner:
             rows = self._rows[loop] = loop.kinds.allocate(ticks, samples)
         rows = begin_rows(rows, scenario, ticks, samples)
         state = as_record(start, loop.kinds.state)
-        loop.run(as_record(settings, loop.kinds.settings), state, rows)
         now = state[0]["now"]
+        run = partial(loop.run, as_record(settings, loop.kinds.settings), state, rows)
+        if self._watched is None or is_built_in(law):
+            run()
+        else:
+            del self._rows[loop]  # they are its own where it never returns
+            self._watched.call(run, lambda: int(now["samples"]))
+            self._rows[loop] = rows
         if now["failure"] or not now["samples"]:
             return None
         return _build_run(scenario, declaration, plant, rows, now)

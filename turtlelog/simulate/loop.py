@@ -14,6 +14,7 @@ from typing import Any
 from turtlelog.arithmetic import (
     begin_row,
     called,
+    hypot,
     message_to_float32,
     pose_to_float32,
     wrap_angle,
@@ -425,14 +426,17 @@ def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, 
     speed, turn_rate = parts.decide(settings, state, rows, row, time_ns, pose)
     row.wanted_speed_m_s, row.wanted_turn_rate_rad_s = speed, turn_rate
     # A sum of numbers is finite where all are.
-    total = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m
-    total += row.world_v_x_m_s + row.world_v_y_m_s
+    errors = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m
+    errors += row.distance_m
+    total = errors + row.world_v_x_m_s + row.world_v_y_m_s
     if (
         not -LARGEST_FLOAT < speed < LARGEST_FLOAT
         or not -LARGEST_FLOAT < turn_rate < LARGEST_FLOAT
         or scene.has_reference
         or not math.isfinite(total)
     ):
+        if scene.has_goal and math.isnan(errors):
+            complete(settings.goal, row, pose)
         judge(scene, now, row, speed, turn_rate)
         if now.failure != 0:
             return 0
@@ -454,6 +458,23 @@ def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, 
     return blocks
 
 
+@called
+def complete(goal: Any, row: Any, pose: tuple[float, float, float]) -> None:
+    """Enter the errors of a goal that the law leaves out, from the present position."""
+    x_m, y_m = goal.x_m - pose[0], goal.y_m - pose[1]
+    bearing_rad = math.atan2(y_m, x_m)
+    if math.isnan(row.bearing_rad):
+        row.bearing_rad = bearing_rad
+    if math.isnan(row.heading_error_rad):
+        row.heading_error_rad = wrap_angle(bearing_rad - pose[2])
+    if math.isnan(row.error_x_m):
+        row.error_x_m = x_m
+    if math.isnan(row.error_y_m):
+        row.error_y_m = y_m
+    if math.isnan(row.distance_m):
+        row.distance_m = hypot(row.error_x_m, row.error_y_m)
+
+
 def judge(scene: Any, now: Any, row: Any, speed: float, turn_rate: float) -> None:
     """Refuse what cannot be executed or recorded; without a goal there are no errors."""
     reference = row.reference_x_m + row.reference_y_m + row.reference_heading_rad
@@ -465,6 +486,6 @@ def judge(scene: Any, now: Any, row: Any, speed: float, turn_rate: float) -> Non
     elif (
         math.isinf(row.world_v_x_m_s)
         or math.isinf(row.world_v_y_m_s)
-        or (scene.has_goal and not math.isfinite(errors))
+        or (scene.has_goal and not (math.isfinite(errors) and math.isfinite(row.distance_m)))
     ):
         now.failure = NUMBERS_FAILED

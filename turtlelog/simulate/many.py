@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.compiled_loops import CompiledLoops, is_kept, remove_others
+from turtlelog.compiled_loops import CompiledLoops, is_kept
 from turtlelog.display import format_number
 from turtlelog.errors import SimulationError
 from turtlelog.laws import LawPart, find_law
@@ -20,8 +20,8 @@ from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.collect import simulate_run
 from turtlelog.simulate.compiled_run import CompiledRunner
-from turtlelog.simulate.plain_loop import declare_scenario, is_built_in
-from turtlelog.simulate.step_budget import STEP_BUDGET_S
+from turtlelog.simulate.scenario_law import declare_scenario, is_built_in
+from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 
 COST_S: Final = 1.0
 """What numba's import and a loop take from their cache [s]."""
@@ -29,11 +29,13 @@ COST_S: Final = 1.0
 FIRST_S: Final = 9.0
 """What they take before the loop is in the cache [s]: numba compiles it for 8 s."""
 
-_SAVED_S: Final = 6e-6
-"""What a compiled loop saves of a sample around turtlesim, at least [s]."""
+_SAVED_S: Final = 1.2e-5
+"""What a compiled loop saves of a sample around turtlesim, at least [s]: with the columns of its
+run a sample takes 15 us plain and 1 us compiled, and some processors are faster."""
 
-_STEPPED_SAVED_S: Final = 4e-5
-"""Likewise of a lagged robot, which steps through its lag, and of a path that is searched [s]."""
+_STEPPED_SAVED_S: Final = 3e-5
+"""Likewise of a lagged robot, which steps through its lag, and of a path that is searched [s]: 33
+to 44 us plain, 1 to 3 us compiled."""
 
 MOST_TICKS: Final = 1_000_000
 """Longer scenarios run plain: the arrays of a compiled loop are made for all ticks at once, 600
@@ -76,7 +78,8 @@ class ManyRuns(Iterator[Simulated]):
         self._waiting: deque[Simulated | Future[Simulated]] = deque()
         self._pool: ThreadPoolExecutor | None = None
         self._local, self._counting = threading.local(), threading.Lock()
-        self._checked: set[CompiledLoops] = set()
+        self._compared: set[CompiledLoops] = set()
+        self._noted: set[CompiledLoops] = set()
 
     def __iter__(self) -> "ManyRuns":
         return self
@@ -101,35 +104,47 @@ class ManyRuns(Iterator[Simulated]):
         """Simulate a scenario, or have a thread do so."""
         plant = scenario.plant.facts if self._plant is None else self._plant
         loop = find_loop(scenario, plant)
-        kernel = None if loop is None else loop.find()
-        if kernel is None:
+        if loop is None or loop.find() is None:
             return self._interpret(scenario, plant, loop)
-        if loop is not None and loop not in self._checked:
-            self._checked.add(loop)
-            if not is_built_in(find_law(scenario.law.kind)):
-                return self._simulate_both_ways(kernel, scenario, plant)
+        is_own = not is_built_in(find_law(scenario.law.kind))
+        if is_own and loop not in self._compared:
+            return self._simulate_both_ways(loop, scenario, plant)
         if self._threads == 1:
-            return self._compile(kernel, scenario, plant)
+            return self._compile(loop, scenario, plant)
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="simulate")
-        return self._pool.submit(self._compile, kernel, scenario, plant)
+        return self._pool.submit(self._compile, loop, scenario, plant)
 
-    def _compile(self, kernel: Any, scenario: Scenario, plant: Plant) -> Simulated:
+    def _compile(self, loop: CompiledLoops, scenario: Scenario, plant: Plant) -> Simulated:
         if not hasattr(self._local, "runner"):
-            self._local.runner = CompiledRunner()
-        run: Run | None = self._local.runner.simulate(kernel, scenario, plant)
+            self._local.runner = CompiledRunner(self._step_budget_s)
+        run: Run | None = None
+        if (kernel := loop.find()) is not None:
+            try:
+                run = self._local.runner.simulate(kernel, scenario, plant)
+            except StepBudgetError as err:
+                loop.give_up(f"when compiled, one step {err}")
+                self._note_problem(scenario, loop)
         with self._counting:
             self.compiled += run is not None
             self.interpreted += run is None
         return self._simulate(scenario, plant) if run is None else run
 
-    def _simulate_both_ways(self, kernel: Any, scenario: Scenario, plant: Plant) -> Simulated:
-        """Simulate a law of the user's own compiled and plain; note by how much they differ.
+    def _simulate_both_ways(
+        self, loop: CompiledLoops, scenario: Scenario, plant: Plant
+    ) -> Simulated:
+        """Simulate a law of the user's own plain and compiled; note by how much they differ.
 
         Numba's arithmetic and Python's may differ in the last bits: of `x**3` in a quarter of all.
         """
-        found, again = self._simulate(scenario, plant), self._compile(kernel, scenario, plant)
-        if isinstance(found, Run) and isinstance(again, Run):
+        found = self._simulate(scenario, plant)
+        if isinstance(found, SimulationError):
+            with self._counting:
+                self.interpreted += 1
+            return found
+        self._compared.add(loop)
+        again = self._compile(loop, scenario, plant)
+        if isinstance(again, Run):
             self.notes += describe_difference(scenario.law.kind, found, again)
         return again
 
@@ -146,9 +161,10 @@ class ManyRuns(Iterator[Simulated]):
         return found
 
     def _note_problem(self, scenario: Scenario, loop: CompiledLoops) -> None:
-        if loop.problem is not None and loop not in self._checked:
-            self._checked.add(loop)
-            self.notes.append(f"law {scenario.law.kind} runs plain: {loop.problem}")
+        with self._counting:
+            if loop.problem is not None and loop not in self._noted:
+                self._noted.add(loop)
+                self.notes.append(f"law {scenario.law.kind} runs plain: {loop.problem}")
 
     def _simulate(self, scenario: Scenario, plant: Plant) -> Simulated:
         try:
@@ -172,13 +188,9 @@ ENTRY: Final = "turtlelog.simulate.compiled_entry"
 
 
 def _load(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Any:
-    from turtlelog.simulate.compiled_loop import compile_loop, name_loop
+    from turtlelog.simulate.compiled_loop import compile_loop
 
-    loop = compile_loop(law, plant, states)
-    if loop.is_new:
-        name = name_loop(law, plant, states)
-        remove_others(ENTRY, name.rpartition("_")[0], name)
-    return loop
+    return compile_loop(law, plant, states)
 
 
 def _is_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:

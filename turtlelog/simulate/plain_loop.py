@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from math import inf, isnan
+from math import inf
 from operator import attrgetter
 from typing import Any, Final
 
 import msgspec
 
-from turtlelog.errors import SimulationError, TurtlelogError
+from turtlelog.errors import SimulationError
 from turtlelog.laws import (
     AnyLaw,
     Goal,
@@ -18,28 +18,26 @@ from turtlelog.laws import (
     declare_law,
     describe_law_error,
     find_law,
-    print_to_stderr,
+    name_law,
 )
 from turtlelog.loops import Declaration
 from turtlelog.parts import LARGEST_FLOAT, Plant
 from turtlelog.plants.kinds import PLANTS
 from turtlelog.run import Event
-from turtlelog.scenario import LawChoice, Scenario, resolve_law, resolve_scenario
+from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import loop
 from turtlelog.simulate.assemble import Parts, bind_parts, bind_states, bind_step
-from turtlelog.simulate.class_law import ClassLaw, describe_command
+from turtlelog.simulate.class_law import ClassLaw
 from turtlelog.simulate.events import describe_event
 from turtlelog.simulate.rows import (
-    COMMAND_FAILED,
     LAW_FAILED,
     MAX_DURATION,
-    NUMBERS_FAILED,
-    REFERENCE_FAILED,
     STEP_BUDGET as LATE,
     EventRow,
     SampleRow,
     TickRow,
 )
+from turtlelog.simulate.scenario_law import build_goal, build_law, describe_numbers, is_built_in
 from turtlelog.simulate.settings import build_settings, find_states, list_acting
 from turtlelog.simulate.step_budget import (
     STEP_BUDGET,
@@ -92,6 +90,7 @@ def iterate_ticks(
     *,
     step_budget_s: float | None = STEP_BUDGET_S,
     one_by_one: bool = False,
+    made: list["PlainLoop"] | None = None,
 ) -> Iterator[Tick]:
     """Return the ticks of a closed loop until the law is done or `max_duration_s` has passed.
 
@@ -104,6 +103,7 @@ def iterate_ticks(
             None: as long as it takes. From 1 s on the steps of built-in laws are not watched, and
             the loop of another law computes in a thread of its own.
         one_by_one: Compute a tick when it is taken, not some ticks ahead.
+        made: Gets the loop as it begins.
 
     Raises:
         ScenarioError: If the law cannot be loaded or may not run.
@@ -114,7 +114,7 @@ def iterate_ticks(
     scenario = resolve_scenario(scenario)
     if step_budget_s is not None:
         require_budget(step_budget_s)
-    made: list[PlainLoop] = []
+    made = [] if made is None else made
     ticks = _iterate(scenario, plant, step_budget_s, made)
     law = find_law(scenario.law.kind)
     if step_budget_s is None or not needs_watch(step_budget_s, is_built_in=is_built_in(law)):
@@ -129,13 +129,6 @@ def _iterate(
     """Yield the ticks; `made` gets the loop."""
     made.append(PlainLoop(scenario, plant, step_budget_s=step_budget_s))
     yield from made[0].iterate()
-
-
-def is_built_in(law: AnyLaw) -> bool:
-    """Whether a law is one of turtlelog's."""
-    from turtlelog.laws import LAWS
-
-    return law in LAWS.values()
 
 
 class PlainLoop:
@@ -159,13 +152,14 @@ class PlainLoop:
         Args:
             scenario: Its law is resolved.
             plant: On whose clock; None: on that of the scenario's plant.
-            law: Takes the place of the scenario's.
+            law: Takes the place of the scenario's. It declares by its attribute `parameters`, if it
+                has one, otherwise by those of the scenario.
             step_budget_s: With a budget a step that computes for longer by the clock fails with a
                 StepBudgetError: a short one is measured here, of a longer one a `LimitedLoop` takes
                 care.
         """
-        self._kind = scenario.law.kind
-        parameters = scenario.law.parameters
+        self._kind = scenario.law.kind if law is None else name_law(type(law))
+        parameters = getattr(law, "parameters", scenario.law.parameters)
         self._law: AnyLaw = find_law(self._kind) if law is None else type(law)
         self._budget_s, self._asked_ns = inf if step_budget_s is None else step_budget_s, 0
         goal = build_goal(scenario)
@@ -321,30 +315,13 @@ class PlainLoop:
 
     def _describe_numbers(self) -> SimulationError:
         """Return why an answer of the law cannot be executed or recorded."""
-        now = self.now
-        row = self.rows.samples[now.samples]
-        place = f"law {self._kind}, sample {now.samples}"
-        if now.failure == COMMAND_FAILED:
-            speed, turn_rate = self._wanted
-            return SimulationError(f"{place}: {describe_command(speed, turn_rate)}")
-        if now.failure == REFERENCE_FAILED:
-            pose = Pose(row.reference_x_m, row.reference_y_m, row.reference_heading_rad)
-            return SimulationError(f"{place}: expected a finite reference pose, found {pose}")
-        if now.failure == NUMBERS_FAILED:
-            return SimulationError(f"{place}: expected finite numbers, found {row}")
-        names = self.declaration.states
-        values = self._read_states(self.rows.states[now.samples])  # type: ignore[misc]
-        bad = next(
-            (name, value) for name, value in zip(names, values, strict=True) if not abs(value) < inf
-        )
-        return SimulationError(
-            f"{place}: expected a finite number as state {bad[0]}, found {bad[1]}"
-        )
-
-    @property
-    def _wanted(self) -> tuple[float, float]:
-        row = self.rows.samples[self.now.samples]
-        return row.wanted_speed_m_s, row.wanted_turn_rate_rad_s
+        now, rows = self.now, self.rows
+        states = {}
+        if self._read_states is not None and now.samples in rows.states:
+            values = self._read_states(rows.states[now.samples])
+            states = dict(zip(self.declaration.states, values, strict=True))
+        reason = describe_numbers(now.failure, rows.samples[now.samples], states)
+        return SimulationError(f"law {self._kind}, sample {now.samples}: {reason}")
 
     def _describe_runaway(self, tick: int) -> SimulationError:
         state = self.parts.read(self.state.plant)
@@ -466,44 +443,3 @@ def describe_runaway(
         f" y = {state[1]:g} m, speed {state[3]:g} m/s, turn rate {state[4]:g} rad/s;"
         f" a pose holds numbers below {LARGEST_FLOAT:g}"
     )
-
-
-def build_law(choice: LawChoice) -> Any:
-    """Return the law of a scenario with its parameters.
-
-    Raises:
-        SimulationError: Where it does not take them.
-        ScenarioError: As `resolve_law`.
-        LawError: Where there is no such law.
-    """
-    choice = resolve_law(choice)
-    law = find_law(choice.kind)
-    try:
-        with print_to_stderr():
-            return law(choice.parameters)
-    except (TurtlelogError, KeyboardInterrupt):
-        raise
-    except BaseException as err:
-        raise SimulationError(f"law {choice.kind}: {describe_law_error(err, law)}") from err
-
-
-def declare_scenario(scenario: Scenario) -> Declaration:
-    """Return what the law of a scenario declares; its code is loaded if need be.
-
-    Raises:
-        ScenarioError: As `resolve_law`.
-        LawError: Where there is no such law, or its declaration is wrong.
-    """
-    choice = resolve_law(scenario.law)
-    law = find_law(choice.kind)
-    return declare_law(law, choice.parameters, build_goal(scenario), scenario.path)
-
-
-def build_goal(scenario: Scenario) -> Goal:
-    """Return the goal of a scenario."""
-    return Goal(scenario.goal.x_m, scenario.goal.y_m, scenario.goal.heading_rad)
-
-
-def has_sensed(row: TickRow) -> bool:
-    """Whether a pose was sensed; it may have dropped out, or none is sensed."""
-    return not isnan(row.sensed_x_m)

@@ -135,6 +135,22 @@ class _Worker(Generic[_Result]):
         """
         return self._answers.get(timeout=min(most_s, _LONGEST_S))
 
+    def wait_while(
+        self, count: Callable[[], int], most_s: float
+    ) -> tuple[_Result | None, BaseException | None, float] | None:
+        """Likewise, while a count changes at least once in a time [s]; None if it does not."""
+        seen, waited_s, look_s = -1, 0.0, most_s / _LOOKS
+        while waited_s < most_s:
+            began_s = time.perf_counter()
+            with suppress(Empty):
+                return self.wait(look_s)
+            # A process that was stopped for an hour has not computed for an hour.
+            waited_s += min(time.perf_counter() - began_s, 2.0 * look_s)
+            before, seen = seen, count()
+            if seen != before or self.is_debugged():
+                waited_s = 0.0
+        return None
+
     def interrupt(self) -> None:
         """Raise an exception in the thread."""
         import ctypes  # Only steps that do not return pay for it.
@@ -303,16 +319,11 @@ class LimitedLoop(Generic[_Item]):
         with suppress(Empty):
             return _judge(worker.wait(_PIECE_S))
         self._hands_out = True
-        seen, waited_s, look_s = -1, 0.0, self._budget_s / _LOOKS
-        while waited_s < self._budget_s:
-            began_s = time.perf_counter()
-            with suppress(Empty):
-                return _judge(worker.wait(look_s))
-            # A process that was stopped for an hour has not computed for an hour.
-            waited_s += min(time.perf_counter() - began_s, 2.0 * look_s)
-            before, seen = seen, self._asked[0].asked if self._asked else 0
-            if seen != before or worker.is_debugged():
-                waited_s = 0.0
+        answer = worker.wait_while(
+            lambda: self._asked[0].asked if self._asked else 0, self._budget_s
+        )
+        if answer is not None:
+            return _judge(answer)
         self._is_late = True
         return self._end(worker)
 
@@ -328,6 +339,44 @@ class LimitedLoop(Generic[_Item]):
         if self._asked:
             return self._asked[0].describe_late(what)
         return f"law {self._law} {what}, before its first sample; {advise_budget(self._budget_s)}"
+
+
+class WatchedCode:
+    """Calls compiled code that asks a law of the user's own, in a thread.
+
+    Nothing ends such code. If it never returns, the thread goes on until the process ends.
+    """
+
+    def __init__(self, budget_s: float) -> None:
+        """Take how long the law may compute for one answer [s]."""
+        self._budget_s = budget_s
+        self._worker: _Worker[Any] | None = None
+
+    def call(self, code: Callable[[], Any], count: Callable[[], int]) -> None:
+        """Call code.
+
+        Args:
+            code: Without Python's lock.
+            count: Returns how many answers it has asked for.
+
+        Raises:
+            StepBudgetError: If one takes longer than the budget and a while.
+        """
+        worker = self._worker or _Worker(_call, "compiled")
+        self._worker = None  # whatever ends the wait but its answer
+        worker.ask(code)
+        most_s = self._budget_s + _PATIENCE_S
+        answer = worker.wait_while(count, most_s)
+        if answer is None:
+            worker.end()
+            raise StepBudgetError(describe_excess(self._budget_s, most_s, has_returned=False))
+        self._worker = worker
+        if answer[1] is not None:
+            raise answer[1]
+
+
+def _call(code: Callable[[], Any]) -> Any:
+    return code()
 
 
 def _judge(

@@ -196,15 +196,26 @@ ALLOWED: Final = (
     " turtlelog.arithmetic and of its own file"
 )
 
-_PLACE: Final = re.compile(r'File "([^"]+)", line (\d+)')
+_PLACES: Final = (
+    re.compile(r'File "([^"]+)", line (\d+)'),
+    re.compile(r" at (\S.*) \((\d+)\)$", re.M),
+)
+"""Where a function is wrong; failing that, what numba was at."""
+
+_MEMORY: Final = "NRT required"
+"""What numba says of code that allocates memory."""
+
 _HEADS: Final = ("Failed in", "During", "File", "[", "-", "^", "<", "There are", "Overload")
 
 
 def describe_numba_error(text: str) -> str:
     """Return in one line what numba says of a function that it cannot compile, and where."""
-    places = [one for one in _PLACE.findall(text) if "numba" not in Path(one[0]).parts]
+    found = [one for pattern in _PLACES for one in pattern.findall(text)]
+    places = [one for one in found if "numba" not in Path(one[0]).parts]
     lines = [line.strip() for line in text.splitlines()]
     said = [line for line in lines if line and not line.startswith(_HEADS)]
     reason = said[0] if said else "numba cannot compile it"
+    if _MEMORY in reason:
+        reason = "a list, a set or an array would be made in each step"
     place = f"{Path(places[0][0]).resolve()}, line {places[0][1]}: " if places else ""
     return f"{place}{reason}; {ALLOWED}"

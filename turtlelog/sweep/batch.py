@@ -16,16 +16,23 @@ from numpy.typing import NDArray
 
 from turtlelog.compiled_loops import CompiledLoops, import_beside, is_kept
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
-from turtlelog.laws import LawPart, find_law
+from turtlelog.laws import find_law
 from turtlelog.measure import measure_run
 from turtlelog.parts import Plant
-from turtlelog.plants.kinds import PLANTS
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import declare_scenario, simulate_run
+from turtlelog.simulate import simulate_run
 from turtlelog.simulate.compiled_run import draw_streams, name_stop
 from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, find_saving
-from turtlelog.sweep.batch_rows import FACTS, LINE, PreparedRows, find_line, prepare_rows
+from turtlelog.sweep.batch_rows import (
+    FACTS,
+    LINE,
+    Kind,
+    PreparedRows,
+    find_kind,
+    find_line,
+    prepare_rows,
+)
 from turtlelog.sweep.batch_table import (
     ABSENT,
     COLUMN_OF,
@@ -63,40 +70,39 @@ class Batch(NamedTuple):
 
 
 @cache
-def _find_batch(law: LawPart, plant: str, states: tuple[str, ...]) -> CompiledLoops:
+def _find_batch(kind: Kind) -> CompiledLoops:
     return CompiledLoops(
-        partial(_load, law, plant, states),
-        partial(_is_kept, law, plant, states),
+        partial(_load, kind),
+        partial(_is_kept, kind),
         cost_s=COST_S,
         first_s=FIRST_S + _MEASURING_S,
         beside=(_MEASURING,),
     )
 
 
-def _load(law: LawPart, plant: str, states: tuple[str, ...]) -> Batch:
+def _load(kind: Kind) -> Batch:
     from turtlelog.simulate.compiled_loop import compile_loop, compile_rows
 
-    loop = compile_loop(law, PLANTS[plant], states)
+    loop = compile_loop(*kind)
     kernel = import_beside(_MEASURING)
     rows = compile_rows(loop, kernel.measure_row, kernel.MEASURE, LINE, FACTS)
     return Batch(loop, rows)
 
 
-def _is_kept(law: LawPart, plant: str, states: tuple[str, ...]) -> bool:
+def _is_kept(kind: Kind) -> bool:
     from turtlelog.simulate.compiled_loop import name_loop
 
-    name = name_loop(law, PLANTS[plant], states)
+    name = name_loop(*kind)
     return is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}") and is_kept(_MEASURING)
 
 
 def find_batch(base: Scenario) -> CompiledLoops | None:
     """Return the compiled code for rows that vary keys of a scenario; None: its law has none."""
     try:
-        base = resolve_scenario(base)
-        law, states = find_law(base.law.kind), declare_scenario(base).states
+        kind = find_kind(resolve_scenario(base))
     except TurtlelogError:  # of its own it lacks what the rows give it
         return None
-    return _find_batch(law, base.plant.kind, states) if isinstance(law, LawPart) else None
+    return None if kind is None else _find_batch(kind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -239,7 +245,8 @@ class _Work:
 
     def run_compiled(self, kernel: Any, rows: Sequence[int], threads: int) -> list[int]:
         """Simulate and measure what is compiled; return the rows that are not."""
-        prepared = prepare_rows(self._base, self._columns, rows, self._plant)
+        base = resolve_scenario(self._base)
+        prepared = prepare_rows(base, self._columns, rows, self._plant)
         cells = self._run_all(kernel, prepared, threads)
         # The line from start to goal is known before, unless the robot is pushed as it waits.
         moved = self._correct_lines(prepared, cells)

@@ -13,13 +13,14 @@ from turtlelog.errors import TurtlelogError
 from turtlelog.laws import LawPart, find_law
 from turtlelog.laws.sequential import SequentialNumbers
 from turtlelog.measure.measure_settings import SETTLING_BAND
-from turtlelog.parts import Plant
+from turtlelog.parts import Plant, PlantPart
 from turtlelog.plants.kinds import PLANTS
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.compiled_loop import find_kinds
 from turtlelog.simulate.compiled_run import build_tables
 from turtlelog.simulate.many import find_loop
+from turtlelog.simulate.scenario_law import is_built_in
 from turtlelog.simulate.settings import build_settings, count_rows
 from turtlelog.simulate.streams import list_streams
 from turtlelog.simulate.twins import as_record
@@ -102,16 +103,25 @@ class PreparedRows:
         return replace(self, **{name: getattr(self, name)[places] for name in names})
 
 
+Kind = tuple[LawPart, PlantPart, tuple[str, ...]]
+"""What a loop is compiled for: a law, a plant, and the states that the law declares."""
+
+
+def find_kind(scenario: Scenario) -> Kind | None:
+    """Return what compiles rows of a scenario: of the sequential laws; None: nothing does."""
+    law = find_law(scenario.law.kind)
+    if not (isinstance(law, LawPart) and law.Numbers is SequentialNumbers and is_built_in(law)):
+        return None
+    return law, PLANTS[scenario.plant.kind], declare_scenario(scenario).states
+
+
 class _Case:
     """A combination of the keys that are judged together."""
 
-    def __init__(self, scenario: Scenario, plant: Plant) -> None:
-        law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
-        _, settings, start = build_settings(scenario, law, declaration, plant)
-        part = PLANTS[scenario.plant.kind]
-        assert isinstance(law, LawPart)
-        kinds = find_kinds(law, part, declaration.states)
-        self.kind = law, part
+    def __init__(self, scenario: Scenario, plant: Plant, kind: Kind) -> None:
+        law, part, _ = kind
+        _, settings, start = build_settings(scenario, law, declare_scenario(scenario), plant)
+        kinds = find_kinds(*kind)
         self.settings = as_record(settings, kinds.settings)
         self.state, self.seed = as_record(start, kinds.state), scenario.seed
         self.table = build_tables(scenario)[0]
@@ -128,12 +138,20 @@ class _Case:
 def prepare_rows(
     base: Scenario, columns: Mapping[str, Sequence[Any]], rows: Sequence[int], plant: Plant | None
 ) -> PreparedRows:
-    """Return rows as arrays, those that are not compiled or no scenario apart."""
+    """Return rows as arrays, those that another loop than that of `base` simulates, or none, apart.
+
+    Args:
+        base: Its law is resolved.
+        columns: The values of each key that varies, one for each row.
+        rows: Numbers of rows.
+        plant: On whose clock; None: each row on that of its own plant.
+    """
     if "law.schedule" in columns:  # the memory of the loop holds one
         return _gather([], [*rows], [], {})
     free = [] if "law.kind" in columns else [key for key in columns if key in FREE_KEYS]
     joint = [key for key in columns if key not in free]
     cases: dict[tuple[Any, ...], _Case | None] = {}
+    kind = find_kind(base)
     own = {key: _judge_column(base, key, [columns[key][row] for row in rows]) for key in free}
     taken: list[int] = []
     others: list[int] = []
@@ -141,10 +159,11 @@ def prepare_rows(
     for place, row in enumerate(rows):
         key = tuple((type(columns[name][row]), columns[name][row]) for name in joint)
         if key not in cases:
-            cases[key] = _judge_case(base, joint, [value for _, value in key], plant)
+            cases[key] = _judge_case(
+                base, kind, dict(zip(joint, (v for _, v in key), strict=True)), plant
+            )
         case = cases[key]
-        is_alike = case is not None and (not found or case.kind == found[0].kind)
-        if case is None or not is_alike or any(column[place] is None for column in own.values()):
+        if case is None or any(column[place] is None for column in own.values()):
             others.append(row)
         else:
             taken.append(place)
@@ -188,22 +207,22 @@ def _gather(
 
 
 def _judge_case(
-    base: Scenario, keys: Sequence[str], values: Sequence[Any], plant: Plant | None
+    base: Scenario, kind: Kind | None, changes: Mapping[str, Any], plant: Plant | None
 ) -> _Case | None:
-    """Return a combination, None where it is no scenario or not compiled."""
+    """Return a combination, None where it is no scenario or not of the kind that is compiled."""
     try:
-        scenario = resolve_scenario(build_row_scenario(base, keys, values, 0))
+        scenario = resolve_scenario(build_row_scenario(base, [*changes], [*changes.values()], 0))
     except TurtlelogError:
         return None
     clock = scenario.plant.facts if plant is None else plant
-    return _Case(scenario, clock) if is_batched(scenario, clock) else None
+    if kind is None or find_kind(scenario) != kind or find_loop(scenario, clock) is None:
+        return None
+    return _Case(scenario, clock, kind)
 
 
 def is_batched(scenario: Scenario, plant: Plant) -> bool:
     """Whether the batch covers a scenario: a sequential law, by a compiled loop."""
-    law = find_law(scenario.law.kind)
-    is_sequential = isinstance(law, LawPart) and law.Numbers is SequentialNumbers
-    return is_sequential and find_loop(scenario, plant) is not None
+    return find_kind(scenario) is not None and find_loop(scenario, plant) is not None
 
 
 def _judge_column(base: Scenario, key: str, column: Sequence[Any]) -> Sequence[Any]:
