@@ -86,6 +86,7 @@ def test_a_law_of_ones_own_is_compiled_after_its_first_run() -> None:
     assert (found.compiled, found.interpreted, found.notes) == (2, 1, [])
 
 
+@pytest.mark.everyday("default")
 @pytest.mark.parametrize(
     ("answer", "found"),
     [
@@ -131,6 +132,7 @@ def test_a_part_that_returns_a_command_alone_records_what_such_a_function_does(
         assert found.tobytes() == getattr(function.samples, name).tobytes()
 
 
+@pytest.mark.thorough
 def test_a_step_that_never_returns_ends_its_row_also_when_compiled(tmp_path: Path) -> None:
     """Takes 15 s: a loop is compiled, in a process whose end ends the step as well."""
     kind = f"{write_short(tmp_path)}:P"

@@ -14,6 +14,7 @@ def list_numbers() -> Iterator[int]:
 
 
 def test_runs_are_what_they_were_to_the_last_bit() -> None:
+    """Some 230 scenarios are simulated, of up to a minute each."""
     platform, digests, ends = read_digests()
     is_same_platform = platform == probe_platform()
     others: list[tuple[int, object]] = []
