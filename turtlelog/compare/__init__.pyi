@@ -39,8 +39,10 @@ from .robot_prediction import (
     compare_robot as compare_robot,
 )
 from .run_names import (
+    name_file as name_file,
     name_runs as name_runs,
     order_by_gain as order_by_gain,
+    shorten_names as shorten_names,
 )
 from .run_summary import (
     RunSummary as RunSummary,
@@ -56,6 +58,7 @@ from .run_summary import (
 from .run_table import (
     UNLOCKS as UNLOCKS,
     drop_absent as drop_absent,
+    list_reasons as list_reasons,
     list_units as list_units,
     list_unlocks as list_unlocks,
     mark_metric as mark_metric,

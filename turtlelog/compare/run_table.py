@@ -1,7 +1,7 @@
 """Tables of metrics: of many runs as rows, of few as columns."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
 from types import MappingProxyType
@@ -419,7 +419,7 @@ def tabulate_measured(
             *(Column(title=name) for name in names),
         ),
         rows=tuple(_build_row(name, [metrics.get(name) for metrics in measured]) for name in ids),
-        notes=(*notes, *_list_reasons(measured)),
+        notes=(*notes, *list_reasons(measured)),
         breaks=tuple(accumulate(map(len, groups[:-1]))),
     )
 
@@ -430,7 +430,7 @@ def _build_row(name: str, found: Sequence[Metric | None]) -> tuple[Cell, ...]:
     return (name, " or ".join(units), *(get_cell(metric, has_one_unit=has_one) for metric in found))
 
 
-def _list_reasons(measured: Sequence[Mapping[str, Metric]]) -> tuple[str, ...]:
+def list_reasons(measured: Iterable[Mapping[str, Metric]]) -> tuple[str, ...]:
     """Return why values are missing, each reason once."""
     missing = [metric for metrics in measured for metric in metrics.values() if metric.reason]
     reasons = dict.fromkeys(f"{metric.status.value}: {metric.reason}." for metric in missing)
