@@ -114,6 +114,42 @@ class FormulaWalk:
     Args:
         expression: A formula.
         trace: The signals that it names.
+        exact: As of a `PartReader`.
+        unknown: As of a `PartReader`.
+    """
+
+    def __init__(
+        self,
+        expression: Expression,
+        trace: FormulaTrace,
+        *,
+        exact: bool = False,
+        unknown: float = math.nan,
+    ) -> None:
+        self._start_ns = trace.start_ns
+        reader = PartReader(expression, trace, exact=exact, unknown=unknown)
+        self.root = reader.visit(expression.root, 1)
+
+    @property
+    def margin(self) -> float:
+        """That of the whole at the beginning."""
+        return float(self.root.margins.values[0])
+
+    def find_critical(self) -> CriticalPart:
+        """Return where the margin at the beginning comes from, which must be known."""
+        return self.root.find_critical(self._start_ns)
+
+    def find_violation(self) -> int | None:
+        """Return the first time at which the formula is violated [ns], None where it holds."""
+        return find_violation(self.root)
+
+
+class PartReader:
+    """Makes parts of a formula. It keeps none: their columns are long, and go with the walk.
+
+    Args:
+        expression: A formula.
+        trace: The signals that it names.
         exact: Whether to give 1 for true and -1 for false instead: this decides margins of 0,
             where `<` and `<=` differ.
         unknown: What an unknown part counts for: nan, which makes unknown what it touches; -inf,
@@ -130,20 +166,6 @@ class FormulaWalk:
     ) -> None:
         self.trace = trace
         self._expression, self._exact, self._unknown = expression, exact, unknown
-        self.root = self.visit(expression.root, 1)
-
-    @property
-    def margin(self) -> float:
-        """That of the whole at the beginning."""
-        return float(self.root.margins.values[0])
-
-    def find_critical(self) -> CriticalPart:
-        """Return where the margin at the beginning comes from, which must be known."""
-        return self.root.find_critical(self.trace.start_ns)
-
-    def find_violation(self) -> int | None:
-        """Return the first time at which the formula is violated [ns], None where it holds."""
-        return find_violation(self.root)
 
     def visit(self, node: Node, sign: int) -> Part:
         """Return a part of the formula.
@@ -245,9 +267,9 @@ class FormulaWalk:
 
 
 class _Leaf:
-    def __init__(self, walk: FormulaWalk, node: Node, sign: int) -> None:
-        self._walk, self._node, self._sign = walk, node, sign
-        self.margins = walk.measure_leaf(node, sign)
+    def __init__(self, reader: PartReader, node: Node, sign: int) -> None:
+        self._reader, self._node, self._sign = reader, node, sign
+        self.margins = reader.measure_leaf(node, sign)
 
     def find_critical(self, time_ns: int) -> CriticalPart:
         node = self._node
@@ -255,17 +277,17 @@ class _Leaf:
             return CriticalPart(node=node, time_ns=time_ns)
         pairs = zip(node.operators, node.operands, node.operands[1:], strict=False)
         links = [Comparison(operators=(op,), operands=(a, b)) for op, a, b in pairs]
-        found = [_Leaf(self._walk, link, self._sign) for link in links]
+        found = [_Leaf(self._reader, link, self._sign) for link in links]
         return min(found, key=lambda link: _read(link, time_ns)).find_critical(time_ns)
 
     def find_violation(self) -> int | None:
-        return self._walk.trace.start_ns
+        return self._reader.trace.start_ns
 
 
 class _Negated:
-    def __init__(self, walk: FormulaWalk, operand: Node, sign: int) -> None:
-        self._walk, self._operand, self._sign = walk, operand, sign
-        self._part = walk.visit(operand, -sign)
+    def __init__(self, reader: PartReader, operand: Node, sign: int) -> None:
+        self._reader, self._operand, self._sign = reader, operand, sign
+        self._part = reader.visit(operand, -sign)
         self.margins = negate_steps(self._part.margins)
 
     def find_critical(self, time_ns: int) -> CriticalPart:
@@ -274,13 +296,13 @@ class _Negated:
     def find_violation(self) -> int | None:
         window = self._operand
         if not isinstance(window, Temporal):
-            return self._walk.trace.start_ns
+            return self._reader.trace.start_ns
         turned = replace(
             window,
             operator="eventually" if window.operator == "always" else "always",
             operand=Prefix(operator="not", operand=window.operand),
         )
-        return find_violation(self._walk.visit(turned, self._sign))
+        return find_violation(self._reader.visit(turned, self._sign))
 
 
 class _Joined:
@@ -305,20 +327,20 @@ class _Joined:
 
 
 class _Windowed:
-    def __init__(self, walk: FormulaWalk, node: Temporal, sign: int) -> None:
-        self._walk, self._node = walk, node
-        self._body = walk.visit(node.operand, sign)
+    def __init__(self, reader: PartReader, node: Temporal, sign: int) -> None:
+        self._reader, self._node = reader, node
+        self._body = reader.visit(node.operand, sign)
         slide = slide_minimum if node.operator == "always" else slide_maximum
-        self.margins = walk.look_ahead(node, slide, [self._body.margins], sign)
+        self.margins = reader.look_ahead(node, slide, [self._body.margins], sign)
 
     def find_critical(self, time_ns: int) -> CriticalPart:
-        body = self._body.margins.cut(*self._walk.clip_window(self._node, time_ns))
+        body = self._body.margins.cut(*self._reader.clip_window(self._node, time_ns))
         find = np.argmin if self._node.operator == "always" else np.argmax
         return self._body.find_critical(int(body.time_ns[find(body.values)]))
 
     def find_violation(self) -> int | None:
-        start_ns, end_ns = self._walk.clip_window(self._node, self._walk.trace.start_ns)
-        if self._walk.begins_beyond(self._node):
+        start_ns, end_ns = self._reader.clip_window(self._node, self._reader.trace.start_ns)
+        if self._reader.begins_beyond(self._node):
             return None
         if self._node.operator == "eventually":
             return end_ns
@@ -326,14 +348,14 @@ class _Windowed:
 
 
 class _Until:
-    def __init__(self, walk: FormulaWalk, node: Until, sign: int) -> None:
-        self._walk, self._node = walk, node
-        self._left, self._right = walk.visit(node.left, sign), walk.visit(node.right, sign)
+    def __init__(self, reader: PartReader, node: Until, sign: int) -> None:
+        self._reader, self._node = reader, node
+        self._left, self._right = reader.visit(node.left, sign), reader.visit(node.right, sign)
         sides = [self._left.margins, self._right.margins]
-        self.margins = walk.look_ahead(node, compute_until, sides, sign)
+        self.margins = reader.look_ahead(node, compute_until, sides, sign)
 
     def find_critical(self, time_ns: int) -> CriticalPart:
-        start_ns, end_ns = self._walk.clip_window(self._node, time_ns)
+        start_ns, end_ns = self._reader.clip_window(self._node, time_ns)
         left, right = (part.margins.cut(time_ns, end_ns) for part in (self._left, self._right))
         marks = np.unique([time_ns, start_ns])
         begun = Steps(time_ns=marks, values=marks >= start_ns)
@@ -346,12 +368,12 @@ class _Until:
         return self._left.find_critical(int(times[np.argmin(held[: best + 1])]))
 
     def find_violation(self) -> int | None:
-        begin_ns = self._walk.trace.start_ns
-        _, end_ns = self._walk.clip_window(self._node, begin_ns)
+        begin_ns = self._reader.trace.start_ns
+        _, end_ns = self._reader.clip_window(self._node, begin_ns)
         failed_ns = _find_failure(self._left, begin_ns, end_ns)
         if failed_ns is not None:
             return failed_ns
-        return None if self._walk.begins_beyond(self._node) else end_ns
+        return None if self._reader.begins_beyond(self._node) else end_ns
 
 
 def find_violation(part: Part) -> int | None:
