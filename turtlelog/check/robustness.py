@@ -10,6 +10,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from textwrap import shorten
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -25,6 +26,7 @@ from turtlelog.check.piecewise_constant import (
     slide_maximum,
     slide_minimum,
 )
+from turtlelog.errors import CheckError
 from turtlelog.expressions import (
     Comparison,
     Expression,
@@ -108,6 +110,12 @@ class Part(Protocol):
         """
 
 
+_MOST_VALUES: Final = 8_000_000
+"""What the parts of one formula may come to together: with their times 130 MB."""
+_ANY_PARTS: Final = 20
+"""Comparisons and operators that a formula may have in any case, however long the recording is."""
+
+
 class FormulaWalk:
     """One walk over a formula: the margin of each part, where it comes from, and its violation.
 
@@ -165,6 +173,8 @@ class PartReader:
         unknown: float = math.nan,
     ) -> None:
         self.trace = trace
+        rows = max((len(steps.time_ns) for steps in trace.signals.values()), default=1)
+        self._rows, self._left = rows, max(_MOST_VALUES, _ANY_PARTS * rows)
         self._expression, self._exact, self._unknown = expression, exact, unknown
 
     def visit(self, node: Node, sign: int) -> Part:
@@ -173,7 +183,21 @@ class PartReader:
         Args:
             node: Any part that is true or false.
             sign: -1 where the part counts against the formula: below `not`, left of `implies`.
+
+        Raises:
+            CheckError: Where its parts have too many values together.
         """
+        part = self._make(node, sign)
+        self._left -= len(part.margins.values)
+        if self._left < 0:
+            raise CheckError(
+                f"the formula {shorten(self._expression.text, 60)} has too many comparisons and"
+                f" operators for {self._rows:,} samples. Split it into several checks, or the"
+                " recording into parts"
+            )
+        return part
+
+    def _make(self, node: Node, sign: int) -> Part:
         match node:
             case Logic(operator="implies", operands=(left, right)):
                 return _Joined("implies", [_Negated(self, left, sign), self.visit(right, sign)])
