@@ -16,6 +16,7 @@ from tests.torture.bombs import (
     describe,
     message,
     pose_messages,
+    schema,
     whole,
 )
 from tests.torture.kills import ROOT
@@ -160,3 +161,25 @@ def test_messages_beyond_what_a_file_may_hold_are_told(tmp_path: Path) -> None:
     )  # records: the messages, a header, a schema and a channel
     assert report.recovered == {"/a": most - 3}
     assert f"expected up to {most - 2_400_103} records more" in report.lost[0].reason
+
+
+def test_a_small_file_may_have_a_chunk_a_second_for_an_hour(tmp_path: Path) -> None:
+    """Thousands of chunks are walked twice."""
+    path, one = tmp_path / "chunks.mcap", chunk([pose_messages(1, 1)])
+    front, most = chunk([describe("/a"), pose_messages(1, 1)]), 4096
+    path.write_bytes(whole(front + one * (most - 1)))
+    assert read_info(path).topics[0].count == most
+    more = path.stat().st_size // 2000 + 30
+    path.write_bytes(whole(front + one * (most + more)))
+    with pytest.raises(LogError, match=r"expected up to 42\d\d chunks in a file of"):
+        read_info(path)
+
+
+def test_what_a_file_asks_for_beyond_its_size_ends_what_is_read_of_it(tmp_path: Path) -> None:
+    """Else each of the chunks that follow would be unpacked, and be refused as well."""
+    path = tmp_path / "cut.mcap"
+    long = [chunk([schema(number, "a" * 9_000_000, "")]) for number in range(2, 6)]
+    path.write_bytes(cut(chunk([describe("/a"), pose_messages(1, 1)]) + b"".join(long)))
+    partial = read_info(path).notes["partial"]
+    assert partial.startswith(f"{sum(map(len, long[1:]))} bytes are lost in 1 place")
+    assert "bytes of schemas" in partial

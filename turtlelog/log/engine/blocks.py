@@ -18,7 +18,15 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.chunks import ChunkEntry, open_chunk
 from turtlelog.log.engine.framing import RECORD, check_start
-from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
+from turtlelog.log.engine.limits import (
+    DAMAGES,
+    DESCRIPTIONS,
+    LARGEST_CHUNK,
+    NOTES,
+    RECORDS,
+    Allowance,
+    measure_stored,
+)
 from turtlelog.log.engine.load_kernels import KERNELS, WALKED_S
 from turtlelog.log.engine.parsing import (
     COUNTED_HEAD,
@@ -33,7 +41,7 @@ from turtlelog.log.engine.parsing import (
     take_whole,
 )
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.error_boundary import DamageError, LimitError
 
 T = TypeVar("T")
 Offsets = NDArray[np.int64]
@@ -165,6 +173,7 @@ def walk_through(
         DamageError: Where something is damaged and there is no list that takes the damage.
     """
     check_start(stream)
+    allowance = Allowance(measure_stored(stream))
     for section in walk_sections(stream):
         if isinstance(section, Loss):
             if damages is None:
@@ -176,8 +185,13 @@ def walk_through(
         except DamageError as err:
             if damages is None:
                 raise
-            end = section.start + len(section.data)
-            damages.append(Loss(start=section.start, end=end, reason=str(err)))
+            is_last = isinstance(err, LimitError) or not allowance.count_left(DAMAGES)
+            end = stream.seek(0, 2) if is_last else section.start + len(section.data)
+            reason = str(err).removeprefix(f"byte {section.start}: ")
+            damages.append(Loss(start=section.start, end=end, reason=reason))
+            if is_last:
+                return
+            allowance.spend(DAMAGES)
             continue
         yield found
 
@@ -196,7 +210,7 @@ def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool)
         allowance.spend(NOTES, notes)
         allowance.spend(DESCRIPTIONS, len(stretch.others) - notes)
     except LogError as err:
-        raise DamageError(f"byte {byte}: {err}") from err
+        raise LimitError(f"byte {byte}: {err}") from err
     if stretch.fault is not None:
         raise DamageError(f"byte {byte}: {stretch.fault}")
     return stretch

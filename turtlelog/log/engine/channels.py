@@ -20,7 +20,7 @@ from turtlelog.log.engine.message_types import (
     MessageType,
     read_type,
 )
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.error_boundary import DamageError, LimitError
 
 _SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -184,7 +184,7 @@ class Catalogue:
         try:
             self.allowance.spend_description(record)
         except LogError as err:
-            raise DamageError(f"byte {byte}: {err}") from err
+            raise LimitError(f"byte {byte}: {err}") from err
         if isinstance(record, Schema):
             self.schemas[record.id] = record
         else:

@@ -27,7 +27,7 @@ from turtlelog.log.engine.framing import (
     is_record_start,
     measure_record,
 )
-from turtlelog.log.engine.limits import DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
+from turtlelog.log.engine.limits import CHUNKS, DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
 from turtlelog.log.engine.message_walk import skip_followed
 
 _BATCH: Final = 2**20  # bytes of lone records handed on together
@@ -131,9 +131,13 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
         start = place
         try:
             found, place = _read_record(window, place, kind)
-            window.allowance.spend(DAMAGES, sum(isinstance(one, Loss) for one in found))
+            losses = sum(isinstance(one, Loss) for one in found)
+            window.allowance.spend(DAMAGES, losses)
+            window.allowance.spend(
+                CHUNKS, sum(one.is_chunk for one in found if isinstance(one, Section))
+            )
         except LogError as err:
-            if not window.allowance.count_left(DAMAGES):
+            if not all(map(window.allowance.count_left, (CHUNKS, DAMAGES))):
                 yield Loss(start=start, end=window.size, reason=str(err))
                 return
             window.allowance.spend(DAMAGES)
