@@ -1,5 +1,6 @@
 """What a slim installation lacks is named in one line; all else works there as elsewhere."""
 
+import re
 import subprocess
 import sys
 from functools import partial
