@@ -98,6 +98,35 @@ def test_older_versions_of_a_function_are_removed(module: Path) -> None:
     assert {path.name.partition(".")[2] for path in cache.iterdir()} == {*names[2:]}
 
 
+def test_loops_are_loaded_once_all_work_together_is_worth_it() -> None:
+    pytest.importorskip("numba")
+    loops = CompiledLoops(lambda: "loaded", lambda: True, cost_s=1.0)
+    assert (loops.expect(999, 1e-3), loops.find()) == (None, None)
+    assert (loops.expect(2, 1e-3), loops.find()) == ("loaded", "loaded")
+
+
+def test_loops_that_could_not_be_loaded_are_not_tried_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tries: list[None] = []
+    loops = CompiledLoops(object, lambda: True, cost_s=1.0)
+    monkeypatch.setattr(loops, "load", lambda: tries.append(None))
+    assert [loops.expect(1, 1.0) for _ in range(3)] == [None] * 3
+    assert len(tries) == 1
+
+
+def test_there_are_no_loops_without_numba_or_where_it_compiles_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    numba = pytest.importorskip("numba")
+    loops = CompiledLoops(object, lambda: True, cost_s=1.0)
+    assert loops.load() is not None
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+    assert loops.load() is None
+    monkeypatch.setitem(sys.modules, "numba", None)
+    assert loops.load() is None
+
+
 def test_loops_that_cannot_be_compiled_say_why() -> None:
     pytest.importorskip("numba")
     loops = CompiledLoops(lambda: int("no number"), lambda: True, cost_s=1.0)

@@ -7,8 +7,6 @@ import pytest
 from tests.log.runs import SHARED, find_shared
 from turtlelog.log.engine import RawContents, read_raw
 
-pytestmark = pytest.mark.usefixtures("way")
-
 FILES = sorted((SHARED / "conformance").glob("*/*.mcap"))
 
 

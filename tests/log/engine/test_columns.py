@@ -16,8 +16,6 @@ from turtlelog.errors import LogError
 from turtlelog.log import TopicColumns, iter_columns, read_columns, read_info
 from turtlelog.log.engine import read_raw
 
-pytestmark = pytest.mark.usefixtures("way")
-
 NUMBERS: dict[str, st.SearchStrategy[Any]] = {
     "bool": st.booleans(),
     "float32": st.floats(width=32, allow_nan=False),

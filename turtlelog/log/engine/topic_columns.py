@@ -24,7 +24,6 @@ from turtlelog.log.engine.decode import (
     select_rows,
 )
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.load_kernels import INDEXED_S, KERNELS
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
 from turtlelog.log.engine.parsing import MESSAGE_HEAD, gather_heads
@@ -177,8 +176,6 @@ def collect_parts(
 ) -> dict[str, list[Rows]]:
     """Return the rows of topics that have some, in parts; `look` is called with every piece."""
     expected = count_rows(source, selection)
-    if source.is_indexed:  # others are counted as they are walked
-        KERNELS.expect(sum(expected.values()), INDEXED_S)
     wholes = _set_aside(source, selection, expected)
     stores: dict[str, _RowStore] = {}
     for piece in iterate_pieces(source, selection, wholes=wholes):
