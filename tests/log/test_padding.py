@@ -15,13 +15,13 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from tests.log.engine.files import POINT, Row, pack, write_rows
+from tests.log.engine.raw_records import read_raw
 from tests.log.padding import FIXED, HEAD, pad_file
 from tests.log.runs import find_shared
 from tests.torture.outcomes import describe
 from tests.torture.recordings import COMPRESSIONS, list_records, make_recording, pack_again
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_info, read_recording
-from turtlelog.log.engine import read_raw
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.recovery import recover_recording
 

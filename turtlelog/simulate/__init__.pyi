@@ -11,7 +11,6 @@ from .many import (
 from .plain_loop import (
     PlainLoop as PlainLoop,
     Tick as Tick,
-    build_law as build_law,
     declare_scenario as declare_scenario,
     iterate_ticks as iterate_ticks,
 )
