@@ -10,9 +10,9 @@ from turtlelog.explain import (
     ValueSet,
     attribute_run,
     identify_run,
-    name_without,
     simulate_what_ifs,
 )
+from turtlelog.explain.what_ifs import name_without
 from turtlelog.measure import measure_run
 
 

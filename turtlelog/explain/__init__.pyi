@@ -48,6 +48,5 @@ from .resimulation import (
     Resimulation as Resimulation,
 )
 from .what_ifs import (
-    name_without as name_without,
     simulate_what_ifs as simulate_what_ifs,
 )

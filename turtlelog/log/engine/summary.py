@@ -5,6 +5,7 @@ The mcap library checks chunks and the data section, but never the summary.
 
 import io
 import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import BinaryIO, Final
@@ -14,7 +15,6 @@ from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.checksum import compute_crc
 from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.framing import MCAP0_MAGIC, RECORD, check_start
 from turtlelog.log.engine.limits import CHUNKS, DESCRIPTIONS, NOTES, Allowance, measure_stored
@@ -162,7 +162,7 @@ def _compute_checksum(stream: BinaryIO, start: int, end: int) -> int:
         count = stream.readinto(buffer[: end - start])  # type: ignore[attr-defined]
         if not count:
             break  # the file became shorter: what is missing is missed in the checksum
-        found = compute_crc(buffer[:count], found)
+        found = zlib.crc32(buffer[:count], found)
         start += count
     return found
 
