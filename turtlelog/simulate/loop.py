@@ -240,7 +240,7 @@ def take_oldest(now: Any, rows: Any) -> int:
         oldest += 1
         row = rows.samples[oldest]
     row.queued -= 1
-    now.queue_first = oldest if row.queued > 0 else oldest + 1
+    now.queue_first = oldest
     now.queue_count -= 1
     return oldest
 
