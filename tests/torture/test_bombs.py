@@ -21,7 +21,7 @@ from tests.torture.bombs import (
 )
 from tests.torture.kills import ROOT
 from turtlelog.errors import LogError
-from turtlelog.log import read_columns, read_info, recover_recording
+from turtlelog.log import read_columns, read_info, read_run, recover_recording
 
 IS_FULL = os.environ.get("TORTURE") == "full"
 MOST_BYTES = 10**7
@@ -183,3 +183,14 @@ def test_what_a_file_asks_for_beyond_its_size_ends_what_is_read_of_it(tmp_path: 
     partial = read_info(path).notes["partial"]
     assert partial.startswith(f"{sum(map(len, long[1:]))} bytes are lost in 1 place")
     assert "bytes of schemas" in partial
+
+
+@pytest.mark.parametrize(
+    ("count", "end"), [(101, "/robot99/pose"), (102, "/robot98/pose and 1 more")]
+)
+def test_a_note_lists_a_hundred_topics_at_most(count: int, end: str, tmp_path: Path) -> None:
+    path, pose = tmp_path / "topics.mcap", b"\0\1\0\0" + bytes(20)
+    topics = [f"/robot{number:02}/pose" for number in range(count)]
+    said = b"".join(message(number, pose, number) for number in range(1, count + 1))
+    path.write_bytes(whole(chunk([describe(*topics), said])))
+    assert read_run(path).notes["other_pose_topics"].endswith(end)
