@@ -135,7 +135,7 @@ def test_every_save_runs_again_and_says_what_changed(law: Path, tmp_path: Path) 
         assert watch.out.startswith("textbook law=own.py:Own law.gain=0.5: 100 samples. ")
         assert re.search(r"^run\.duration +s +1\.584 *$", watch.out, re.M)
         law.write_text(format_law(200), encoding="utf-8")
-        watch.wait_for("law.gain=0.5: 200 samples. The run ended: done.", "run.path_length")
+        watch.wait_for("200 samples. The run ended: done.", "run.path_length")
         watch.wait_for("final.position_error")
         assert watch.interrupt() == 130
     assert re.search(r"^metric +unit +now +before$", watch.out, re.M)
