@@ -7,6 +7,7 @@ from rerun.chunk import RrdReader
 
 import turtlelog as tl
 from tests.cli.conftest import Call
+from tests.explain.logs import add_noise
 from tests.log.ros2.bags import make_poses, make_stamped_pose, write_mcap
 from tests.log.runs import find_shared
 
@@ -366,3 +367,17 @@ def test_the_spread_of_periods_is_told_where_it_shows(
         for row, pose in enumerate(make_poses(200, topic="/pose"))
     ]
     assert told in " ".join(call("explain", write_mcap(tmp_path / "bag.mcap", said)).out.split())
+
+
+def test_the_confidence_is_fitted_where_no_sample_is_reproduced_exactly(
+    call: Call, kp10: Path, tmp_path: Path
+) -> None:
+    """The search tries all settings, as none reproduces every sample."""
+    noisy = add_noise(tl.read_recording(kp10), 1e-4, 1)
+    tl.write_recording(
+        replace(noisy, parameters={}, scenario_is_complete=False), tmp_path / "a.mcap"
+    )
+    text = " ".join(call("explain", tmp_path / "a.mcap").out.split())
+    assert "None reproduces every sample." in text
+    assert "Confidence: fitted. Largest differences of the re-simulation, in 770 samples: " in text
+    assert "exact" not in text

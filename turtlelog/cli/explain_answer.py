@@ -287,10 +287,19 @@ def _write_confidence(found: "Identification", attribution: "Attribution") -> st
     if found.is_recorded:
         return f"Confidence: as recorded. The recorded scenario reproduces {rows}."
     if not again.is_exact:
-        return f"Confidence: fitted. {_write_differences(found)}"
+        return f"Confidence: {_judge_settings(found)}. {_write_differences(found)}"
     sure = "exact" if attribution.acting and not attribution.doubts else ""
     label = f"Confidence: {sure}. " if sure else ""
     return f"{label}The re-simulation reproduces {rows} bit for bit."
+
+
+def _judge_settings(found: "Identification") -> str:
+    """Return how far the settings of a loop are known that does not reproduce every sample."""
+    from turtlelog.explain import Certainty
+
+    settings = [one for key, one in found.findings.items() if key in found.tried]
+    is_known = all(one.certainty is not Certainty.UNKNOWN for one in settings)
+    return "fitted" if settings and is_known else "unknown in part"
 
 
 def _write_differences(found: "Identification") -> str:
