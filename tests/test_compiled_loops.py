@@ -122,6 +122,35 @@ def test_a_loop_that_is_compiled_anew_replaces_its_older_versions(tmp_path: Path
     assert [path.name for path in cache.iterdir()] == ["compiled_entry.p_11-1.py311.nbi"]
 
 
+def test_loops_are_loaded_once_all_work_together_is_worth_it() -> None:
+    pytest.importorskip("numba")
+    loops = CompiledLoops(lambda: "loaded", lambda: True, cost_s=1.0)
+    assert (loops.expect(999, 1e-3), loops.find()) == (None, None)
+    assert (loops.expect(2, 1e-3), loops.find()) == ("loaded", "loaded")
+
+
+def test_loops_that_could_not_be_loaded_are_not_tried_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tries: list[None] = []
+    loops = CompiledLoops(object, lambda: True, cost_s=1.0)
+    monkeypatch.setattr(loops, "load", lambda: tries.append(None))
+    assert [loops.expect(1, 1.0) for _ in range(3)] == [None] * 3
+    assert len(tries) == 1
+
+
+def test_there_are_no_loops_without_numba_or_where_it_compiles_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    numba = pytest.importorskip("numba")
+    loops = CompiledLoops(object, lambda: True, cost_s=1.0)
+    assert loops.load() is not None
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+    assert loops.load() is None
+    monkeypatch.setitem(sys.modules, "numba", None)
+    assert loops.load() is None
+
+
 def test_loops_that_cannot_be_compiled_say_why() -> None:
     pytest.importorskip("numba")
     loops = CompiledLoops(lambda: int("no number"), lambda: True, cost_s=1.0)
@@ -258,6 +287,7 @@ def test_a_constant_of_another_file_is_compiled_anew(tmp_path: Path) -> None:
 
 
 def test_every_file_that_the_measurement_takes_from_is_summed_up() -> None:
+    """The measurement is compiled where no other test has done so."""
     kernel = pytest.importorskip("turtlelog.sweep.batch_kernel", exc_type=ImportError)
     summed_up = {module.__name__ for module in kernel.SOURCES}
     for module in (kernel, *kernel.SOURCES):

@@ -122,7 +122,7 @@ def test_public_value_is_one_line_that_says_what_it_is(name: str) -> None:
         ("table", ["<th", "Kp [1/s]", "paper-kp10"]),
         ("comparison", ["largest difference", "cross_track"]),
         ("identification", ["loop.start_backlog", "reproduces all 770 samples"]),
-        ("attribution", ["queue", "0.051", "Queue adds 0.05108 m"]),
+        ("attribution", ["queue", "0.051", "queue +0.05108 m"]),
     ],
 )
 def test_value_is_a_table_in_a_notebook(name: str, texts: list[str]) -> None:
@@ -155,10 +155,10 @@ def test_value_that_several_settings_fit_is_not_called_known() -> None:
 
 
 def test_attribution_without_shares_does_not_say_that_no_effect_acts() -> None:
-    found = replace(tl.attribute_run(RUN), shares=())
+    found = replace(tl.attribute_run(RUN), contributions=())
     assert repr(found).endswith("0.1067 m: no effect changes it>")
-    for why in ({"withheld": "the log differs"}, {"without_value": (ValueSet(mechanisms=("a",)),)}):
-        assert repr(replace(found, **why)).endswith("0.1067 m: no shares>")
+    for why in ({"withheld": "the log differs"}, {"without_value": (ValueSet(causes=("a",)),)}):
+        assert repr(replace(found, **why)).endswith("0.1067 m: no contributions>")
 
 
 def test_counts_of_one_are_singular() -> None:

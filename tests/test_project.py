@@ -70,7 +70,7 @@ PACKAGES = {
 }
 """Packages that are not called like their module."""
 
-BROUGHT_BY_OTHERS = {"pandas", "pytest", "fontTools", "llvmlite"}
+BROUGHT_BY_OTHERS = {"pandas", "pytest", "fontTools"}
 """Used where they are there: data frames, the plugin, the fonts of matplotlib's PDFs."""
 
 

@@ -6,7 +6,7 @@ A message is one line: the place, what was expected, what was found.
 from collections.abc import Iterable
 from typing import Any, Final
 
-from turtlelog.escapes import escape_controls, hide_secrets
+from turtlelog.escapes import cut_text, escape_controls, hide_secrets
 
 _LONGEST: Final = 4000
 """Letters of one message: a name in it may have megabytes."""
@@ -21,7 +21,7 @@ class TurtlelogError(Exception):
     def __str__(self) -> str:
         """Return the message; names cannot break, steer or flood a line, and URLs keep secrets."""
         text = super().__str__()
-        shown = hide_secrets(text[: 2 * _LONGEST])
+        shown = hide_secrets(cut_text(text, 2 * _LONGEST))
         if len(text) > _LONGEST:
             shown = f"{shown[:_LONGEST]}... ({len(text) - _LONGEST:,} letters more)"
         return escape_controls(shown)

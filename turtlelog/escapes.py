@@ -37,8 +37,16 @@ _LOGIN: Final = (
 """User and password in a sentence. A password may have quotes; behind `user:` also `/`, or blanks.
 A number behind the colon is a port. Without the limits a long word is searched from each URL."""
 
-_IN_TEXT: Final = re.compile(URL.pattern + _LOGIN + r"[^\s'\"<>`]*(?<![.,;:!?)])")
-"""A URL within a sentence, whose marks are behind it."""
+_IN_TEXT: Final = re.compile(
+    URL.pattern
+    + _LOGIN
+    + r"(?:[^\s?#]{0,1000}[?#]\S*(?<![.,;:!?)'\"<>`])|[^\s'\"<>`]*(?<![.,;:!?)]))"
+)
+"""A URL within a sentence, whose marks are behind it. In a query, as in a path before it, quotes
+are letters like others."""
+
+_LONG_WORD: Final = re.compile(r"\S{1000,}")
+"""A password in it may be longer than `_LOGIN` looks for."""
 
 _LINK: Final = re.compile(rf"::(?={_SCHEME}(?:::|://))")
 """Between two of such a chain; `::` may also be in a password or an address."""
@@ -135,10 +143,32 @@ def hide_secrets(text: str, url: str = "") -> str:
         text: What a library or the user wrote.
         url: What it is about: its user, password and query are hidden also where they stand alone.
     """
+    text = _LONG_WORD.sub(lambda found: _drop_logins(found[0]), text)
     text = _IN_TEXT.sub(lambda found: show_url(found[0]), text)
     for secret in sorted(_list_secrets(url), key=len, reverse=True):
         text = text.replace(secret, "...")
     return text
+
+
+def _drop_logins(word: str) -> str:
+    """Return a word without what stands between its first URL's `://` and its last `@`."""
+    found, last = URL.search(word), word.rfind("@")
+    if found is None or last < found.end():
+        return word
+    return word[: found.end()] + word[last + 1 :]
+
+
+def cut_text(text: str, most: int) -> str:
+    """Return the first letters of a text; of a URL that is cut, the scheme alone.
+
+    Where the end of a password is cut off, nothing tells that it is one.
+    """
+    if len(text) <= most:
+        return text
+    kept = text[:most]
+    start = most - len(re.split(r"\s", kept)[-1])
+    found = URL.search(kept, start)
+    return kept if found is None else kept[: found.end()]
 
 
 def _list_secrets(url: str) -> set[str]:

@@ -10,7 +10,9 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import import_module
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal
 
@@ -164,21 +166,24 @@ class Effect:
 
     def acts(self, scenario: Any) -> bool:
         """Whether a scenario has it: one of its keys is not neutral."""
-        return _differs(scenario, self.neutral)
+        return any(read(scenario) != value for read, value in _list_neutral(self, None))
 
     def acts_at(self, place: Place, scenario: Any) -> bool:
         """Whether a scenario has what it does at a place."""
-        neutral, keys = self.neutral, self.actions[place].keys
-        return _differs(scenario, {key: neutral[key] for key in keys} if keys else neutral)
+        return any(read(scenario) != value for read, value in _list_neutral(self, place))
 
 
-def _differs(scenario: Any, values: Mapping[str, object]) -> bool:
-    """Whether one key of a scenario has another value."""
-    for key, value in values.items():
-        table, name = key.split(".")
-        if getattr(getattr(scenario, table), name) != value:
-            return True
-    return False
+@cache
+def _list_neutral(
+    effect: Effect, place: Place | None
+) -> tuple[tuple[Callable[[Any], object], object], ...]:
+    """Return what reads the keys of an effect, or of what it does at a place, with neutral values.
+
+    Every run asks for them.
+    """
+    neutral = effect.neutral
+    keys = () if place is None else effect.actions[place].keys
+    return tuple((attrgetter(key), neutral[key]) for key in keys or neutral)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,6 +11,7 @@ from tests.check.artifact_files import read_mark
 from tests.check.recordings import simulate
 from turtlelog.check import CheckResult, Verdict
 from turtlelog.check.failure_report import (
+    Artifacts,
     describe_failure,
     describe_results,
     tabulate_surroundings,
@@ -30,11 +31,12 @@ def fail(run: tl.Run, holds: str = "always(abs(cross_track) <= 0.005)") -> Check
 
 def write_blind(
     run: tl.Run, result: CheckResult, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> tl.check.Artifacts:
+) -> Artifacts:
     """Write artifacts where no viewer can run."""
     for variable in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.setenv(variable, "/none")
-    return tl.check.write_artifacts(run, result, folder)
+    with tl.check.ArtifactWriter(folder) as writer:
+        return writer.write(run, result)
 
 
 def test_the_view_opens_at_the_violation_and_marks_it(

@@ -190,3 +190,17 @@ def test_long_uneven_windows_are_right(length_s: float) -> None:
         first = np.searchsorted(times, at + 10**9, side="right") - 1
         last = np.searchsorted(times, at + 10**9 + round(length_s * 1e9), side="right")
         assert read_at(found, int(at)) == values[first:last].max()
+
+
+def join_comparisons(count: int) -> str:
+    return " and ".join(f"x < {number}" for number in range(count))
+
+
+def test_a_formula_of_many_parts_is_refused_for_a_long_signal_before_it_fills_the_memory() -> None:
+    count = 400_000
+    x = np.arange(count) * SECOND_NS, np.zeros(count)
+    assert len(compute(join_comparisons(18), x=x).values)
+    expected = r"too many comparisons and operators for 400,000 samples\. Split it into several"
+    with pytest.raises(CheckError, match=expected):
+        compute(join_comparisons(21), x=x)
+    assert len(compute(join_comparisons(200), x=X).values)

@@ -1,10 +1,12 @@
 import dataclasses
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import turtlelog as tl
 from tests.check.recordings import simulate
+from tests.compare.runs import make_run
 from turtlelog.check import CheckResult, Verdict, check_runs, parse_spec
 
 
@@ -220,3 +222,19 @@ def test_verdicts_join_to_the_worst() -> None:
     assert tl.check.join_verdicts(results) == "FAIL"
     assert tl.check.join_verdicts(results[:2]) == "PASS"
     assert tl.check.join_verdicts(results[:1]) == "SKIPPED"
+
+
+@pytest.mark.parametrize(("count", "is_judged"), [(100, True), (101, False)])
+def test_a_long_recording_is_held_to_as_many_formulas_as_take_seconds(
+    count: int, *, is_judged: bool
+) -> None:
+    """Four parts each: always, x, < and the number. As many as are let through take 2 s."""
+    rows = 375_000
+    run = make_run(x_m=np.zeros(rows), time_s=np.arange(rows))
+    spec = parse_spec({"checks": {f"c{n}": {"holds": "always[0, 9](x < 1)"} for n in range(count)}})
+    results = check_runs(spec, [("a.mcap", run)])
+    if is_judged:
+        assert {result.verdict for result in results} == {Verdict.PASS}
+        return
+    with pytest.raises(tl.CheckError, match=r"404 names, .* 400 are the most .* 375,000 samples"):
+        list(results)

@@ -102,6 +102,8 @@ def test_the_demo_writes_recordings_views_and_table_1(call: Call, tmp_path: Path
     assert {path.name for path in (tmp_path / "out").iterdir()} == expected
     assert (tmp_path / "out" / "table1.txt").read_text() in answer.out
     assert "view" in answer.out.splitlines()[-4]
+    told = "4 runs. paper-kp2 ends 0.00101 m from the goal, paper-kp10 0.107 m."
+    assert answer.out.startswith(f"{tmp_path / 'out'}: {told}\n\n")
 
 
 def test_the_demo_refuses_a_file_for_its_folder(call: Call, tmp_path: Path) -> None:

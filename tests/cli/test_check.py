@@ -33,7 +33,7 @@ def tolerances(tmp_path: Path) -> Path:
 def test_what_passes_exits_with_0(call: Call, spec: Path, kp4: Path) -> None:
     answer = call("check", spec, kp4)
     assert answer.code == 0
-    assert answer.out.splitlines()[-1] == "PASS: 1 recording, 2 pass, 0 fail, 0 skipped"
+    assert answer.out.splitlines()[0] == f"PASS: {kp4}: all 2 checks pass"
 
 
 def test_what_fails_exits_with_1_and_says_where(call: Call, spec: Path, kp10: Path) -> None:
@@ -42,11 +42,14 @@ def test_what_fails_exits_with_1_and_says_where(call: Call, spec: Path, kp10: Pa
     lines = answer.out.splitlines()
     (line,) = [line for line in lines if line.startswith("FAIL") and " 1.0076 " in line]
     assert " ".join(line.split()) == "FAIL overshoot % 1.0076 0.5 -0.50756 2.288"
-    assert lines[2] == str(kp10)
-    assert f"FAIL {kp10}: overshoot: expected rotate.overshoot <= 0.5 (half a" in answer.out
-    assert f"SKIPPED {kp10}: gains: only when law.kp_linear < 5; here" in answer.out
-    assert f"-0.50756 %  overshoot  {kp10}" in [line.strip() for line in lines]
-    assert lines[-1] == "FAIL: 1 recording, 0 pass, 1 fail, 1 skipped"
+    assert lines[0] == f"FAIL: {kp10}: 1 of 2 checks fails, 1 is skipped"
+    words = " ".join(answer.out.split())
+    assert f"FAIL {kp10}: overshoot: expected rotate.overshoot <= 0.5 (half a" in words
+    assert f"SKIPPED {kp10}: gains: only when law.kp_linear < 5; here" in words
+    assert lines[-2:] == [
+        f"Why? turtlelog explain {kp10}",
+        "All checks with their margins: --all",
+    ]
 
 
 def test_json_has_every_field(call: Call, spec: Path, kp4: Path, kp10: Path) -> None:
@@ -64,11 +67,10 @@ def test_json_has_every_field(call: Call, spec: Path, kp4: Path, kp10: Path) -> 
 
 
 def test_a_run_within_its_tolerances_passes(call: Call, kp4: Path, tolerances: Path) -> None:
-    answer = call("check", tolerances, kp4, "--reference", kp4)
+    answer = call("check", tolerances, kp4, "--reference", kp4, "--all")
     assert answer.code == 0
-    assert f"\n{kp4}\n" in answer.out
+    assert answer.out.startswith(f"PASS: {kp4}: all 2 checks pass\n\n{kp4}\n")
     assert "PASS  metrics.final.position_error" in answer.out
-    assert answer.out.endswith("PASS: 1 recording, 2 pass, 0 fail, 0 skipped\n")
 
 
 def test_a_run_outside_fails_with_value_limit_and_time(
@@ -76,9 +78,11 @@ def test_a_run_outside_fails_with_value_limit_and_time(
 ) -> None:
     answer = call("check", tolerances, kp4, kp10, "--reference", kp4)
     assert answer.code == 1
-    assert re.search(r"signals\.x: \S+ m where the reference has \S+ m at \S+ s", answer.out)
-    assert "s (two ticks)\n" in answer.out
-    assert answer.out.endswith("FAIL: 2 recordings, 3 pass, 1 fail, 0 skipped\n")
+    words = " ".join(answer.out.split())
+    assert re.search(r"signals\.x: \S+ m where the reference has \S+ m at \S+ s", words)
+    assert "s (two ticks) " in words
+    assert answer.out.startswith("FAIL: 2 recordings: 1 of 4 checks fails\n")
+    assert f"Recordings in which checks fail, and how many: {kp10} (1)" in words
 
 
 def test_verdicts_against_a_reference_stand_in_json(
@@ -223,9 +227,10 @@ def test_a_recording_that_cannot_be_read_fails_and_the_others_are_judged(
     words = ("check", spec, kp4, *bad, kp4, "--junit", target, *partial)
     answer = call(*words, "--artifacts", tmp_path / "failed")
     assert answer.code == 1
-    assert answer.out.splitlines()[-1] == "FAIL: 9 recordings, 4 pass, 7 fail, 0 skipped"
+    assert answer.out.splitlines()[0] == "FAIL: 9 recordings: 7 of 11 checks fail"
+    words_of_answer = " ".join(answer.out.split())
     for path, reason in bad.items():
-        assert f"FAIL {path}: recording: {reason}" in answer.out
+        assert f"FAIL {path}: recording: {reason}" in words_of_answer
     assert not (tmp_path / "failed").exists()
     root = Xml.parse(target).getroot()
     assert (root.get("tests"), root.get("failures")) == ("11", "7")

@@ -11,7 +11,7 @@ import pytest
 
 from tests.cli.conftest import Call
 from turtlelog.check import CheckResult, Verdict
-from turtlelog.cli.check_answers import CountedResults
+from turtlelog.cli.check_answers import CountedResults, format_results
 
 RATES = """format = 1
 [checks.rate]
@@ -34,8 +34,7 @@ def test_angles_are_printed_in_degrees_and_turn_rates_in_radians(
     assert "FAIL rate rad/s 1 0.5 -0.5 0.000" in rows
     assert "FAIL heading deg 129.8 57.296 -72.502 1.024" in rows
     assert "FAIL signals.heading deg 3.1403 0.057296 -3.083 2.128" in rows
-    assert any("129.57 deg where the reference has 126.43 deg" in row for row in rows)
-    assert "-72.502 deg heading " + str(kp10) in rows
+    assert "129.57 deg where the reference has 126.43 deg" in " ".join(rows)
     results = {result["check"]: result for result in call(*words, "--json").json["results"]}
     assert (results["heading"]["limit"], results["heading"]["unit"]) == (1.0, "rad")
 
@@ -44,14 +43,14 @@ def test_rows_stand_in_the_order_of_files_with_a_heading_for_each(
     call: Call, spec: Path, kp4: Path, kp10: Path
 ) -> None:
     for files in ([kp4, kp10], [kp10, kp4]):
-        lines = call("check", spec, *files).out.splitlines()
+        lines = call("check", spec, *files, "--all").out.splitlines()
         headings = [line for line in lines if line in {str(kp4), str(kp10)}]
         assert headings == [*map(str, files)]
         matrix = lines[lines.index("2 recordings, 2 checks") :]
         rows = [line.split() for line in matrix if line.startswith("/")]
         verdicts = {str(kp4): ["PASS", "PASS"], str(kp10): ["FAIL", "SKIPPED"]}
         assert rows == [[str(file), *verdicts[str(file)]] for file in files]
-    assert "recordings, 2 checks" not in call("check", spec, kp4).out
+    assert "recordings, 2 checks" not in call("check", spec, kp4, "--all").out
 
 
 def test_value_limit_and_margin_share_a_line_at_80_columns(
@@ -62,7 +61,7 @@ def test_value_limit_and_margin_share_a_line_at_80_columns(
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "80")
-    lines = call("check", tmp_path / "first.toml", "kp10.mcap").out.splitlines()
+    lines = call("check", tmp_path / "first.toml", "kp10.mcap", "--all").out.splitlines()
     head, *rows = lines[lines.index("kp10.mcap") + 2 : lines.index("kp10.mcap") + 18]
     assert head.split() == ["check", "unit", "value", "limit", "margin", "violated"]
     assert max(map(len, rows)) <= 80
@@ -111,7 +110,7 @@ def test_check_answers_in_csv_and_markdown(call: Call, spec: Path, kp4: Path, kp
     assert float(rows[2][4]) == call("check", spec, kp10, "--json").json["results"][0]["value"]
     text = call("check", spec, kp4, kp10, "--markdown").out
     assert "| FAIL | overshoot | % | 1.0076 | 0.5 | -0.50756 | 2.288 |" in text
-    assert "FAIL: 2 recordings, 2 pass, 1 fail, 1 skipped" in text
+    assert "FAIL: 2 recordings: 1 of 4 checks fails, 1 is skipped" in text
     assert call("check", spec, kp4, "--csv", "--json").code == 2
 
 
@@ -186,7 +185,46 @@ def test_results_of_many_files_are_counted_and_few_of_them_kept() -> None:
         assert counted.nearest["drift"].file == f"run-{count - 1}.mcap"
         assert [one.file for one in counted.failures[:2]] == ["run-0.mcap", "run-7.mcap"]
         assert len(counted.failures) == 40
+        assert (len(counted.failing), counted.failing_files) == (8, -(-count // 7))
         return peak
 
     few, many = measure(1_000), measure(20_000)
     assert many < 1.2 * few
+
+
+def test_the_verdict_comes_first_and_all_fits_a_screen(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(kp10.parent)
+    call("check", "--init", kp4, "-o", tmp_path / "first.toml")
+    for path in (kp4.name, kp10.name):
+        if not Path(path).exists():
+            Path(path).write_bytes(kp4.read_bytes())
+    expected = {
+        (kp4.name,): "PASS: kp4.mcap: all 13 checks pass",
+        (kp10.name,): "FAIL: kp10.mcap: 7 of 13 checks fail",
+        (kp4.name, kp10.name): "FAIL: 2 recordings: 7 of 26 checks fail",
+    }
+    for files, first in expected.items():
+        lines = call("check", tmp_path / "first.toml", *files).out.splitlines()
+        assert lines[0] == first
+        assert len(lines) <= 40
+        assert max(map(len, lines)) <= 80
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "first"),
+    [
+        (["PASS"], "PASS: a.mcap: the check passes"),
+        (["PASS", "SKIPPED"], "PASS: a.mcap: 1 of 2 checks passes, 1 is skipped"),
+        (["SKIPPED"], "SKIPPED: no check was judged in a.mcap: 1 is skipped"),
+        (["FAIL"], "FAIL: a.mcap: 1 of 1 check fails"),
+        (["FAIL", "FAIL", "SKIPPED"], "FAIL: a.mcap: 2 of 3 checks fail, 1 is skipped"),
+    ],
+)
+def test_the_first_line_counts_what_was_judged(verdicts: list[str], first: str) -> None:
+    results = [
+        CheckResult(file="a.mcap", check=f"c{number}", verdict=Verdict(verdict), reason="because")
+        for number, verdict in enumerate(verdicts)
+    ]
+    assert format_results(results, files=1).splitlines()[0] == first

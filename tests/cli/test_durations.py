@@ -40,7 +40,7 @@ def test_info_tells_how_long_a_file_lasts_from_how_long_its_run_does(call: Call,
 
 
 def test_explain_gives_the_duration_that_metrics_gives(call: Call, bag: Path) -> None:
-    assert "bag: a robot, not turtlesim, run.duration 2.350 s, of /odom" in call("explain", bag).out
+    assert "A robot, not turtlesim, run.duration 2.350 s, of /odom" in call("explain", bag).out
     assert call("explain", bag, "--json").json["motion"]["run_duration_s"] == 2.35
 
 
@@ -48,7 +48,7 @@ def test_a_recording_names_the_first_message_and_the_first_sample(call: Call, kp
     (answer,) = call("info", kp10, "--json").json
     assert (answer["duration_s"], answer["run_duration_s"]) == (12.672, None)
     text = call("info", kp10).out
-    assert "  duration  12.672 s, from the first to the last message of any topic\n" in text
+    assert "  duration    12.672 s, from the first to the last message of any topic\n" in text
     assert measure_duration(call, kp10) == 12.608
 
 
@@ -79,8 +79,8 @@ def test_a_recording_that_lost_everything_says_what_is_absent(
     assert answer["absent"] == [*lost, *([] if answer["scenario"] else ["parameters"])]
     assert answer["summary"].startswith("a recording of turtlelog's, truncated: no message can be")
     text = call("info", cut).out
-    assert "  complete  no: copy the file again from its source\n" in text
-    assert "  absent    poses, commands, samples, goal_xy_m" in text
+    assert "Fix: copy the file again from its source\n" in text
+    assert "absent poses, commands, samples, goal_xy_m" in " ".join(text.split())
 
 
 def test_a_recording_that_lost_its_end_lacks_nothing_else(

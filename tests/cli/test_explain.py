@@ -7,6 +7,7 @@ from rerun.chunk import RrdReader
 
 import turtlelog as tl
 from tests.cli.conftest import Call
+from tests.explain.logs import add_noise
 from tests.log.ros2.bags import make_poses, make_stamped_pose, write_mcap
 from tests.log.runs import find_shared
 
@@ -33,7 +34,7 @@ def test_explain_names_the_settings_that_it_tried(call: Call, kp10: Path) -> Non
     tried = call("explain", kp10, "--json").json["tried"]
     assert tried["loop.transport_delay_ticks"] == [0, 1, 2, 3, 4]
     assert tried["loop.queue_policy"] == ["newest", "one-per-tick"]
-    text = " ".join(call("explain", kp10).out.split())
+    text = " ".join(call("explain", kp10, "--details").out.split())
     assert "Settings tried: queue policy newest, one-per-tick; command queue 2 to 7;" in text
     assert "; transport delay 0 to 4 ticks." in text
 
@@ -50,13 +51,13 @@ def test_a_log_with_a_row_missing_is_explained_as_json(call: Call, tmp_path: Pat
 def test_explain_attributes_the_error(call: Call, kp10: Path) -> None:
     found = call("explain", kp10, "--json").json["attribution"]
     assert (found["metric"], found["unit"]) == ("final.position_error", "m")
-    assert found["as_logged"] == found["as_built"] == pytest.approx(0.10673, abs=1e-5)
-    assert [share["mechanism"] for share in found["shares"]] == ["queue", "pause", "wrap"]
-    assert math.fsum(share["share"] for share in found["shares"]) == (
-        found["as_built"] - found["without_all"]
+    assert found["as_logged"] == found["resimulated"] == pytest.approx(0.10673, abs=1e-5)
+    assert [one["cause"] for one in found["contributions"]] == ["queue", "pause", "wrap"]
+    assert math.fsum(one["contribution"] for one in found["contributions"]) == (
+        found["resimulated"] - found["without_all"]
     )
     assert found["without_all"] < 0.006
-    assert {share["mechanism"] for share in found["others"]} == {
+    assert {one["cause"] for one in found["others"]} == {
         "saturation",
         "sampling",
         "float32",
@@ -66,11 +67,13 @@ def test_explain_attributes_the_error(call: Call, kp10: Path) -> None:
     assert (found["starts"]["is_wide"], found["withheld"]) == (True, None)
 
 
-def test_withheld_shares_are_an_empty_list_with_both_values(call: Call) -> None:
+def test_withheld_contributions_are_an_empty_list_with_both_values(call: Call) -> None:
     log = find_shared("paper", "kp4_210.json")
     found = call("explain", log, "--metric", "rotate.overshoot", "--json").json["attribution"]
-    assert (found["as_logged"], found["as_built"]) == pytest.approx((0.039355, 0.066729), abs=1e-6)
-    assert (found["shares"], "a tenth" in found["withheld"]) == ([], True)
+    assert (found["as_logged"], found["resimulated"]) == pytest.approx(
+        (0.039355, 0.066729), abs=1e-6
+    )
+    assert (found["contributions"], "a tenth" in found["withheld"]) == ([], True)
 
 
 def test_a_metric_without_a_value_is_explained_by_what_leaves_it_so(
@@ -81,8 +84,8 @@ def test_a_metric_without_a_value_is_explained_by_what_leaves_it_so(
     tl.write_recording(tl.simulate_run(scenario), tmp_path / "wrapping.mcap")
     words = ("explain", tmp_path / "wrapping.mcap", "--metric", "translate.duration")
     found = call(*words, "--json").json["attribution"]
-    assert (found["as_logged"], found["as_built"], found["shares"]) == (None, None, [])
-    assert [case["mechanisms"] for case in found["without_value"]] == [["queue", "wrap"]]
+    assert (found["as_logged"], found["resimulated"], found["contributions"]) == (None, None, [])
+    assert [case["causes"] for case in found["without_value"]] == [["queue", "wrap"]]
     assert "With queue and wrap it has no value" in call(*words).out
 
 
@@ -110,17 +113,54 @@ def test_explain_draws_the_run_beside_its_what_ifs(call: Call, tmp_path: Path, k
     assert {"/attribution/bar_3", "/attribution/words", "/plane/gap"} < entities
 
 
-def test_the_tables_fit_a_terminal(call: Call, kp10: Path) -> None:
+def test_the_answer_begins_with_the_value_and_its_causes(call: Call, kp10: Path) -> None:
     lines = call("explain", kp10).out.splitlines()
-    assert max(map(len, lines)) <= 100
+    assert lines[:3] == [
+        "kp10.mcap: why final.position_error is 0.1067 m",
+        "",
+        "Two effects of the implementation cause it, in about equal parts:",
+    ]
+    assert lines[3].startswith("  queue  +0.05108 m  commands wait: dead time 4 ticks rotating")
+    assert lines[4].startswith("  pause  +0.05057 m  the controller is silent for 0.528 s")
+    assert "Design parameter: tolerance (without it, tolerances of 1e-06: 0.0009877 m)." in lines
+    sure = "Confidence: exact. The re-simulation reproduces all 770 samples bit for bit."
+    assert lines[-2:] == [sure, "Every cause, setting and its evidence: --details"]
+
+
+def test_the_details_are_the_table_of_causes_and_of_settings(call: Call, kp10: Path) -> None:
+    answer, details = call("explain", kp10).out, call("explain", kp10, "--details").out
+    lines = details.splitlines()
+    assert details.startswith(answer.rpartition("\nEvery cause")[0])
+    assert max(map(len, lines)) <= 80
     assert any(line.startswith("pause                  33 ticks") for line in lines)
-    assert "Simulated again: 770 samples, largest differences x 0 m, y 0 m," in lines
+    assert any(
+        line.startswith("tolerance              -  0.00098771  tolerances") for line in lines
+    )
+    text = " ".join(details.split())
+    assert "differences of the re-simulation, in 770 samples: x 0 m, y 0 m, heading 0 deg" in text
 
 
-def test_more_mechanisms_share(call: Call, kp10: Path) -> None:
+def test_the_answer_fits_a_screen(call: Call, kp10: Path, tmp_path: Path) -> None:
+    noisy = tl.override_scenario(tl.load_scenario("paper"), {"sensing.noise_heading_rad": 0.01})
+    tl.write_recording(tl.simulate_run(noisy), tmp_path / "noisy.mcap")
+    for file in (kp10, tmp_path / "noisy.mcap", find_shared("robots", "tb3")):
+        lines = call("explain", file).out.splitlines()
+        assert lines[0].startswith(f"{file.name}: ")
+        assert len(lines) <= 40
+        assert max(map(len, lines)) <= 80
+
+
+def test_a_law_of_ones_own_shows_the_settings_of_its_causes(call: Call, turn: Path) -> None:
+    words = ("explain", turn, "--metric", "run.turn_rate_total_variation", "--trust-law")
+    lines = call(*words).out.splitlines()
+    assert lines[0] == "turn.mcap: why run.turn_rate_total_variation is 6.435 rad/s"
+    assert lines[3] == "  delay  +5.4 rad/s  loop.transport_delay_ticks = 6"
+
+
+def test_more_mechanisms_take_part(call: Call, kp10: Path) -> None:
     words = ("--mechanisms", "queue, pause,saturation", "--metric", "final.heading_error")
     found = call("explain", kp10, *words, "--json").json["attribution"]
-    assert [share["mechanism"] for share in found["shares"]] == ["queue", "pause", "saturation"]
+    assert [one["cause"] for one in found["contributions"]] == ["queue", "pause", "saturation"]
     assert found["unit"] == "deg"
 
 
@@ -141,13 +181,14 @@ def test_explain_says_of_a_turtlesim_bag_what_its_plant_tells(call: Call) -> Non
     assert motion["poses"]["longest_silence_s"] == pytest.approx(1.600373167)
     assert motion["command_delays"]["ticks"] == [{"ticks": 0, "commands": 18}]
     assert (motion["replay"]["within_rounding"], len(motion["replay"]["jumps"])) == (True, 1)
-    text = call("explain", bag).out
+    text = " ".join(call("explain", bag).out.split())
     for sentence in (
-        "turtlesim_jazzy: turtlesim, run.duration 42.066 s, of /turtle1/pose",
+        "turtlesim_jazzy: not explained, because there are no samples of a controller.",
+        "Turtlesim, run.duration 42.066 s, of /turtle1/pose",
         "The plant reproduces every pose.",
         "Dead time of the 18 commands that a pose shows: 18 in the next tick.",
         "At 15.632 s: jump (spawn) to x = 5.544 m",
-        "More would need the samples of the controller",
+        "An explanation needs the samples of the controller",
     ):
         assert sentence in text
     assert not any(word in text for word in ("backlog", "Kp", "projection", "unknown", "metric"))
@@ -159,7 +200,8 @@ def test_explain_says_of_a_robot_its_rates_and_nothing_of_a_turtle(call: Call) -
     text = " ".join(answer.out.split())
     assert answer.code == 0
     for sentence in (
-        "tb3: a robot, not turtlesim, ",
+        "tb3: not explained, because there are no samples of a controller.",
+        "A robot, not turtlesim, ",
         "634 commands, usually one every 101.",
         "Largest commands: speed 0.12 m/s at ",
         "The measured turn rate holds 1 outlier, -143.6 rad/s at ",
@@ -181,11 +223,8 @@ def test_explain_says_of_poses_alone_how_many_there_are(call: Call, tmp_path: Pa
     path = write_mcap(tmp_path / "a.mcap", [make_stamped_pose()])
     answer = call("explain", path)
     assert answer.code == 0
-    assert "1 pose.\nNo commands.\n\nMore would need" in answer.out
+    assert "1 pose.\nNo commands.\n\nAn explanation needs" in answer.out
     assert call("explain", path, "--json").json["motion"]["poses"]["period_s"] is None
-    asked = call("explain", path, "--metric", "run.duration").out
-    assert asked.endswith("No metric is explained: no scenario stands for this log.\n")
-    assert "No metric" not in answer.out
 
 
 @pytest.mark.parametrize(("last_ticks", "is_silence"), [(1.49, False), (1.51, True)])
@@ -194,7 +233,7 @@ def test_a_period_and_a_half_is_a_silence(
 ) -> None:
     *poses, last = make_poses(5)
     last = replace(last, time_ns=poses[-1].time_ns + round(last_ticks * 16e6))
-    text = call("explain", write_mcap(tmp_path / "a.mcap", [*poses, last])).out
+    text = " ".join(call("explain", write_mcap(tmp_path / "a.mcap", [*poses, last])).out.split())
     assert ("the longest silence" in text) is is_silence
 
 
@@ -203,10 +242,9 @@ def test_poses_that_come_at_no_tick_are_not_turtlesims(call: Call, tmp_path: Pat
     late = [
         replace(pose, time_ns=first_ns + 10 * (pose.time_ns - first_ns)) for pose in make_poses(5)
     ]
-    text = call("explain", write_mcap(tmp_path / "a.mcap", late)).out
+    text = " ".join(call("explain", write_mcap(tmp_path / "a.mcap", late)).out.split())
     assert (
-        "a: a robot that publishes poses as turtlesim does, not turtlesim, run.duration 0.640 s"
-        in text
+        "A robot that publishes poses as turtlesim does, not turtlesim, run.duration 0.640" in text
     )
     assert "was not driven" not in text
 
@@ -260,7 +298,7 @@ def test_a_scenario_that_is_not_identified_is_not_written(
     assert "textbook: expected a run of the law sequential-p, or one that its own" in answer.err
     drawn = call("explain", no_scenario, "--rrd", tmp_path / "why.rrd")
     assert (drawn.code, (tmp_path / "why.rrd").exists()) == (2, False)
-    assert "why.rrd: expected shares or a ghost, found none: No metric is explained" in drawn.err
+    assert "why.rrd: there is nothing to draw, because no scenario fits this log" in drawn.err
 
 
 def test_nothing_is_said_of_a_law_that_is_another(call: Call, no_scenario: Path) -> None:
@@ -273,7 +311,9 @@ def test_nothing_is_said_of_a_law_that_is_another(call: Call, no_scenario: Path)
     assert (answer["resimulation"], answer["attribution"]) == (None, None)
     text = call("explain", no_scenario).out
     assert "no command that turns" not in text
-    assert "dead time of align" in text
+    assert text.startswith("part.mcap: final.position_error is 0.004927 m")
+    assert "; its causes are unknown\n" in text
+    assert "dead time of align 6 ticks" in " ".join(text.split())
 
 
 def test_another_law_is_explained_with_trust_only(call: Call, turn: Path) -> None:
@@ -284,24 +324,25 @@ def test_another_law_is_explained_with_trust_only(call: Call, turn: Path) -> Non
     found = call(*words, "--trust-law", "--json").json
     assert found["attribution"]["as_logged"] == pytest.approx(6.435, abs=1e-3)
     assert found["attribution"]["without_all"] == pytest.approx(1.034, abs=1e-3)
-    assert [share["mechanism"] for share in found["attribution"]["shares"]] == ["delay"]
+    assert [one["cause"] for one in found["attribution"]["contributions"]] == ["delay"]
     assert found["identified"]["gains"] == {"angular": None, "linear": None}
     text = " ".join(call(*words, "--trust-law").out.split())
     other = ("Kp", "heading tolerance", "position tolerance", "projection")
     assert not [word for word in other if word in text]
-    assert "Delay adds 5.4 rad/s; without delay it would be 1.034 rad/s." in text
+    assert "Without delay it would be 1.034 rad/s." in text
 
 
 def test_a_law_that_was_changed_is_said_to_depart(call: Call, turn: Path, tmp_path: Path) -> None:
     run = tl.read_recording(turn)
     changed = replace(run, parameters={**run.parameters, "law.kp_angular": 11.0})
     tl.write_recording(changed, tmp_path / "changed.mcap")
-    text = " ".join(call("explain", tmp_path / "changed.mcap", "--trust-law").out.split())
+    words = ("explain", tmp_path / "changed.mcap", "--trust-law")
+    text = " ".join(call(*words, "--details").out.split())
     assert "departs at 0.000 s: nothing is claimed of the law" not in text
     assert "The recorded scenario reproduces the first " in text
-    assert "No simulation stands for this log. The plant was driven with its commands." in text
-    assert "Settings tried: start backlog 1, 7 poses; queue policy newest, one-per-tick" in text
-    assert text.endswith("No metric is explained: no scenario stands for this log.")
+    assert "No scenario fits this log. The plant was driven with its commands." in text
+    assert "Settings tried: initial queue 1, 7 poses; queue policy newest, one-per-tick" in text
+    assert "; its causes are unknown" in call(*words).out.splitlines()[0]
 
 
 def test_a_metric_of_a_loop_that_the_run_does_not_declare_is_refused_at_once(
@@ -326,3 +367,17 @@ def test_the_spread_of_periods_is_told_where_it_shows(
         for row, pose in enumerate(make_poses(200, topic="/pose"))
     ]
     assert told in " ".join(call("explain", write_mcap(tmp_path / "bag.mcap", said)).out.split())
+
+
+def test_the_confidence_is_fitted_where_no_sample_is_reproduced_exactly(
+    call: Call, kp10: Path, tmp_path: Path
+) -> None:
+    """The search tries all settings, as none reproduces every sample."""
+    noisy = add_noise(tl.read_recording(kp10), 1e-4, 1)
+    tl.write_recording(
+        replace(noisy, parameters={}, scenario_is_complete=False), tmp_path / "a.mcap"
+    )
+    text = " ".join(call("explain", tmp_path / "a.mcap").out.split())
+    assert "None reproduces every sample." in text
+    assert "Confidence: fitted. Largest differences of the re-simulation, in 770 samples: " in text
+    assert "exact" not in text

@@ -86,7 +86,7 @@ def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> N
         (["run", "--kpp", "3"], "turtlelog run: expected an option (--kp), found '--kpp'"),
         (
             ["info", "-x"],
-            "--time, --column, --partial, --max-download, --clock, --jobs or --json), found '-x'",
+            "--time, --column, --partial, --max-download, --jobs or --json), found '-x'",
         ),
         (["run", "--json=3"], "--json: expected no value, found '3'"),
         (["compar"], "turtlelog: expected a command (compare), found 'compar'"),

@@ -86,15 +86,20 @@ def test_what_a_real_robot_did_wrong_is_noted(call: Call) -> None:
     assert "  jumps               1 jump, 0.00726 m back and +0.709 deg at 31.7 s\n" in out
 
 
-def test_the_sentence_comes_first_and_then_what_is_missing(call: Call, tmp_path: Path) -> None:
+def test_what_a_file_is_comes_first_and_then_what_is_in_it_and_missing(
+    call: Call, tmp_path: Path
+) -> None:
     path = write_mcap(tmp_path / "bag.mcap", make_drive(commands=20, late_ms=5))
-    assert call("info", path).out.splitlines()[:5] == [
-        str(path),
-        "  a robot: /odom at 20 Hz, commands on /cmd_vel at 10 Hz; not turtlesim",
-        "  no goal: --goal X,Y adds final.position_error and run.time_to_goal",
-        "  no samples of a controller: a recording of turtlelog's holds them, for metrics of loops",
-        "",
+    lines = call("info", path).out.splitlines()
+    assert lines[0] == "bag.mcap: ROS 2 bag of a robot (not turtlesim), 2.0 s"
+    assert lines[1:3] == [
+        "  poses         /odom, 20 Hz, 40 messages",
+        "  commands      /cmd_vel, 10 Hz, 20 messages",
     ]
+    text = " ".join(" ".join(lines).split())
+    assert "missing goal: --goal X,Y adds final.position_error and run.time_to_goal" in text
+    assert "missing samples of a controller: a recording of turtlelog's holds them" in text
+    assert lines[-2] == "You can: metrics, identify, check, compare, view, plot"
     (answer,) = call("info", path, "--json").json
     expected = {"used": "stamp", "ratio": 1.0, "offset_s": 0.005, "jitter_s": 0.0}
     assert answer["clock"] == expected
@@ -128,13 +133,19 @@ def test_a_recording_of_ours_is_told_from_its_summary(
     call: Call, kp4: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("turtlelog.log.ros2.read_bag", pytest.fail)
-    first, second = call("info", kp4).out.splitlines()[:2]
-    assert first == str(kp4)
-    assert second == (
-        "  a recording of turtlelog's: sequential-p on turtlesim, 681 samples and 705 poses in"
-        " 11.3 s"
-    )
+    lines = call("info", kp4).out.splitlines()
+    assert lines[:6] == [
+        "kp4.mcap: turtlelog recording, complete, 11.3 s",
+        "  run         paper-kp4",
+        "  robot       turtlesim, simulated",
+        "  controller  sequential-p, Kp = 4 1/s (turning and driving)",
+        "  goal        (2, 10) m",
+        "  data        705 poses, 681 controller samples, 681 commands",
+    ]
     (answer,) = call("info", kp4, "--json").json
+    assert answer["summary"] == (
+        "a recording of turtlelog's: sequential-p on turtlesim, 681 samples and 705 poses in 11.3 s"
+    )
     assert (answer["clock"], answer["missing"]) == (None, [])
 
 
@@ -160,7 +171,8 @@ def test_poses_that_cannot_be_read_are_described_all_the_same(call: Call, tmp_pa
     path = write_mcap(tmp_path / "bag.mcap", [broken])
     answer = call("info", path)
     assert answer.code == 0
-    assert "  poses on /odom, which cannot be read: topic /odom: message 0" in answer.out
+    told = "bag.mcap: poses on /odom, which cannot be read: topic /odom: message 0"
+    assert answer.out.startswith(told)
 
 
 def test_two_turtles_are_named(call: Call, tmp_path: Path) -> None:
@@ -245,3 +257,22 @@ def test_what_a_table_is_taken_for_is_said(call: Call, tmp_path: Path) -> None:
     assert answer.code == 0
     assert "heading from yaw [deg]" in answer.err
     assert "; this is no table: --column heading is not used" in answer.err
+
+
+@pytest.mark.parametrize("name", ["kp10", "tb3", "cut"])
+def test_the_answer_fits_a_screen(call: Call, kp10: Path, tmp_path: Path, name: str) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(kp10.read_bytes()[:60000])
+    file = {"kp10": kp10, "cut": cut}.get(name) or find_shared("robots", name)
+    *lines, _ = call("info", file).out.splitlines()
+    assert lines[0].startswith(f"{file.name}: ")
+    assert len(lines) <= 40
+    assert max(len(line) for line in lines if str(file) not in line) <= 80
+
+
+def test_topics_and_parameters_are_listed_where_they_are_asked_for(call: Call, kp4: Path) -> None:
+    short = call("info", kp4).out
+    long = call("info", kp4, "--topics", "--parameters").out
+    assert short.endswith("Topics: --topics    Scenario: --parameters\n")
+    for text in ("/turtle1/control  turtlelog_msgs/msg/ControlSample", "  law.kp_linear = 4.0\n"):
+        assert (text in short, text in long) == (False, True)

@@ -102,7 +102,7 @@ def test_a_recovered_recording_is_told_by_info_and_metrics(
     answer = call("metrics", whole)
     assert (answer.code, answer.err.count("\n")) == (0, 1)
     assert answer.err.startswith(f"{whole}: {line} (byte ")
-    assert "recovered  from a damaged or unfinished file: " in call("info", whole).out
+    assert "recovered   from a damaged or unfinished file: " in call("info", whole).out
     (told,) = call("info", whole, "--json").json
     assert told["notes"]["recovered"].startswith("from a damaged or unfinished file: ")
 

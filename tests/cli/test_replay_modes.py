@@ -31,9 +31,13 @@ def test_the_closed_loop_is_the_default(call: Call, kp4: Path) -> None:
 def test_an_equal_replay_is_told_in_one_sentence(call: Call, kp4: Path) -> None:
     answer = call("replay", kp4)
     assert (answer.code, answer.err) == (0, "")
-    assert "The replay is the recording, in every column.\n" in answer.out
+    lines = answer.out.splitlines()
+    assert lines[0] == "kp4.mcap: the replay is the recording, in every column."
+    assert lines[-1] == "0 of 23 signals differ: --details"
     assert "final.position_error" not in answer.out
-    assert max(map(len, answer.out.splitlines())) <= 100
+    details = call("replay", kp4, "--details").out
+    assert ["turn_rate", "rad/s", "0", "-", "0", "681"] in map(str.split, details.splitlines())
+    assert max(map(len, details.splitlines())) <= 80
 
 
 def test_a_law_answers_in_json(call: Call, kp4: Path) -> None:
@@ -53,10 +57,12 @@ def test_a_law_answers_in_json(call: Call, kp4: Path) -> None:
 
 
 def test_a_law_answers_in_text(call: Call, kp4: Path) -> None:
-    assert "the law commands what was recorded" in call("replay", kp4, "--law").out
+    equal = call("replay", kp4, "--law").out
+    assert equal.startswith("kp4.mcap: sequential-p commands what was recorded.\n")
     answer = call("replay", kp4, "--law", "--set", "law.kp_angular=4.000004")
-    assert "recorded 8.97118 rad/s, replayed 8.97119 rad/s" in answer.out
-    assert "In the commands: turn rate at 2.016 s" in answer.out
+    assert answer.out.startswith("kp4.mcap: sequential-p departs in ")
+    assert "recorded 8.97118 rad/s, replayed 8.97119 rad/s" in " ".join(answer.out.split())
+    assert "First command: turn rate at 2.016 s" in answer.out
 
 
 @pytest.mark.parametrize(
@@ -83,7 +89,11 @@ def test_what_if_writes_a_recording_that_says_what_it_is(
     target = tmp_path / "other.mcap"
     answer = call("replay", kp10, "--set", "loop.queue_policy=newest", "-o", target)
     assert (answer.code, answer.err) == (0, f"wrote {target}\n")
-    assert "First difference: heading at 0.016 s: recorded 0 deg, replayed 0.916733" in answer.out
+    lines = answer.out.splitlines()
+    first = "the replay departs in heading at 0.016 s: recorded 0 deg, replayed 0.916733 deg."
+    assert " ".join(lines[:2]) == f"kp10.mcap: {first}"
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
     assert "final.position_error     m      0.10673    0.026837    -0.079891" in answer.out
     run = tl.read_recording(target)
     assert run.name == "paper-kp10 loop.queue_policy=newest"
@@ -111,7 +121,7 @@ def test_the_published_logs_replay_with_a_scenario(call: Call) -> None:
     assert answer["first_difference"] is None
     assert (
         "Not in the recording: wanted_speed"
-        in call("replay", path, "--law", "--scenario", "paper-kp4").out
+        in call("replay", path, "--law", "--scenario", "paper-kp4", "--details").out
     )
 
 
@@ -154,8 +164,8 @@ def test_the_verdict_on_a_replay_is_that_of_check(call: Call, kp4: Path, mode: l
         assert result["margin"] == -found["largest"]
         assert result["first_violation_s"] == found["first_difference"]["time_s"]
     text = call(*words, "--expect-equal").out
-    counts = f"{len(answer['results']) - len(failed)} pass, {len(failed)} fail"
-    assert text.endswith(f"\nFAIL: 1 recording, {counts}, 0 skipped\n")
+    counts = f"{len(failed)} of {len(answer['results'])} checks fail"
+    assert f"\nFAIL: {kp4}: {counts}\n" in text
     assert call(*words).out.rstrip() in text
     assert "PASS" not in text
     assert "verdict" not in call(*words, "--json").json
@@ -267,7 +277,7 @@ def test_commands_published_otherwise_are_not_what_the_law_answers(
     answer = call("replay", tmp_path / "zero.mcap", "--law", "--expect-equal")
     assert answer.code == 1
     line = "The commands as published differ from the law's in command_speed, command_turn_rate."
-    assert line in answer.out.splitlines()
+    assert line in " ".join(answer.out.split())
     assert call("replay", kp4, "--law", "--expect-equal").code == 0
     driven = tl.Recording(tmp_path / "zero.mcap")
     found = driven.driven_by().matches(driven)
@@ -287,7 +297,9 @@ def test_commands_that_are_missing_are_not_what_the_law_answers(
     tl.write_recording(replace(run, commands=commands), tmp_path / "few.mcap")
     answer = call("replay", tmp_path / "few.mcap", "--law", "--expect-equal")
     assert answer.code == 1
-    assert "First difference: commands at 11.184 s: recorded 9, replayed 681." in answer.out
+    assert "departs in commands at 11.184 s: recorded 9, replayed 681." in " ".join(
+        answer.out.split()
+    )
     assert "published are not one per sample, and are not compared." in answer.out
     driven = tl.Recording(tmp_path / "few.mcap")
     (result,) = driven.driven_by().matches(driven).failures

@@ -14,9 +14,38 @@ def test_run_prints_metrics_and_writes_nothing_unasked(
     monkeypatch.chdir(tmp_path)
     answer = call("run", "paper-kp10")
     assert (answer.code, answer.err) == (0, "")
-    assert "770 samples. The run ended: standstill." in answer.out
+    lines = answer.out.splitlines()
+    assert lines[:2] == [
+        "paper-kp10: missed the goal by 0.107 m after 12.6 s.",
+        "770 samples. The run ended: standstill.",
+    ]
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
     assert ["final.position_error", "m", "0.10673"] in map(str.split, answer.out.splitlines())
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "first"),
+    [
+        (["paper-kp1"], "paper-kp1: reached the goal within 2.52 mm after 20.5 s."),
+        (["paper-kp4"], "paper-kp4: missed the goal by 8.52 mm after 11.2 s."),
+        (["posture"], "posture: reached the goal within 0.998 mm after 12.9 s."),
+        (["track-square"], "track-square: ended after 40 s, cross.rms_error 0.05059 m."),
+        (
+            ["textbook", "--set", "law.kp_angular=6", "--set", "max_duration_s=4"],
+            "textbook: missed the goal by 4.62 m after 4 s.",
+        ),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_the_first_line_tells_how_far_from_the_goal_it_ended(
+    call: Call, words: list[str], first: str
+) -> None:
+    lines = call("run", *words).out.splitlines()
+    assert lines[0] == first
+    if "--set" in words:
+        assert lines[1] == "Changed: law.kp_angular=6 max_duration_s=4"
 
 
 def test_run_records_what_it_simulates(call: Call, tmp_path: Path) -> None:

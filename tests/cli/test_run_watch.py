@@ -132,10 +132,11 @@ signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no s
 def test_every_save_runs_again_and_says_what_changed(law: Path, tmp_path: Path) -> None:
     with start(tmp_path, "--law", "own.py:Own", "--set", "law.gain=0.5") as watch:
         watch.wait_for("watching own.py: every save runs again, Ctrl-C ends")
-        assert watch.out.startswith("textbook law=own.py:Own law.gain=0.5: 100 samples. ")
+        assert watch.out.startswith("textbook: ended ")
+        assert "\nChanged: law=own.py:Own law.gain=0.5\n100 samples. " in watch.out
         assert re.search(r"^run\.duration +s +1\.584 *$", watch.out, re.M)
         law.write_text(format_law(200), encoding="utf-8")
-        watch.wait_for("law.gain=0.5: 200 samples. The run ended: done.", "run.path_length")
+        watch.wait_for("200 samples. The run ended: done.", "run.path_length")
         watch.wait_for("final.position_error")
         assert watch.interrupt() == 130
     assert re.search(r"^metric +unit +now +before$", watch.out, re.M)
@@ -161,7 +162,7 @@ def test_errors_of_the_law_are_a_line_each_and_the_watch_goes_on(law: Path, tmp_
         law.write_text("import sys\nsys.exit(3)\n", encoding="utf-8")
         watch.wait_for("cannot be loaded: SystemExit: 3")
         law.write_text(format_law(50), encoding="utf-8")
-        watch.wait_for("own.py:Own: 50 samples.", "0.784")
+        watch.wait_for("\n50 samples.", "0.784")
         assert watch.interrupt() == 130
     assert "Traceback" not in watch.err
     assert watch.err.count("turtlelog: error: ") == 4
@@ -176,7 +177,7 @@ def test_a_law_that_is_wrong_at_first_is_waited_for(law: Path, tmp_path: Path) -
     with start(tmp_path, "--law", "own.py:Own") as watch:
         watch.wait_for("expected a class Own in own.py, found none", "watching own.py")
         law.write_text(format_law(60), encoding="utf-8")
-        watch.wait_for(": 60 samples.", "run.duration")
+        watch.wait_for("\n60 samples.", "run.duration")
     assert "before" not in watch.out
 
 
@@ -186,11 +187,11 @@ def test_the_last_of_two_quick_saves_counts(law: Path, tmp_path: Path) -> None:
         watch.wait_for("watching own.py")
         law.write_text(format_law(300), encoding="utf-8")
         law.write_text(format_law(400), encoding="utf-8")
-        watch.wait_for(": 400 samples.")
+        watch.wait_for("\n400 samples.")
         law.write_text(format_law(300), encoding="utf-8")
         time.sleep(0.25)  # while the run begins, or has just begun
         law.write_text(format_law(500), encoding="utf-8")
-        watch.wait_for(": 500 samples.")
+        watch.wait_for("\n500 samples.")
 
 
 @signals
@@ -203,11 +204,11 @@ def test_a_file_that_is_replaced_or_gone_for_a_while_is_waited_for(
         new = tmp_path / "own.py.new"
         new.write_text(format_law(150), encoding="utf-8")
         new.replace(law)
-        watch.wait_for(": 150 samples.")
+        watch.wait_for("\n150 samples.")
         law.unlink()
         time.sleep(0.5)
         law.write_text(format_law(250), encoding="utf-8")
-        watch.wait_for(": 250 samples.")
+        watch.wait_for("\n250 samples.")
         assert watch.interrupt() == 130
     assert "error" not in watch.err
 
@@ -235,14 +236,14 @@ def test_a_scenario_file_is_watched_with_the_law_that_it_names(law: Path, tmp_pa
     )
     scenario.write_text(text, encoding="utf-8")
     with start(tmp_path, scenario.name) as watch:
-        watch.wait_for("mine: 100 samples.", "watching mine.toml, own.py:")
+        watch.wait_for("\n100 samples.", "watching mine.toml, own.py:")
         scenario.write_text(text.replace("textbook", "mine") + "[[", encoding="utf-8")
         watch.wait_for("turtlelog: error: mine.toml")
         law.write_text(format_law(120), encoding="utf-8")
         scenario.write_text(text, encoding="utf-8")
-        watch.wait_for("mine: 120 samples.")
+        watch.wait_for("\n120 samples.")
         law.write_text(format_law(140), encoding="utf-8")
-        watch.wait_for("mine: 140 samples.")
+        watch.wait_for("\n140 samples.")
         law.rename(tmp_path / "other.py")
         scenario.write_text(text.replace("own.py", "other.py"), encoding="utf-8")
         watch.wait_for("watching mine.toml, other.py:")
@@ -274,7 +275,7 @@ def test_a_law_without_end_is_ended_by_its_budget_and_the_watch_goes_on(
         law.write_text(format_law(100, "while True: pass"), encoding="utf-8")
         watch.wait_for("sample 0 took more than 1250 ms of a budget of 250 ms")
         law.write_text(format_law(110), encoding="utf-8")
-        watch.wait_for(": 110 samples.")
+        watch.wait_for("\n110 samples.")
 
 
 @signals
@@ -342,7 +343,7 @@ def test_one_viewer_shows_run_after_run(law: Path, tmp_path: Path) -> None:
             watch.wait_for("watching own.py")
             viewer.wait_for_end(99 * 16_000_000)
             law.write_text(format_law(200), encoding="utf-8")
-            watch.wait_for(": 200 samples.")
+            watch.wait_for("\n200 samples.")
             viewer.wait_for_end(199 * 16_000_000)
             assert watch.interrupt() == 130
         state = viewer.client.get_state()

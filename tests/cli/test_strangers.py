@@ -39,7 +39,7 @@ def test_info_lists_what_a_strangers_file_lacks(call: Call, tmp_path: Path) -> N
     bag = write_metadata(tmp_path, ["a.mcap"])
     alone, folder = call("info", tmp_path / "a.mcap", bag, "--json").json
     assert alone["absent"] == folder["absent"] == NEVER
-    assert f"absent        {', '.join(NEVER)}" in call("info", bag).out
+    assert f"absent {', '.join(NEVER)}" in " ".join(call("info", bag, "--topics").out.split())
 
 
 def test_what_a_file_holds_is_not_called_absent(call: Call, plain: Path) -> None:
@@ -98,14 +98,14 @@ def test_recover_is_advised_where_it_recovers(
     data = kp10.read_bytes()
     assert size < len(data)
     cut.write_bytes(data[:size])
-    is_advised = "turtlelog recover FILE -o OUT makes it so" in call("info", cut).out
+    is_advised = f"Fix: turtlelog recover {cut} -o OUT" in call("info", cut).out
     refused = call("metrics", cut)
     assert refused.code == 2
     assert ("turtlelog recover FILE -o OUT rewrites" in refused.err) == is_advised
     answer = call("recover", cut, "-o", tmp_path / "whole.mcap")
     assert is_advised == (answer.code == 0)
     if not is_advised:
-        assert "complete  no: copy the file again from its source" in call("info", cut).out
+        assert "Fix: copy the file again from its source" in call("info", cut).out
 
 
 def test_recover_takes_a_bag_that_was_never_closed(call: Call, kp4: Path, tmp_path: Path) -> None:

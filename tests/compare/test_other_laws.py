@@ -6,6 +6,7 @@ import pytest
 
 import turtlelog as tl
 from tests.strange_law import simulate_strange
+from turtlelog.compare.run_summary import list_usual_metrics
 from turtlelog.compare.signal_comparison import explain_lack
 from turtlelog.errors import CompareError
 from turtlelog.loops import ControlLoop, Declaration
@@ -22,7 +23,7 @@ def read_titles(table: tl.compare.Table) -> list[str]:
 
 def test_tables_have_the_columns_of_the_loops_that_the_runs_have() -> None:
     usual = ("a.rms_error", "final.heading_error", "final.position_error", "run.duration")
-    assert tl.compare.list_usual_metrics(ONE.declaration) == usual
+    assert list_usual_metrics(ONE.declaration) == usual
     table = tl.tabulate_runs([tl.summarise_run(run) for run in (ONE, TWO)])
     assert read_titles(table) == ["run", "Kp turn", "Kp drive", *usual]
     assert [row[1:3] for row in table.rows] == [(4.0, 1.0), (4.0, 2.0)]
@@ -174,7 +175,7 @@ def test_several_loops_that_turn_have_an_overshoot_and_a_gain_each() -> None:
 def test_a_law_without_loops_has_no_columns_of_any() -> None:
     run = declare(ONE)
     ends = ("final.heading_error", "final.position_error", "run.duration")
-    assert tl.compare.list_usual_metrics(run.declaration) == ends
+    assert list_usual_metrics(run.declaration) == ends
     assert read_titles(tl.tabulate_runs([tl.summarise_run(run)]))[:2] == [
         "run",
         "final.heading_error",

@@ -4,6 +4,7 @@ import pickle
 import pytest
 
 import turtlelog as tl
+from turtlelog.compare.run_summary import list_usual_metrics
 from turtlelog.errors import CompareError
 
 RUNS = [tl.simulate_run(tl.load_scenario(name)) for name in tl.scenario.PAPER_RUNS]
@@ -190,12 +191,12 @@ def test_a_table_is_made_of_the_metrics_that_it_names() -> None:
     )
     assert needed == ("final.*", "run.duration", "rotate.iae")
     usual = tl.measure_run(RUNS[0], only=tl.compare.list_needed_metrics())
-    assert {*tl.compare.list_usual_metrics(RUNS[0].declaration)} < {*usual}
+    assert {*list_usual_metrics(RUNS[0].declaration)} < {*usual}
     assert len(usual) < 10
 
 
 def test_the_usual_metrics_of_the_papers_law() -> None:
-    assert tl.compare.list_usual_metrics(RUNS[0].declaration) == (
+    assert list_usual_metrics(RUNS[0].declaration) == (
         *("rotate.settling_time", "rotate.overshoot"),
         *("final.heading_error", "final.position_error", "run.duration"),
     )

@@ -18,9 +18,9 @@ FINDINGS = {
     "explain_run": [
         "loop.start_backlog = 5 (exact: reproduces all 770 samples)",
         "final.position_error is 0.1067 m, in the log and re-simulated.",
-        "Queue adds 0.05108 m and pause adds 0.05057 m",
+        "queue +0.05108 m and pause +0.05057 m",
         "final.heading_error is 1.074 deg, in the log and re-simulated.",
-        "Queue adds 0.514 deg and pause adds 0.5088 deg",
+        "queue +0.514 deg and pause +0.5088 deg",
     ],
     "what_if": [
         "as recorded         0.1067 m",

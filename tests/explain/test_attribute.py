@@ -11,14 +11,14 @@ from tests.log.runs import find_shared
 from turtlelog.errors import ExplainError
 from turtlelog.explain import (
     Attribution,
-    Share,
+    Contribution,
     attribute_run,
     attribute_scenario,
     find_mechanisms,
     identify_run,
     simulate_without,
 )
-from turtlelog.explain.attribution import find_grain
+from turtlelog.explain.attribution import find_resolution
 from turtlelog.explain.mechanisms import FINER, is_present, list_effects
 from turtlelog.explain.shapley import vary_start
 from turtlelog.laws.sequential_p import DECLARATION
@@ -39,15 +39,15 @@ def attribute(name: str, *mechanisms: str, **options: Any) -> Attribution:
 
 
 def read_shares(found: Attribution) -> dict[str, float]:
-    return {share.mechanism: share.share or 0.0 for share in found.shares}
+    return {share.cause: share.contribution or 0.0 for share in found.contributions}
 
 
 def read_alone(found: Attribution) -> dict[str, float | None]:
-    return {share.mechanism: share.alone for share in (*found.shares, *found.others)}
+    return {share.cause: share.alone for share in (*found.contributions, *found.others)}
 
 
-def find_other(found: Attribution, name: str) -> Share:
-    return next(share for share in found.others if share.mechanism == name)
+def find_other(found: Attribution, name: str) -> Contribution:
+    return next(share for share in found.others if share.cause == name)
 
 
 def shift_log(run: Run, by_m: float) -> Run:
@@ -61,31 +61,31 @@ def shift_log(run: Run, by_m: float) -> Run:
 
 def test_without_queue_and_pause_the_gain_of_ten_ends_within_six_millimetres() -> None:
     found = attribute_scenario(KP10)
-    assert (found.as_built, found.without_all) == pytest.approx((0.1067, 0.0051), abs=5e-5)
+    assert (found.resimulated, found.without_all) == pytest.approx((0.1067, 0.0051), abs=5e-5)
     assert read_shares(found) == pytest.approx(
         {"queue": 0.05108, "pause": 0.05057, "wrap": 0.0}, abs=1e-5
     )
-    together = {case.mechanisms: case.value for case in found.together}
+    together = {case.causes: case.value for case in found.together}
     assert together["queue", "pause"] == pytest.approx(0.0576, abs=1e-4)
 
 
 def test_a_recorded_run_needs_no_scenario() -> None:
     found = attribute_run(import_log(find_shared("paper", "kp4_210.json")))
-    assert found.as_logged == found.as_built
+    assert found.as_logged == found.resimulated
     assert replace(found, as_logged=None) == attribute("paper-kp4")
 
 
 def test_effects_share_and_properties_stand_beside_them() -> None:
     found = attribute_scenario(KP10)
     assert (*EFFECTS[:2], *EFFECTS[-2:]) == ("queue", "delay", "pause", "wrap")
-    assert found.mechanisms == ("queue", "pause", "wrap")
-    assert {share.mechanism for share in found.others} == {*MECHANISMS} - {*EFFECTS} - ABSENT
+    assert found.causes == ("queue", "pause", "wrap")
+    assert {share.cause for share in found.others} == {*MECHANISMS} - {*EFFECTS} - ABSENT
 
 
 def test_what_is_not_in_the_scenario_takes_no_part() -> None:
     found = attribute("textbook")
-    assert (found.mechanisms, found.shares, found.without_all) == ((), (), found.as_built)
-    assert {share.mechanism for share in found.others} == {
+    assert (found.causes, found.contributions, found.without_all) == ((), (), found.resimulated)
+    assert {share.cause for share in found.others} == {
         "saturation",
         "sampling",
         "float32",
@@ -118,9 +118,9 @@ def test_shares_add_up_to_the_last_bit_or_that_of_the_smallest(
     """Each of 12 examples simulates all subsets of up to three effects."""
     found = attribute(name, *mechanisms, metric=metric)
     shares = [share for share in read_shares(found).values() if share]
-    assert found.as_built is not None
+    assert found.resimulated is not None
     assert found.without_all is not None
-    total = found.as_built - found.without_all
+    total = found.resimulated - found.without_all
     smallest = min(map(abs, shares), default=0.0)
     assert abs(math.fsum(shares) - total) <= (math.ulp(smallest) if smallest > abs(total) else 0.0)
 
@@ -143,13 +143,13 @@ def test_two_effects_that_need_each_other_share_alike() -> None:
     assert (shares["queue"], shares["wrap"]) == pytest.approx((1.780, 1.744), abs=1e-3)
     assert abs(shares["pause"]) < 0.1 * shares["queue"]
     largest = max(found.together, key=lambda case: case.value)
-    assert largest.mechanisms == ("queue", "wrap")
+    assert largest.causes == ("queue", "wrap")
 
 
 def test_of_more_than_six_those_take_part_that_change_most() -> None:
     """All 64 subsets of six effects are simulated."""
     found = attribute("paper-kp10", *(name for name in MECHANISMS if name != "wrap"))
-    assert found.mechanisms == (
+    assert found.causes == (
         "queue",
         "saturation",
         "sampling",
@@ -167,16 +167,18 @@ def test_a_log_cut_short_is_compared_with_a_run_cut_there() -> None:
     assert identified.build_scenario().max_duration_s == pytest.approx(6.288)
     found = attribute_run(run, identified=identified)
     assert found.as_logged == pytest.approx(5.6935, abs=1e-3)
-    assert found.as_built == pytest.approx(5.6934, abs=1e-3)
+    assert found.resimulated == pytest.approx(5.6934, abs=1e-3)
 
 
 def test_the_value_of_the_log_stands_beside_the_re_simulation() -> None:
     run = import_log(find_shared("paper", "kp4_210.json"))
     found = attribute_run(run, metric="rotate.overshoot")
     assert found.as_logged == measure_run(run)["rotate.overshoot"].value
-    assert (found.as_logged, found.as_built) == pytest.approx((0.039355, 0.066729), abs=1e-6)
-    assert found.shares == ()
-    assert found.withheld == "they differ by more than a tenth of what the effects add together"
+    assert (found.as_logged, found.resimulated) == pytest.approx((0.039355, 0.066729), abs=1e-6)
+    assert found.contributions == ()
+    assert found.withheld == (
+        "log and re-simulation differ by more than a tenth of what the effects add together"
+    )
 
 
 @pytest.mark.parametrize(("part", "is_told"), [(0.099, True), (0.101, False)])
@@ -185,10 +187,10 @@ def test_shares_are_told_up_to_a_tenth_of_what_the_effects_add(
 ) -> None:
     """All subsets of the effects are simulated."""
     run, found = simulate("paper-kp10"), attribute_scenario(KP10)
-    assert found.as_built is not None
+    assert found.resimulated is not None
     assert found.without_all is not None
-    shifted = shift_log(run, part * (found.as_built - found.without_all))
-    shares = attribute_run(shifted, identified=identify_run(run)).shares
+    shifted = shift_log(run, part * (found.resimulated - found.without_all))
+    shares = attribute_run(shifted, identified=identify_run(run)).contributions
     assert bool(shares) == is_told
 
 
@@ -202,17 +204,17 @@ def test_where_the_effects_add_nothing_a_millionth_is_the_same(
     logged = attribute_run(run, identified=identified).as_logged
     assert logged is not None
     found = attribute_run(shift_log(run, part * logged), identified=identified)
-    assert bool(found.shares) == is_told
+    assert bool(found.contributions) == is_told
     assert is_told or found.withheld == (
-        "they differ by more than 0.0001 % of the value, and the effects add less"
+        "log and re-simulation differ by more than 0.0001 % of the value, and the effects add less"
     )
 
 
 def test_smallest_sets_stand_for_shares_where_some_have_no_value() -> None:
     scenario = override_scenario(get_preset("paper"), WRAPPING)
     found = attribute_scenario(scenario, metric="translate.duration")
-    assert (found.as_built, found.shares) == (None, ())
-    assert [case.mechanisms for case in found.without_value] == [("queue", "wrap")]
+    assert (found.resimulated, found.contributions) == (None, ())
+    assert [case.causes for case in found.without_value] == [("queue", "wrap")]
     assert found.without_value[0].reason == "the run has no phase translate"
     assert found.without_all is not None
 
@@ -220,13 +222,13 @@ def test_smallest_sets_stand_for_shares_where_some_have_no_value() -> None:
 def test_a_value_that_only_an_effect_makes_is_said() -> None:
     scenario = override_scenario(KP10, {"law.heading_tolerance_rad": 1e-6})
     found = attribute_scenario(scenario, metric="rotate.decay_ratio")
-    assert [case.mechanisms for case in found.without_value] == [()]
-    assert [case.mechanisms for case in found.with_value] == [("queue",)]
-    assert found.as_built is not None
+    assert [case.causes for case in found.without_value] == [()]
+    assert [case.causes for case in found.with_value] == [("queue",)]
+    assert found.resimulated is not None
 
 
 @pytest.mark.parametrize(
-    ("metric", "grain"),
+    ("metric", "resolution"),
     [
         ("final.position_error", 0.001 * math.hypot(3.5444446, 4.4555554) + 0.001),
         ("final.heading_error", math.degrees(0.001)),
@@ -237,32 +239,39 @@ def test_a_value_that_only_an_effect_makes_is_said() -> None:
         ("run.iae", 0.02),
     ],
 )
-def test_each_metric_has_its_grain(metric: str, grain: float) -> None:
-    assert find_grain(KP10, DECLARATION, metric, 2.0).size == pytest.approx(grain, rel=1e-6)
+def test_each_metric_has_its_resolution(metric: str, resolution: float) -> None:
+    assert find_resolution(KP10, DECLARATION, metric, 2.0).size == pytest.approx(
+        resolution, rel=1e-6
+    )
 
 
-def test_the_grain_of_a_time_is_one_sample_period() -> None:
+def test_the_resolution_of_a_time_is_one_sample_period() -> None:
     scenario = override_scenario(KP10, {"loop.period_ticks": 3})
-    assert find_grain(scenario, DECLARATION, "run.duration", 12.0).size == pytest.approx(0.048)
+    assert find_resolution(scenario, DECLARATION, "run.duration", 12.0).size == pytest.approx(0.048)
 
 
-def test_the_gain_of_ten_hangs_on_single_samples() -> None:
+def test_the_gain_of_ten_depends_on_single_samples() -> None:
     starts = attribute_scenario(KP10).starts
     assert starts is not None
     assert starts.is_wide
     assert starts.count == 17
     assert starts.within_rad == pytest.approx(0.008)
     assert (starts.low, starts.high) == pytest.approx((0.0394, 0.4734), abs=1e-4)
-    assert starts.parts["queue"] == pytest.approx((0.161, 0.615), abs=1e-3)
+    assert (starts.parts[0].low, starts.parts[0].high) == pytest.approx((0.161, 0.615), abs=1e-3)
+    assert starts.without_all == pytest.approx((0.00482, 0.00568), abs=1e-5)
 
 
 @pytest.mark.parametrize(("part", "is_wide"), [(0.49, False), (0.51, True)])
-def test_a_value_hangs_on_samples_from_half_of_what_is_added_on(
+def test_a_value_depends_on_samples_from_half_of_what_is_added_on(
     part: float, *, is_wide: bool
 ) -> None:
     found = attribute_scenario(KP10).starts
     assert found is not None
-    options: dict[str, Any] = {"grain": 0.0, "mechanisms": ["queue", "pause"], "acting": ["queue"]}
+    options: dict[str, Any] = {
+        "resolution": 0.0,
+        "mechanisms": ["queue", "pause"],
+        "acting": ["queue"],
+    }
     width = found.high - found.low
     starts = vary_start(KP10, "final.position_error", added=width / part, **options)
     assert starts is not None
@@ -271,11 +280,11 @@ def test_a_value_hangs_on_samples_from_half_of_what_is_added_on(
 
 def test_a_value_that_only_follows_the_start_is_steady() -> None:
     found = attribute("paper-kp2", metric="rotate.rms_error")
-    assert found.as_built is not None
+    assert found.resimulated is not None
     assert found.without_all is not None
     assert found.starts is not None
-    added, width = found.as_built - found.without_all, found.starts.high - found.starts.low
-    assert width > 0.5 * abs(added) > found.grain.size
+    added, width = found.resimulated - found.without_all, found.starts.high - found.starts.low
+    assert width > 0.5 * abs(added) > found.resolution.size
     assert not found.starts.is_wide
 
 
@@ -289,7 +298,7 @@ def test_the_lower_gains_are_steady(name: str) -> None:
     found = attribute(name)
     assert found.starts is not None
     assert not found.starts.is_wide
-    assert found.starts.parts == {}
+    assert found.starts.parts == ()
 
 
 def test_a_property_that_leaves_another_phase_without_end_is_said() -> None:
@@ -301,13 +310,13 @@ def test_a_property_that_leaves_another_phase_without_end_is_said() -> None:
     assert find_other(attribute_scenario(shorter), "tolerance").ending == (
         "the pause no longer ends within 3.2 s"
     )
-    assert find_other(attribute_scenario(KP10), "saturation").ending == ""
+    assert find_other(attribute_scenario(KP10), "saturation").ending is None
 
 
 def test_settings_that_fit_alike_are_named() -> None:
     run = add_noise(simulate("paper-kp10"), 1e-4, 1)
     assert attribute_run(run).doubts == (
-        "The shares are those of the likeliest settings; none reproduces every sample.",
+        "Contributions are those of the likeliest settings. None reproduces every sample.",
     )
     assert attribute_run(simulate("paper-kp10")).doubts == ()
 

@@ -4,9 +4,10 @@ import math
 import re
 from typing import Any
 
+import msgspec
 import pytest
 
-from turtlelog.cli.explain_answer import describe_attribution, format_attribution
+from turtlelog.cli.explain_answer import format_causes
 from turtlelog.errors import ExplainError
 from turtlelog.explain import (
     Attribution,
@@ -112,19 +113,16 @@ def test_an_effect_alone_gets_all_of_what_effects_add(case: str) -> None:
     metric, values = EFFECTS[case]
     name = case.partition(",")[0]
     found = attribute(change(**values), metric)
-    shares = {share.mechanism: share for share in found.shares}
+    shares = {share.cause: share for share in found.contributions}
     assert found.without_all is not None
     assert abs(found.divided - found.without_all) > 0.3 * abs(found.divided)
-    assert shares.pop(name).share == pytest.approx(found.divided - found.without_all)
-    assert {share.share for share in shares.values()} <= {0.0}
+    assert shares.pop(name).contribution == pytest.approx(found.divided - found.without_all)
+    assert {share.contribution for share in shares.values()} <= {0.0}
     assert found.acting == (name,)
     assert found.left == ()
     sentences = write_sentences(found)
     assert find_named(" ".join(sentences)) == {name}
-    assert any(
-        text.startswith((f"{name.capitalize()} adds", f"{name.capitalize()} takes away"))
-        for text in sentences
-    )
+    assert any(text.startswith("One effect") and f": {name} " in text for text in sentences)
     assert (found.seeds is not None) == draws_random(change(**values))
 
 
@@ -133,22 +131,23 @@ def test_a_property_is_named_beside_with_its_direction(case: str) -> None:
     metric, way, values = PROPERTIES[case]
     name = case.partition(",")[0]
     found = attribute(change(**values), metric)
-    other = next(share for share in found.others if share.mechanism == name)
-    assert other.share is None
+    other = next(share for share in found.others if share.cause == name)
+    assert other.contribution is None
     assert other.alone is not None
-    assert found.as_built is not None
-    assert abs(other.alone - found.as_built) > 0.3 * abs(found.as_built)
-    assert ("higher" if other.alone > found.as_built else "lower") == way
-    (named,) = [text for text in write_sentences(found) if f"without {name} alone" in text]
-    mean = "" if found.seeds is None else " in the mean"
-    assert (other.ending or f"it would be {way}{mean}: {other.alone:.4g}") in named
+    assert found.resimulated is not None
+    assert abs(other.alone - found.resimulated) > 0.3 * abs(found.resimulated)
+    assert ("higher" if other.alone > found.resimulated else "lower") == way
+    (named,) = [text for text in write_sentences(found) if f"{name} (without it" in text]
+    assert (other.ending or f"{other.alone:.4g}") in named
+    assert ("in the mean" in named) == (found.seeds is not None and not other.ending)
+    assert not named.startswith("Not a cause") or way == "higher"
 
 
 def test_float32_is_named_where_no_pose_of_32_bits_is_within_the_tolerance() -> None:
     values = {"law.heading_tolerance_rad": 1e-9, "law.kp_angular": 20.0}
     found = attribute(change(**values), "final.position_error")
     assert (
-        "Re-simulated without float32 alone (poses of 64 bits) the rotation ends within 2 s."
+        "Design parameter: float32 (without it, poses of 64 bits: the rotation ends within 2 s)."
         in write_sentences(found)
     )
 
@@ -176,33 +175,35 @@ PAIRS = {
 def test_the_shares_of_two_effects_add_up_and_both_are_named(names: tuple[str, str]) -> None:
     metric, values = PAIRS[names]
     found = attribute_scenario(change(**values), metric=metric)
-    assert found.mechanisms == names
+    assert found.causes == names
     assert found.without_all is not None
-    added = math.fsum(share.share or 0.0 for share in found.shares)
+    added = math.fsum(share.contribution or 0.0 for share in found.contributions)
     assert added == found.divided - found.without_all
     if found.seeds is not None:
         assert found.this_seed is not None
-        assert added + found.this_seed == pytest.approx((found.as_built or 0.0) - found.without_all)
-    (cause,) = [text for text in write_sentences(found) if "; without" in text]
+        assert added + found.this_seed == pytest.approx(
+            (found.resimulated or 0.0) - found.without_all
+        )
+    (cause,) = [text for text in write_sentences(found) if text.startswith("Two effects")]
     assert find_named(cause) == {*names}
 
 
 def test_what_needs_queue_and_repeat_both_is_said() -> None:
     values = {"loop.queue_policy": "one-per-tick", "loop.repeat_probability": 0.2}
     found = attribute_scenario(change(**values), metric="rotate.overshoot")
-    shares = {share.mechanism: share.share for share in found.shares}
+    shares = {share.cause: share.contribution for share in found.contributions}
     assert shares["queue"] == pytest.approx(shares["repeat"])
-    assert "of this arises only when queue and repeat both act" in " ".join(write_sentences(found))
+    assert "arises only if queue and repeat both act" in " ".join(write_sentences(found))
 
 
 def test_what_each_of_loss_and_dropout_would_do_alone_is_said() -> None:
     values = {"loop.loss_probability": 0.97, "sensing.dropout_probability": 0.97}
     found = attribute_scenario(change(**values), metric="rotate.settling_time")
-    assert [case.mechanisms for case in found.without_value] == [("loss",), ("dropout",)]
+    assert [case.causes for case in found.without_value] == [("loss",), ("dropout",)]
     missing = write_sentences(found)[1]
     assert missing.startswith("With loss alone it has no value: ")
     assert "; with dropout alone it has no value: " in missing
-    assert missing.endswith(" So there are no shares.")
+    assert missing.endswith(" Therefore there are no contributions.")
 
 
 @pytest.mark.parametrize(("chance", "used"), [(0.05, 30), (0.16, 20), (0.19, 16)])
@@ -215,7 +216,9 @@ def test_seeds_without_a_value_are_left_out_up_to_half_of_them(chance: float, us
         text = f"over {used} of 32 seeds (with the others it has no value, or none without some"
         assert text in sentences
     else:
-        assert f"No shares: only with {used} of 32 seeds every combination has a" in sentences
+        assert (
+            f"No contributions: only with {used} of 32 seeds every combination has a" in sentences
+        )
 
 
 def test_two_runs_that_differ_in_their_seed_have_the_same_shares() -> None:
@@ -224,7 +227,7 @@ def test_two_runs_that_differ_in_their_seed_have_the_same_shares() -> None:
         attribute_scenario(change(**values, seed=seed), metric="final.heading_error")
         for seed in (1, 2)
     ]
-    assert found[0].shares == found[1].shares
+    assert found[0].contributions == found[1].contributions
     assert found[0].this_seed != found[1].this_seed
     assert found[0].starts is None
 
@@ -245,11 +248,11 @@ def test_the_line_of_this_seed_stands_in_table_json_and_notebook() -> None:
     metric, values = EFFECTS["noise"]
     found = attribute_scenario(change(**values), metric=metric)
     assert found.this_seed is not None
-    assert re.search(rf"^this seed +{found.this_seed:.4f}", format_attribution(found), re.M)
-    told = describe_attribution(found)
+    assert re.search(rf"^this seed +{found.this_seed:.4f}", format_causes(found), re.M)
+    told = msgspec.to_builtins(found)
     assert told["this_seed"] == found.this_seed
     assert told["seeds"]["count"] == len(SEEDS)
-    assert told["shares"][0]["standard_error"] == found.shares[0].standard_error
+    assert told["contributions"][0]["standard_error"] == found.contributions[0].standard_error
     assert ">this seed<" in found._repr_html_()
 
 

@@ -63,5 +63,5 @@ def test_metric_of_a_robot_is_divided_among_the_effects() -> None:
     found = attribute_scenario(
         override_scenario(get_preset("textbook"), {**ROBOT, **delayed}), metric="rotate.overshoot"
     )
-    assert {"delay", "pause"} <= set(found.mechanisms)
-    assert found.as_built != found.without_all
+    assert {"delay", "pause"} <= set(found.causes)
+    assert found.resimulated != found.without_all

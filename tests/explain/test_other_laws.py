@@ -110,10 +110,10 @@ def test_the_delay_of_another_law_is_named() -> None:
     run = simulate_law(TURN_AND_DRIVE, kp_angular=12.0, transport_delay_ticks=6)
     found = attribute_run(run, metric="run.turn_rate_total_variation", trust_law=True)
     assert (found.as_logged, found.without_all) == pytest.approx((6.435, 1.034), abs=1e-3)
-    assert found.as_logged == found.as_built
-    assert [share.mechanism for share in found.shares] == ["delay"]
+    assert found.as_logged == found.resimulated
+    assert [share.cause for share in found.contributions] == ["delay"]
     text = " ".join(write_sentences(found))
-    assert "Delay adds 5.4 rad/s; without delay it would be 1.034 rad/s." in text
+    assert "changes it: delay +5.4 rad/s. Without delay it would be 1.034 rad/s." in text
     assert "kp" not in text.lower()
     assert "tolerance" not in text
 
@@ -121,13 +121,13 @@ def test_the_delay_of_another_law_is_named() -> None:
 def test_the_mechanisms_of_a_law_take_part() -> None:
     run = simulate_strange(loop__transport_delay_ticks=6)
     found = attribute_run(run, metric="run.duration", trust_law=True)
-    assert found.mechanisms == ("delay", "hesitation")
+    assert found.causes == ("delay", "hesitation")
     assert (*found.effects[:2], found.effects[-1]) == ("queue", "delay", "hesitation")
-    shares = {share.mechanism: share for share in found.shares}
+    shares = {share.cause: share for share in found.contributions}
     assert shares["hesitation"].meaning == "no stop between the phases"
     alone = measure_run(simulate_strange(loop__transport_delay_ticks=6, law__hesitates_ticks=0))
     assert shares["hesitation"].alone == alone["run.duration"].value
-    assert found.grain.reason == "one sample period"
+    assert found.resolution.reason == "one sample period"
 
 
 @pytest.mark.parametrize("trust_law", [False, True], ids=["read", "simulated again"])
@@ -172,7 +172,7 @@ def test_an_ending_names_the_phase_of_another_law() -> None:
     (share,) = (
         one
         for one in attribute_run(run, metric="run.duration", trust_law=True).others
-        if one.mechanism == "saturation"
+        if one.cause == "saturation"
     )
     assert share.ending == "phase one ends within 8.3 s"
 
@@ -205,7 +205,7 @@ def test_an_untrusted_law_is_not_run(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="--trust-law"):
         attribute_run(run)
     assert not mark.exists()
-    assert attribute_run(run, trust_law=True).as_built is not None
+    assert attribute_run(run, trust_law=True).resimulated is not None
     assert mark.exists()
 
 
@@ -247,7 +247,7 @@ def test_a_run_that_was_cut_is_simulated_as_far_as_it_goes() -> None:
 def test_sampling_is_not_offered_where_a_law_does_not_say_what_counts_samples() -> None:
     run = simulate_law(f"{OTHERS}:Silent", gain_a=4.0)
     found = attribute_run(run, trust_law=True)
-    assert "sampling" not in {share.mechanism for share in found.others}
+    assert "sampling" not in {share.cause for share in found.others}
     assert write_sentences(found)[-1] == (
         f"Sampling is not taken out, as the law {OTHERS}:Silent does not say which of its"
         " parameters count samples (counts_samples)."
@@ -279,8 +279,8 @@ def test_the_recorded_scenario_of_the_sequential_law_stands_where_none_is_found(
     found = identify_run(run)
     assert found.is_recorded
     assert found.notes[0].startswith("the recorded scenario reproduces all ")
-    shares = attribute_run(run, metric="rotate.overshoot", identified=found).shares
-    assert [share.mechanism for share in shares] == ["delay"]
+    shares = attribute_run(run, metric="rotate.overshoot", identified=found).contributions
+    assert [share.cause for share in shares] == ["delay"]
     assert identify_run(forget_scenario(run)).is_recorded is False
 
 

@@ -77,13 +77,13 @@ def test_a_share_is_the_mean_of_a_thousand_seeds_of_a_second_simulation(
     many, none = simulate_loop(kp, **options), simulate_loop(kp)
     assert np.ptp(none) == 0.0
     assert found.without_all == pytest.approx(none[0], rel=1e-6)
-    (share,) = found.shares
-    assert share.share is not None
+    (share,) = found.contributions
+    assert share.contribution is not None
     assert share.standard_error is not None
     expected = float((many - none).mean())
     error = np.hypot(share.standard_error, many.std() / np.sqrt(SEEDS))
     assert share.standard_error == pytest.approx(many.std() / np.sqrt(32), rel=0.4)
-    assert abs(share.share - expected) < 3.0 * error
+    assert abs(share.contribution - expected) < 3.0 * error
     assert abs(expected) > 3.0 * error
 
 
@@ -93,12 +93,14 @@ def test_a_share_is_named_beyond_three_standard_errors(size: float, clear: bool)
     found = attribute_scenario(
         change(**{"sensing.noise_heading_rad": 0.03}), metric="final.heading_error"
     )
-    (share,) = found.shares
-    assert share.share is not None
-    found = replace(found, shares=(replace(share, standard_error=share.share / size),))
+    (share,) = found.contributions
+    assert share.contribution is not None
+    found = replace(
+        found, contributions=(replace(share, standard_error=share.contribution / size),)
+    )
     sentences = " ".join(write_sentences(found))
-    assert ("Noise adds" in sentences) == clear
-    assert ("Chance alone may make the share of noise (" in sentences) != clear
+    assert (": noise +" in sentences) == clear
+    assert ("The contribution of noise (" in sentences) != clear
 
 
 def attribute_unknown_seed(logged_deg: float) -> Attribution:
@@ -119,8 +121,9 @@ def test_of_an_unknown_seed_the_log_lies_in_the_central_95_of_seeds() -> None:
     margin = 0.02 * (seeds.high - seeds.low)
     for logged_deg, outside in ((seeds.high - margin, False), (seeds.high + margin, True)):
         found = attribute_unknown_seed(logged_deg)
-        assert found.withheld.startswith("the log's value lies outside of the central") == outside
-        assert bool(found.shares) != outside
+        reason = found.withheld or ""
+        assert reason.startswith("the log's value lies outside of the central") == outside
+        assert bool(found.contributions) != outside
 
 
 @pytest.mark.parametrize("name", EFFECTS)

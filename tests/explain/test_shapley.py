@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given, strategies as st
 
 from turtlelog.explain.game import list_coalitions
-from turtlelog.explain.shapley import Worth, compute_dividends, compute_shares, find_smallest
+from turtlelog.explain.shapley import Worth, compute_contributions, compute_dividends, find_smallest
 
 VALUES = st.floats(-1e3, 1e3) | st.floats(-1e-3, 1e-3) | st.sampled_from([0.0, 0.1, 0.3, 1e-17])
 
@@ -27,7 +27,7 @@ TIE = {name(): 0.1, name("a"): 0.3, name("b"): 1e-17, name("a", "b"): 1.0}
 @example((TIE, ["a", "b"]))
 def test_shares_add_up_but_for_one_step_of_the_smallest(game: tuple[Worth, list[str]]) -> None:
     worth, mechanisms = game
-    shares = compute_shares(worth, mechanisms)
+    shares = compute_contributions(worth, mechanisms)
     total = worth[frozenset(mechanisms)] - worth[frozenset()]
     smallest = min(map(abs, filter(None, shares.values())), default=0.0)
     missed = abs(math.fsum(shares.values()) - total)
@@ -43,7 +43,7 @@ def test_shares_are_those_of_all_orders(game: tuple[Worth, list[str]]) -> None:
         frozenset(names): value for names, value in compute_dividends(worth, mechanisms).items()
     }
     largest = max(map(abs, worth.values()))
-    for mechanism, share in compute_shares(worth, mechanisms).items():
+    for mechanism, share in compute_contributions(worth, mechanisms).items():
         alone = float(Fraction(worth[name(mechanism)]) - Fraction(worth[name()]))
         parts = [value / len(names) for names, value in dividends.items() if mechanism in names]
         rounding = 1e-13 * largest + len(parts) * math.ulp(0.0)  # each part may be the least number
@@ -53,12 +53,12 @@ def test_shares_are_those_of_all_orders(game: tuple[Worth, list[str]]) -> None:
 def test_what_two_make_only_together_is_their_dividend() -> None:
     worth = {name(): 1.0, name("a"): 2.0, name("b"): 4.0, name("a", "b"): 10.0}
     assert compute_dividends(worth, ["a", "b"]) == {("a", "b"): 5.0}
-    assert compute_shares(worth, ["a", "b"]) == {"a": 3.5, "b": 5.5}
+    assert compute_contributions(worth, ["a", "b"]) == {"a": 3.5, "b": 5.5}
 
 
 def test_a_mechanism_that_changes_nothing_has_no_share() -> None:
     worth = {name(): 0.1, name("a"): 0.7, name("b"): 0.1, name("a", "b"): 0.7}
-    assert compute_shares(worth, ["a", "b"])["b"] == 0.0
+    assert compute_contributions(worth, ["a", "b"])["b"] == 0.0
 
 
 def test_the_smallest_sets_hold_no_other() -> None:

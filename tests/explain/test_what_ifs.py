@@ -10,9 +10,9 @@ from turtlelog.explain import (
     ValueSet,
     attribute_run,
     identify_run,
-    name_without,
     simulate_what_ifs,
 )
+from turtlelog.explain.what_ifs import name_without
 from turtlelog.measure import measure_run
 
 
@@ -35,13 +35,18 @@ def test_the_run_is_simulated_without_each_that_acts_and_without_all() -> None:
 
 def test_of_one_that_acts_the_run_without_it_is_that_without_all() -> None:
     identified, found = explain_kp10()
-    alone = tuple(share for share in found.shares if share.mechanism == "queue")
-    assert [*simulate_what_ifs(identified, replace(found, shares=alone, together=()))] == ["queue"]
+    alone = tuple(share for share in found.contributions if share.cause == "queue")
+    assert [*simulate_what_ifs(identified, replace(found, contributions=alone, together=()))] == [
+        "queue"
+    ]
 
 
 def test_a_simulation_that_is_not_the_log_tells_no_what_if() -> None:
     identified, found = explain_kp10()
-    assert simulate_what_ifs(identified, replace(found, withheld="they differ", shares=())) == {}
+    assert (
+        simulate_what_ifs(identified, replace(found, withheld="they differ", contributions=()))
+        == {}
+    )
 
 
 @pytest.mark.parametrize(
@@ -56,10 +61,10 @@ def test_where_a_value_is_missing_those_that_decide_are_taken_out(
     missing: tuple[str, ...], given: tuple[str, ...], names: list[str]
 ) -> None:
     identified, found = explain_kp10()
-    without = (ValueSet(mechanisms=missing, reason="it never settles"),)
-    with_value = (ValueSet(mechanisms=given),) if given else ()
+    without = (ValueSet(causes=missing, reason="it never settles"),)
+    with_value = (ValueSet(causes=given),) if given else ()
     none = replace(
-        found, withheld="no value", shares=(), without_value=without, with_value=with_value
+        found, withheld="no value", contributions=(), without_value=without, with_value=with_value
     )
     assert [*simulate_what_ifs(identified, none)] == names
 

@@ -5,12 +5,12 @@ import pytest
 
 from tests.known import known
 from tests.log.runs import find_shared
-from turtlelog.cli.explain_answer import format_attribution, format_identification
+from turtlelog.cli.explain_answer import format_causes, format_identification
 from turtlelog.explain import (
     Attribution,
-    Grain,
+    Contribution,
+    Resolution,
     SeedRange,
-    Share,
     StartRange,
     Together,
     ValueSet,
@@ -27,8 +27,8 @@ from turtlelog.simulate import simulate_run
 MECHANISMS = find_mechanisms(get_preset("paper-kp10"))
 
 
-def make_share(*, mechanism: str, **values: Any) -> Share:
-    return Share(mechanism=mechanism, meaning=MECHANISMS[mechanism].meaning, **values)
+def make_contribution(*, cause: str, **values: Any) -> Contribution:
+    return Contribution(cause=cause, meaning=MECHANISMS[cause].meaning, **values)
 
 
 def describe(*, queue: float = 0.0, pause: float = 0.0, **changes: Any) -> Attribution:
@@ -38,60 +38,63 @@ def describe(*, queue: float = 0.0, pause: float = 0.0, **changes: Any) -> Attri
         metric="final.position_error",
         unit="m",
         as_logged=1.0,
-        as_built=1.0,
+        resimulated=1.0,
         without_all=1.0 - added,
-        mechanisms=("queue", "pause"),
-        shares=(
-            make_share(mechanism="queue", share=queue, alone=1.0 - queue),
-            make_share(mechanism="pause", share=pause, alone=1.0 - pause),
+        causes=("queue", "pause"),
+        contributions=(
+            make_contribution(cause="queue", contribution=queue, alone=1.0 - queue),
+            make_contribution(cause="pause", contribution=pause, alone=1.0 - pause),
         ),
         others=(),
-        grain=Grain(size=0.01, reason="heading tolerance"),
+        resolution=Resolution(size=0.01, reason="heading tolerance"),
         effects=("queue", "delay", "pause", "wrap"),
     )
     return replace(found, **changes)
 
 
 def take_out(name: str, alone: float | None, ending: str = "") -> dict[str, Any]:
-    return {"others": (make_share(mechanism=name, share=None, alone=alone, ending=ending),)}
+    return {
+        "others": (make_contribution(cause=name, contribution=None, alone=alone, ending=ending),)
+    }
 
 
 def test_the_gain_of_ten_in_words() -> None:
     assert write_sentences(attribute_scenario(get_preset("paper-kp10"))) == (
         "final.position_error is 0.1067 m.",
-        "Queue adds 0.05108 m and pause adds 0.05057 m (0.05761 m of this arises only when queue"
-        " and pause both act); without queue and pause it would be 0.005077 m, no more than heading"
-        " tolerance times distance plus position tolerance (0.006693 m).",
-        "It hangs on single samples: over 17 starts that span one sample's turn (0.458 deg either"
-        " way) it is between 0.03943 m and 0.4734 m, and queue's part of what queue and pause add"
-        " is between 0.16 and 0.62.",
-        "Re-simulated without saturation alone (no limit of speed and turn rate) it would be"
-        " higher: 0.8506 m.",
-        "Re-simulated without sampling alone (a clock 8 times finer, each pose answered, delays"
-        " unchanged) it would be higher: 0.1361 m.",
-        "Re-simulated without tolerance alone (tolerances of 1e-06) it would be lower:"
-        " 0.0009877 m.",
+        "Two effects of the implementation cause it, in about equal parts: queue +0.05108 m and"
+        " pause +0.05057 m.",
+        "Without both it would be 0.005077 m; the tolerances alone allow 0.006693 m.",
+        "They act together: 0.05761 m arises only if queue and pause both act.",
+        "It depends on single samples: for 17 start headings within +-0.458 deg it is 0.03943 to"
+        " 0.4734 m. Queue contributes 16 to 62 % of what queue and pause add. Without queue and"
+        " pause it is 0.00482 to 0.005677 m.",
+        "Not a cause: saturation (without it 0.8506 m), sampling (without it 0.1361 m).",
+        "Design parameter: tolerance (without it, tolerances of 1e-06: 0.0009877 m).",
     )
 
 
 @pytest.mark.parametrize("name", ["paper-kp1", "paper-kp2", "paper-kp4"])
-def test_at_lower_gains_queue_and_pause_are_next_to_nothing(name: str) -> None:
+def test_at_lower_gains_queue_and_pause_are_negligible(name: str) -> None:
     cause = write_sentences(attribute_scenario(get_preset(name)))[1]
     assert cause.startswith("Queue, pause and wrap together change it by ")
-    assert "next to nothing, no more than heading tolerance times distance plus" in cause
+    assert "m, not more than the resolution, 0.006693 m (heading tolerance times" in cause
 
 
 def test_six_ticks_of_delay_are_named_by_their_time() -> None:
     scenario = override_scenario(get_preset("textbook"), {"loop.transport_delay_ticks": 6})
-    cause = write_sentences(attribute_scenario(scenario, metric="rotate.settling_time"))[1]
-    assert cause == "Delay takes away 0.215 s; without delay it would be 4.338 s."
+    sentences = write_sentences(attribute_scenario(scenario, metric="rotate.settling_time"))
+    assert sentences[1:3] == (
+        "One effect of the implementation changes it: delay -0.215 s.",
+        "Without delay it would be 4.338 s.",
+    )
 
 
 def test_log_and_re_simulation_stand_side_by_side() -> None:
     run = import_log(find_shared("paper", "kp4_210.json"))
     assert write_sentences(attribute_run(run, metric="rotate.overshoot")) == (
         "rotate.overshoot is 0.03936 % in the log, and 0.06673 % re-simulated.",
-        "No shares: they differ by more than a tenth of what the effects add together.",
+        "No contributions: log and re-simulation differ by more than a tenth of what the effects"
+        " add together.",
     )
 
 
@@ -107,13 +110,13 @@ def test_log_and_re_simulation_stand_side_by_side() -> None:
         ({"as_logged": 1.0 + 0.9e-6}, "is 1 m, in the log and re-simulated."),
         (
             {"as_logged": None, "reason": "no goal"},
-            "is 1 m re-simulated, and none in the log: no goal.",
+            "is 1 m re-simulated, and has no value in the log: no goal.",
         ),
         (
-            {"as_built": None, "reason": "no phase"},
+            {"resimulated": None, "reason": "no phase"},
             "is 1 m in the log; re-simulated it has no value.",
         ),
-        ({"as_logged": None, "as_built": None, "reason": "no goal"}, "has no value: no goal."),
+        ({"as_logged": None, "resimulated": None, "reason": "no goal"}, "has no value: no goal."),
     ],
 )
 def test_the_value_is_the_logs_and_the_re_simulations(changes: Any, first: str) -> None:
@@ -123,48 +126,80 @@ def test_the_value_is_the_logs_and_the_re_simulations(changes: Any, first: str) 
 @pytest.mark.parametrize(
     ("queue", "cause"),
     [
-        (0.0099, "Queue and pause together change it by 0.0099 m: next to nothing, no more than"),
-        (0.0101, "Queue adds 0.0101 m; without queue it would be 0.9899 m."),
-        (-0.0101, "Queue takes away 0.0101 m; without queue it would be 1.01 m."),
+        (0.0099, "Queue and pause together change it by 0.0099 m, not more than the resolution, "),
+        (0.0101, "One effect of the implementation changes it: queue +0.0101 m."),
+        (-0.0101, "One effect of the implementation changes it: queue -0.0101 m."),
     ],
 )
-def test_an_effect_is_named_beyond_the_grain(queue: float, cause: str) -> None:
+def test_an_effect_is_named_beyond_the_resolution(queue: float, cause: str) -> None:
     assert write_sentences(describe(queue=queue))[1].startswith(cause)
 
 
 @pytest.mark.parametrize(("pause", "is_named"), [(0.0110, False), (0.0112, True)])
-def test_an_effect_is_named_beyond_a_tenth_of_all_shares(pause: float, *, is_named: bool) -> None:
-    cause = write_sentences(describe(queue=0.1, pause=pause))[1]
-    assert ("pause adds" in cause) == is_named
-    assert "without queue and pause it would be" in cause
+def test_an_effect_is_named_beyond_a_tenth_of_all(pause: float, *, is_named: bool) -> None:
+    cause, rest = write_sentences(describe(queue=0.1, pause=pause))[1:3]
+    assert ("pause +0.011" in cause) == is_named
+    assert rest.startswith(f"Without {'both' if is_named else 'queue and pause'} it would be 0.88")
 
 
-def test_shares_that_cancel_are_named_all_the_same() -> None:
-    cause = write_sentences(describe(queue=0.3, pause=-0.299))[1]
-    assert cause == (
-        "Queue adds 0.3 m and pause takes away 0.299 m, next to nothing together;"
-        " without queue and pause it would be 0.999 m."
+def test_contributions_that_cancel_are_named_all_the_same() -> None:
+    assert write_sentences(describe(queue=0.3, pause=-0.299))[1:] == (
+        "Two effects of the implementation change it: queue +0.3 m and pause -0.299 m.",
+        "Without both it would be 0.999 m. Together they change it by not more than 0.01 m (heading"
+        " tolerance).",
     )
+
+
+@pytest.mark.parametrize(
+    ("queue", "pause", "head"),
+    [
+        (0.5, 0.4, "Two effects of the implementation cause it, in about equal parts"),
+        (0.6, 0.4, "Two effects of the implementation cause it"),
+        (0.5, 0.3, "Two effects of the implementation change it"),
+        (0.99, 0.0, "One effect of the implementation causes it"),
+    ],
+)
+def test_effects_cause_a_value_of_which_they_leave_a_tenth_at_most(
+    queue: float, pause: float, head: str
+) -> None:
+    assert write_sentences(describe(queue=queue, pause=pause))[1].startswith(f"{head}: ")
+
+
+@pytest.mark.parametrize(
+    ("effects", "head"),
+    [
+        (("queue", "pause"), "Two effects of the implementation change it"),
+        (("queue",), "Two effects and design parameters change it"),
+        ((), "Two design parameters change it"),
+    ],
+)
+def test_design_parameters_that_take_part_are_not_called_effects(
+    effects: tuple[str, ...], head: str
+) -> None:
+    found = describe(queue=0.4, pause=0.2, effects=effects)
+    assert write_sentences(found)[1].startswith(f"{head}: queue +0.4 m")
 
 
 def test_what_is_not_there_is_not_said_to_act() -> None:
     assert write_sentences(describe())[1] == "Without queue or pause it is the same."
-    assert write_sentences(describe(mechanisms=(), shares=()))[1] == (
-        "None of the effects is in this run: queue, delay, pause and wrap."
+    assert write_sentences(describe(causes=(), contributions=()))[1] == (
+        "No effect of the implementation is in this run."
     )
 
 
 @pytest.mark.parametrize(("size", "is_told"), [(0.009, False), (0.011, True)])
 def test_what_arises_only_together_is_told_from_a_tenth_on(size: float, *, is_told: bool) -> None:
-    case = Together(mechanisms=("queue", "pause"), value=size)
-    cause = write_sentences(describe(queue=0.1, together=(case,)))[1]
-    assert (f"({size} m of this arises only when queue and pause both act)" in cause) == is_told
+    case = Together(causes=("queue", "pause"), value=size)
+    sentences = write_sentences(describe(queue=0.1, together=(case,)))
+    told = f"They act together: {size} m arises only if queue and pause both act."
+    assert (told in sentences) == is_told
 
 
 def test_what_makes_less_together_is_told_too() -> None:
-    case = Together(mechanisms=("queue", "pause"), value=-0.011)
-    cause = write_sentences(describe(queue=0.1, together=(case,)))[1]
-    assert "(queue and pause together make 0.011 m less than the sum of their parts)" in cause
+    case = Together(causes=("queue", "pause"), value=-0.011)
+    sentences = write_sentences(describe(queue=0.1, together=(case,)))
+    told = "queue and pause together add 0.011 m less than the sum of their parts"
+    assert f"They act together: {told}." in sentences
 
 
 @pytest.mark.parametrize(
@@ -172,42 +207,44 @@ def test_what_makes_less_together_is_told_too() -> None:
 )
 def test_a_property_is_named_from_a_tenth_of_the_value_on(alone: float, *, is_named: bool) -> None:
     sentences = write_sentences(describe(queue=0.5, **take_out("float32", alone)))
-    way = "higher" if alone > 1.0 else "lower"
-    without = "Re-simulated without float32 alone (poses of 64 bits)"
-    named = f"{without} it would be {way}: {alone:.4g} m."
+    named = f"Design parameter: float32 (without it, poses of 64 bits: {alone:.4g} m)."
+    if alone > 1.0:
+        named = f"Not a cause: float32 (without it {alone:.4g} m)."
     assert (named in sentences) == is_named
 
 
 @pytest.mark.parametrize(("alone", "is_named"), [(1.199, False), (1.201, True)])
-def test_a_property_is_named_beyond_the_grain(alone: float, *, is_named: bool) -> None:
-    grain = Grain(size=0.2, reason="heading tolerance")
-    sentences = write_sentences(describe(grain=grain, **take_out("float32", alone)))
-    assert any("without float32" in text for text in sentences) == is_named
+def test_a_property_is_named_beyond_the_resolution(alone: float, *, is_named: bool) -> None:
+    resolution = Resolution(size=0.2, reason="heading tolerance")
+    sentences = write_sentences(describe(resolution=resolution, **take_out("float32", alone)))
+    assert any("float32 (without it" in text for text in sentences) == is_named
 
 
 def test_a_property_without_which_something_never_ends_has_no_value() -> None:
     ending = "the rotation no longer ends within 60 s"
     sentences = write_sentences(describe(**take_out("tolerance", 5.7, ending)))
     assert sentences[-1] == (
-        "Re-simulated without tolerance alone (tolerances of 1e-06) the rotation no longer ends"
-        " within 60 s."
+        "Design parameter: tolerance (without it, tolerances of 1e-06: the rotation no longer ends"
+        " within 60 s)."
     )
     sentences = write_sentences(describe(**take_out("tolerance", None, "no phase")))
-    assert sentences[-1].endswith("(tolerances of 1e-06) it has no value: no phase.")
+    assert sentences[-1].endswith("(without it, tolerances of 1e-06: no value, no phase).")
 
 
 def test_what_has_no_value_is_explained_by_the_sets_that_decide() -> None:
-    case = ValueSet(mechanisms=("queue", "pause"), reason="no phase")
-    found = describe(without_value=(case,), shares=(), as_built=None, as_logged=None, reason="no")
-    assert write_sentences(found)[1:] == (
-        "With queue and pause it has no value: no phase. So there are no shares.",
+    case = ValueSet(causes=("queue", "pause"), reason="no phase")
+    found = describe(
+        without_value=(case,), contributions=(), resimulated=None, as_logged=None, reason="no"
     )
-    never = ValueSet(mechanisms=(), reason="no phase")
-    ever = ValueSet(mechanisms=("queue",))
-    found = describe(without_value=(never,), with_value=(ever,), without_all=None, shares=())
+    assert write_sentences(found)[1:] == (
+        "With queue and pause it has no value: no phase. Therefore there are no contributions.",
+    )
+    never = ValueSet(causes=(), reason="no phase")
+    ever = ValueSet(causes=("queue",))
+    found = describe(without_value=(never,), with_value=(ever,), without_all=None, contributions=())
     assert write_sentences(found)[1] == (
-        "Without queue and pause it has no value: no phase; with queue alone it has one."
-        " So there are no shares."
+        "Without queue and pause it has no value: no phase; with queue alone it has a"
+        " value. Therefore there are no contributions."
     )
 
 
@@ -215,25 +252,32 @@ def test_starts_without_a_value_are_counted() -> None:
     starts = StartRange(
         count=17, within_rad=0.008, low=0.9, high=1.1, without_value=3, is_wide=False
     )
-    assert write_sentences(describe(queue=0.5, starts=starts))[2] == (
-        "Over 17 starts that span one sample's turn (0.458 deg either way) it is between 0.9 m and"
-        " 1.1 m; 3 of them have no value."
+    assert write_sentences(describe(queue=0.5, starts=starts))[3] == (
+        "For 17 start headings within +-0.458 deg it is 0.9 to 1.1 m; 3 of them have no value."
     )
 
 
 def describe_noise(*, share: float = 0.0, low: float = 1.0, high: float = 1.0) -> Attribution:
     seeds = SeedRange(count=32, used=32, mean=1.0, standard_error=high - low, low=low, high=high)
-    noise = make_share(mechanism="noise", share=share, alone=1.0 - share, standard_error=high - low)
-    return describe(mechanisms=("noise",), shares=(noise,), seeds=seeds, without_all=1.0 - share)
+    noise = make_contribution(
+        cause="noise", contribution=share, alone=1.0 - share, standard_error=high - low
+    )
+    return describe(
+        causes=("noise",),
+        contributions=(noise,),
+        seeds=seeds,
+        effects=("noise",),
+        without_all=1.0 - share,
+    )
 
 
 def test_noise_that_changes_nothing_is_no_part_of_a_sum() -> None:
     noise = describe_noise()
-    others = describe(queue=0.004, pause=0.002).shares
+    others = describe(queue=0.004, pause=0.002).contributions
     found = replace(
         noise,
-        mechanisms=("noise", "queue", "pause"),
-        shares=(*noise.shares, *others),
+        causes=("noise", "queue", "pause"),
+        contributions=(*noise.contributions, *others),
         without_all=0.994,
     )
     assert write_sentences(found)[1].startswith("The noise does not change this metric.")
@@ -246,16 +290,20 @@ def test_noise_that_changes_nothing_takes_one_sentence_and_no_table() -> None:
         "final.position_error is 1 m, in the log and re-simulated.",
         "The noise does not change this metric.",
     )
-    text = format_attribution(found)
-    assert "mechanism" not in text
-    assert "+-" not in text
+    text = format_causes(found)
+    assert text == ""
     assert "this seed" not in found._repr_html_()
 
 
 def test_noise_that_adds_the_same_with_every_seed_is_not_said_to_change_nothing() -> None:
     sentences = write_sentences(describe_noise(share=0.5))
-    assert sentences[1] == "All 32 seeds give the same value."
-    assert sentences[2].startswith("Noise adds 0.5 m; without noise it would be 0.5 m")
+    assert sentences[1] == (
+        "One effect of the implementation changes it in the mean over seeds: noise +0.5 m."
+    )
+    assert sentences[2:4] == (
+        "All 32 seeds give the same value.",
+        "Without noise it would be 0.5 m.",
+    )
 
 
 def test_seeds_without_a_value_are_not_said_to_change_nothing() -> None:
@@ -270,13 +318,13 @@ def test_seeds_that_differ_by_rounding_are_alike(apart: float, *, varies: bool) 
 
 
 def test_a_range_that_the_digits_do_not_show_is_told_as_its_width() -> None:
-    told = write_sentences(describe_noise(share=0.5, low=1.0, high=1.000003))[1]
+    told = write_sentences(describe_noise(share=0.5, low=1.0, high=1.000003))[2]
     assert "the central 95 % span 3e-06 m" in told
 
 
 def test_what_changes_nothing_has_no_row() -> None:
     found = describe(queue=0.5, **take_out("float32", 1.0))
-    text = format_attribution(found)
+    text = format_causes(found)
     assert "queue" in text
     assert "poses of 64 bits" not in text
     assert "no pause after the rotation" not in text
@@ -287,4 +335,4 @@ def test_each_value_without_a_reason_of_its_own_stands_at_a_note() -> None:
     scenario = override_scenario(scenario, {"sensing.noise_position_m": 1e-3, "law.signal": "step"})
     text = " ".join(format_identification(identify_run(simulate_run(scenario))).split())
     assert "see below" not in text
-    assert "only around turtlesim. Therefore unknown: start backlog, lost commands," in text
+    assert "only around turtlesim. Therefore unknown: initial queue, lost commands," in text

@@ -25,11 +25,11 @@ with atheris.instrument_imports(include=["turtlelog.log", "mcap"]):
         read_recording,
         recover_recording,
     )
-    from turtlelog.log.engine import read_raw
 
 from mcap.writer import CompressionType
 
 from tests.log.engine.files import Row, pack, write_rows
+from tests.log.engine.raw_records import read_raw
 
 BUGS = ("TypeError", "AttributeError", "NameError", "AssertionError", "UnboundLocalError")
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz-"))

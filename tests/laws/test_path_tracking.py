@@ -11,6 +11,7 @@ from turtlelog.laws.kanayama import PART as KANAYAMA, KanayamaParameters
 from turtlelog.laws.pure_pursuit import PART as PURE_PURSUIT, PurePursuitParameters
 from turtlelog.paths import Path
 from turtlelog.scenario import build_scenario
+from turtlelog.simulate.scenario_law import build_law
 
 LINE: dict[str, Any] = {"kind": "line", "points": [[1.0, 5.0], [10.0, 5.0]]}
 CIRCLE: dict[str, Any] = {"kind": "circle", "center_x_m": 5.5, "center_y_m": 5.5, "size_m": 2.0}
@@ -127,7 +128,7 @@ def test_kanayama_answers_as_its_equation_says() -> None:
 @pytest.mark.parametrize("kind", TRACKERS)
 def test_tracker_forgets_its_last_run(kind: str) -> None:
     scenario = build_scenario({"law": {"kind": kind}, "path": {**CIRCLE, "speed_m_s": 0.5}})
-    law = tl.simulate.build_law(scenario.law)
+    law = build_law(scenario.law)
     answers = []
     for _ in range(2):
         law.reset(Pose(5.5, 5.5, 0.0), None, scenario.path)

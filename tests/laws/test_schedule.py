@@ -240,4 +240,4 @@ def test_nothing_is_identified_of_a_scheduled_law_and_its_scenario_still_explain
     if kind == "sequential-p":
         assert found.notes[0].startswith("its gains are scheduled: ")
     attribution = attribute_run(run, metric="final.position_error", identified=found)
-    assert attribution.as_built == attribution.as_logged is not None
+    assert attribution.resimulated == attribution.as_logged is not None

@@ -4,10 +4,8 @@ from typing import Any
 
 import pytest
 
+from tests.log.engine.raw_records import RawContents, read_raw
 from tests.log.runs import SHARED, find_shared
-from turtlelog.log.engine import RawContents, read_raw
-
-pytestmark = pytest.mark.usefixtures("way")
 
 FILES = sorted((SHARED / "conformance").glob("*/*.mcap"))
 

@@ -4,11 +4,15 @@ import pickle
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 import turtlelog as tl
 from tests.remote import lying_server as lies
 from tests.remote.lying_server import Answer, LyingServer, Request
+from tests.remote.range_server import RangeServer
 from turtlelog.cli.app import main
 from turtlelog.remote import RemotePath, http_file, limit_downloads, requests
 from turtlelog.remote.urls import parse_size
@@ -134,6 +138,27 @@ def test_a_footer_is_not_fetched_because_the_file_is_said_to_be_large(
         tl.read_run(server.url("x.parquet"))
     assert (server.sent > LEAST_TAKEN) is is_fetched
     assert server.sent < 3 * 2**23
+
+
+@pytest.mark.parametrize(("rows", "is_read"), [(350_000, True), (350_001, False)])
+def test_a_table_has_no_more_rows_because_the_file_is_said_to_be_large(
+    rows: int, tmp_path: Path, *, is_read: bool
+) -> None:
+    """Between the columns and the footer are 10 MB that nothing names."""
+    path, zeros = tmp_path / "x.parquet", np.zeros(rows)
+    columns = {"t": np.arange(rows) / 50, "x": zeros, "y": zeros, "heading": zeros}
+    parquet.write_table(pa.table(columns), path, compression="zstd")
+    content = path.read_bytes()
+    end = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    path.write_bytes(content[:end] + bytes(10_000_000) + content[end:])
+    assert len(tl.read_run(path).poses) == rows
+    with RangeServer(files={"x.parquet": path.read_bytes()}) as server:
+        url = server.url("x.parquet")
+        if is_read:
+            assert len(tl.read_run(url).poses) == rows
+            return
+        with pytest.raises(tl.LogError, match=r"350,001 rows; 350,000 are .* download the file"):
+            tl.read_run(url)
 
 
 @pytest.mark.parametrize(("count", "is_followed"), [(5, True), (6, False)])

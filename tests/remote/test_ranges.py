@@ -9,7 +9,8 @@ from tests.remote.conftest import SIGNED
 from tests.remote.range_server import Fault, RangeServer
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns
-from turtlelog.remote import RangeStream, RemoteNote, RemotePath, requests
+from turtlelog.remote import RemoteNote, RemotePath, requests
+from turtlelog.remote.ranges import RangeStream
 
 
 def test_info_of_a_large_recording_fetches_its_ends_only(

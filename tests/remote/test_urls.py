@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
+from turtlelog.errors import TurtlelogError
 from turtlelog.remote import RemotePath, hide_secrets, is_url, make_path, show_url
 
 
@@ -99,6 +100,29 @@ def test_a_message_is_shown_without_what_is_secret_in_its_url(text: str, shown: 
 )
 def test_no_letter_of_a_password_ends_what_is_hidden(text: str) -> None:
     assert hide_secrets(f"no http://{text}@host/x, as said") == "no http://host/x, as said"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("no http://host/x?sig=a'SECRET, as said", "no http://host/x, as said"),
+        ("no 'http://host/x?sig=a\"SECRET'", "no 'http://host/x'"),
+        ("(http://host/x'y?sig=SECRET).", "(http://host/x'y)."),
+        ('is it "http://host/x"?', 'is it "http://host/x"?'),
+        ('see <http://host/x#a"SECRET>', "see <http://host/x>"),
+    ],
+)
+def test_no_quote_ends_a_query(text: str, shown: str) -> None:
+    assert hide_secrets(text) == shown
+
+
+@pytest.mark.parametrize("length", [990, 1010, 7000, 20_000])
+def test_no_length_saves_a_password_from_being_hidden(length: int) -> None:
+    password = "p" * length + "'SECRET" + "p" * 20
+    shown = str(TurtlelogError(f"no http://u:{password}@host/x, as said"))
+    assert shown.startswith("no http://")
+    assert "pp" not in shown
+    assert "SECRET" not in shown
 
 
 @pytest.mark.parametrize(

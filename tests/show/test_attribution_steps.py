@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from turtlelog.explain import Attribution, Grain, SeedRange, Share, attribute_scenario
+from turtlelog.explain import Attribution, Contribution, Resolution, SeedRange, attribute_scenario
 from turtlelog.scenario import get_preset
 from turtlelog.show.attribution_steps import choose_step_scale, list_attribution_steps
 
@@ -12,7 +12,7 @@ from turtlelog.show.attribution_steps import choose_step_scale, list_attribution
 @cache
 def attribute_kp10(metric: str = "final.position_error") -> Attribution:
     found = attribute_scenario(get_preset("paper-kp10"), metric=metric)
-    return replace(found, as_logged=found.as_built)
+    return replace(found, as_logged=found.resimulated)
 
 
 def make_attribution(**changes: object) -> Attribution:
@@ -21,18 +21,20 @@ def make_attribution(**changes: object) -> Attribution:
         metric="rotate.rms_error",
         unit="deg",
         as_logged=10.0,
-        as_built=10.0,
+        resimulated=10.0,
         without_all=5.0,
-        mechanisms=("b", "a"),
-        shares=(make_share("b", -3.0), make_share("a", 8.0)),
+        causes=("b", "a"),
+        contributions=(make_share("b", -3.0), make_share("a", 8.0)),
         others=(),
-        grain=Grain(size=0.1, reason="1 % of the value"),
+        resolution=Resolution(size=0.1, reason="1 % of the value"),
     )
     return replace(found, **changes)  # type: ignore[arg-type]
 
 
-def make_share(name: str, share: float, standard_error: float | None = None) -> Share:
-    return Share(mechanism=name, share=share, alone=None, meaning="", standard_error=standard_error)
+def make_share(name: str, share: float, standard_error: float | None = None) -> Contribution:
+    return Contribution(
+        cause=name, contribution=share, alone=None, meaning="", standard_error=standard_error
+    )
 
 
 def test_the_steps_lead_from_the_logged_value_to_what_the_tolerances_leave() -> None:
@@ -67,16 +69,16 @@ def test_the_largest_share_is_first_and_what_takes_away_leads_up() -> None:
 
 
 def test_a_mechanism_without_a_share_has_no_bar() -> None:
-    found = make_attribution(shares=(make_share("b", 5e-9), make_share("a", 5.0)))
+    found = make_attribution(contributions=(make_share("b", 5e-9), make_share("a", 5.0)))
     assert [step.name for step in list_attribution_steps(found)] == ["as logged", "a", "left"]
 
 
 def test_withheld_shares_have_no_steps() -> None:
-    assert list_attribution_steps(make_attribution(withheld="they differ", shares=())) == ()
+    assert list_attribution_steps(make_attribution(withheld="they differ", contributions=())) == ()
 
 
 def test_a_run_that_no_effect_changes_has_two_bars() -> None:
-    found = make_attribution(shares=(), mechanisms=(), without_all=10.0)
+    found = make_attribution(contributions=(), causes=(), without_all=10.0)
     total, left = list_attribution_steps(found)
     assert (total.text, left.text) == ("10.00 deg", "10.00 deg, no effect changes it")
 
@@ -94,7 +96,7 @@ def test_a_difference_between_log_and_simulation_is_a_step() -> None:
 def test_random_effects_go_through_the_mean_and_tell_its_error() -> None:
     found = make_attribution(
         seeds=SeedRange(count=32, used=32, mean=8.0, standard_error=0.1, low=6.0, high=11.0),
-        shares=(make_share("a", 2.9, 0.25), make_share("b", 0.1, 0.05)),
+        contributions=(make_share("a", 2.9, 0.25), make_share("b", 0.1, 0.05)),
     )
     texts = {step.name: step.text for step in list_attribution_steps(found)}
     assert texts["this seed"] == "-2.00 deg, to the mean over seeds"
@@ -117,7 +119,9 @@ def test_of_a_simulated_scenario_the_value_is_not_called_logged() -> None:
     ],
 )
 def test_values_have_four_digits_in_a_unit_of_use(unit: str, value: float, text: str) -> None:
-    found = make_attribution(unit=unit, as_logged=value, as_built=value, without_all=0.0, shares=())
+    found = make_attribution(
+        unit=unit, as_logged=value, resimulated=value, without_all=0.0, contributions=()
+    )
     assert choose_step_scale(found).format_value(value) == text
 
 
@@ -132,10 +136,10 @@ def test_a_value_within_the_tolerances_says_so(value: float, *, says: bool) -> N
     found = make_attribution(
         metric="final.heading_error",
         as_logged=value,
-        as_built=value,
+        resimulated=value,
         without_all=value,
-        shares=(),
-        grain=Grain(size=0.1, reason="the heading tolerance"),
+        contributions=(),
+        resolution=Resolution(size=0.1, reason="the heading tolerance"),
     )
     for step in list_attribution_steps(found):
         assert ("no more than the tolerances leave" in step.text) == says
@@ -143,19 +147,19 @@ def test_a_value_within_the_tolerances_says_so(value: float, *, says: bool) -> N
 
 @pytest.mark.parametrize(("share", "count"), [(0.9e-5, 2), (1.1e-5, 3)])
 def test_a_share_of_a_millionth_is_no_step(share: float, count: int) -> None:
-    found = make_attribution(shares=(make_share("a", share),), without_all=10.0)
+    found = make_attribution(contributions=(make_share("a", share),), without_all=10.0)
     assert len(list_attribution_steps(found)) == count
 
 
 @pytest.mark.parametrize(("share", "text"), [(99.9, "-99.90 deg (999 %)"), (100.1, "-100.10 deg")])
 def test_a_part_of_ten_times_the_value_has_no_percentage(share: float, text: str) -> None:
-    found = make_attribution(shares=(make_share("a", share),))
+    found = make_attribution(contributions=(make_share("a", share),))
     assert list_attribution_steps(found)[1].text == text
 
 
 @pytest.mark.parametrize(("names", "told"), [("ab", "a and b"), ("abc", "all of these")])
 def test_the_last_bar_names_two_mechanisms(names: str, told: str) -> None:
     found = make_attribution(
-        mechanisms=tuple(names), shares=tuple(make_share(name, 1.0) for name in names)
+        causes=tuple(names), contributions=tuple(make_share(name, 1.0) for name in names)
     )
     assert list_attribution_steps(found)[-1].text == f"5.00 deg (50 %), without {told}"

@@ -13,12 +13,12 @@ from turtlelog.errors import LogError
 from turtlelog.sweep import (
     ResultColumn,
     ResultTable,
-    choose_type,
-    read_result_facts,
     read_result_table,
     result_table,
     write_result_table,
 )
+from turtlelog.sweep.result_table import choose_type
+from turtlelog.sweep.stored_table import read_result_facts
 
 
 def make_table(rows: int = 3, **facts: str) -> ResultTable:

@@ -10,6 +10,7 @@ from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 import turtlelog as tl
+from tests.theory.polynomials import compute_pid_polynomial
 from turtlelog.errors import TheoryError
 from turtlelog.theory import (
     PidGains,
@@ -17,7 +18,6 @@ from turtlelog.theory import (
     analyse_sampled_loop,
     compute_pid_locus,
     compute_pid_poles,
-    compute_pid_polynomial,
     compute_pid_step_response,
     compute_sampled_poles,
     compute_sampled_step_response,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from tests.theory.polynomials import compute_pid_polynomial
 from turtlelog.theory import (
     PidGains,
-    compute_pid_polynomial,
     compute_pid_step_response,
     find_stable_gains,
     is_pid_stable,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from tests.theory.polynomials import compute_pid_polynomial, expand_transfer_function
 from turtlelog.errors import TheoryError
 from turtlelog.theory import (
     PidGains,
@@ -17,11 +18,9 @@ from turtlelog.theory import (
     analyse_sampled_loop,
     compute_open_loop,
     compute_pid_poles,
-    compute_pid_polynomial,
     compute_pid_step_response,
     compute_stability_gain,
     compute_steady_error,
-    expand_transfer_function,
     find_stable_gains,
     is_pid_stable,
 )

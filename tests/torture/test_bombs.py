@@ -16,11 +16,12 @@ from tests.torture.bombs import (
     describe,
     message,
     pose_messages,
+    schema,
     whole,
 )
 from tests.torture.kills import ROOT
 from turtlelog.errors import LogError
-from turtlelog.log import read_columns, read_info, recover_recording
+from turtlelog.log import read_columns, read_info, read_run, recover_recording
 
 IS_FULL = os.environ.get("TORTURE") == "full"
 MOST_BYTES = 10**7
@@ -160,3 +161,37 @@ def test_messages_beyond_what_a_file_may_hold_are_told(tmp_path: Path) -> None:
     )  # records: the messages, a header, a schema and a channel
     assert report.recovered == {"/a": most - 3}
     assert f"expected up to {most - 2_400_103} records more" in report.lost[0].reason
+
+
+def test_a_small_file_may_have_a_chunk_a_second_for_an_hour(tmp_path: Path) -> None:
+    """Thousands of chunks are walked twice."""
+    path, one = tmp_path / "chunks.mcap", chunk([pose_messages(1, 1)])
+    front, most = chunk([describe("/a"), pose_messages(1, 1)]), 4096
+    path.write_bytes(whole(front + one * (most - 1)))
+    assert read_info(path).topics[0].count == most
+    more = path.stat().st_size // 1000 + 60
+    path.write_bytes(whole(front + one * (most + more)))
+    allowed = most + path.stat().st_size // 1000
+    with pytest.raises(LogError, match=rf"expected up to {allowed} chunks in a file of"):
+        read_info(path)
+
+
+def test_what_a_file_asks_for_beyond_its_size_ends_what_is_read_of_it(tmp_path: Path) -> None:
+    """Else each of the chunks that follow would be unpacked, and be refused as well."""
+    path = tmp_path / "cut.mcap"
+    long = [chunk([schema(number, "a" * 9_000_000, "")]) for number in range(2, 6)]
+    path.write_bytes(cut(chunk([describe("/a"), pose_messages(1, 1)]) + b"".join(long)))
+    partial = read_info(path).notes["partial"]
+    assert partial.startswith(f"{sum(map(len, long[1:]))} bytes are lost in 1 place")
+    assert "bytes of schemas" in partial
+
+
+@pytest.mark.parametrize(
+    ("count", "end"), [(101, "/robot99/pose"), (102, "/robot98/pose and 1 more")]
+)
+def test_a_note_lists_a_hundred_topics_at_most(count: int, end: str, tmp_path: Path) -> None:
+    path, pose = tmp_path / "topics.mcap", b"\0\1\0\0" + bytes(20)
+    topics = [f"/robot{number:02}/pose" for number in range(count)]
+    said = b"".join(message(number, pose, number) for number in range(1, count + 1))
+    path.write_bytes(whole(chunk([describe(*topics), said])))
+    assert read_run(path).notes["other_pose_topics"].endswith(end)

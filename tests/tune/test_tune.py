@@ -10,6 +10,7 @@ import pytest
 import turtlelog as tl
 from turtlelog import tune
 from turtlelog.sweep.batch import measure_rows
+from turtlelog.tune.neighbourhood import explore_neighbourhood
 
 PROBLEMS: list[tuple[str, dict[str, Any], dict[str, tuple[float, float]], str, list[str], bool]] = [
     (
@@ -134,7 +135,7 @@ def test_the_same_seed_gives_the_same_and_processes_change_nothing() -> None:
 def test_the_neighbourhood_ends_where_the_best_is_a_tenth_worse() -> None:
     candidates, keys = prepare("textbook", {}, BOUNDS, GOAL)
     best = tune.search_best(candidates, keys, evaluations=60).best
-    found = tune.explore_neighbourhood(candidates, keys, best)
+    found = explore_neighbourhood(candidates, keys, best)
     (around,) = found.ranges
     assert best.objective is not None
     assert found.slack == pytest.approx(0.1 * best.objective)
@@ -151,7 +152,7 @@ def test_the_neighbourhood_ends_where_a_constraint_breaks() -> None:
     goal = tune.parse_goal("translate.settling_time", ["law.kp_linear <= 5"])
     candidates, keys = prepare("textbook", {}, BOUNDS, goal)
     best = tune.search_best(candidates, keys, evaluations=100).best
-    (around,) = tune.explore_neighbourhood(candidates, keys, best).ranges
+    (around,) = explore_neighbourhood(candidates, keys, best).ranges
     assert around.high == pytest.approx(5.0, abs=0.01)
     assert around.high <= 5.0
     assert (around.high_end, around.high_constraint) == ("constraint", "law.kp_linear <= 5")

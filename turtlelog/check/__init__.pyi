@@ -1,7 +1,5 @@
 from .failure_report import (
-    Artifacts as Artifacts,
     ArtifactWriter as ArtifactWriter,
-    write_artifacts as write_artifacts,
 )
 from .formula import (
     FormulaResult as FormulaResult,
@@ -10,7 +8,6 @@ from .formula import (
 )
 from .formula_trace import (
     Signals as Signals,
-    read_signals as read_signals,
 )
 from .judge_difference import (
     judge_replay as judge_replay,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.check.formula import find_unit
 from turtlelog.check.formula_trace import FormulaTrace
 from turtlelog.check.judge_formula import MIRRORED
-from turtlelog.check.robustness import FormulaWalk
+from turtlelog.check.robustness import PartReader
 from turtlelog.expressions import (
     Call,
     Comparison,
@@ -72,7 +72,7 @@ class Leaf:
         asked = (time_ns >= first_ns) & (time_ns <= last_ns)
         if self.body is None:
             return np.asarray(asked)
-        margins = FormulaWalk(formula, trace, exact=True).visit(self.body, 1).margins
+        margins = PartReader(formula, trace, exact=True).visit(self.body, 1).margins
         pieces = np.searchsorted(margins.time_ns, time_ns, side="right") - 1
         failing = margins.values[np.maximum(pieces, 0)] * (-1.0 if self.is_body_denied else 1.0)
         return np.asarray(asked & (failing < 0.0))

@@ -212,7 +212,21 @@ class ArtifactWriter:
         self._viewer.close()
 
     def write(self, run: Run, result: CheckResult, *, prefix: str = "") -> Artifacts:
-        """Write the files of one failure, as `write_artifacts` does."""
+        """Write a .rrd that opens at the violation, its picture, and the recording around it.
+
+        Where a violation belongs to no moment they show the end of the run, and the recording is
+        whole.
+
+        Args:
+            run: That failed.
+            result: What came of the check.
+            prefix: Id of the test that failed; the end of it stands in front of the files' names.
+
+        Raises:
+            CheckError: Where the folder cannot be made.
+            LogError: Where the recording cannot be written.
+            ShowError: Where the view cannot be written.
+        """
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as err:
@@ -244,28 +258,6 @@ class ArtifactWriter:
         if self._camera is None:
             self._camera = self._viewer.enter_context(open_camera(size=_SIZE))
         return self._camera
-
-
-def write_artifacts(
-    run: Run, result: CheckResult, folder: str | Path, *, prefix: str = ""
-) -> Artifacts:
-    """Write a .rrd that opens at the violation, its picture, and the recording around it.
-
-    Where a violation belongs to no moment they show the end of the run, and the recording is whole.
-
-    Args:
-        run: That failed.
-        result: What came of the check.
-        folder: Made where it is not there.
-        prefix: Id of the test that failed; the end of it stands in front of the files' names.
-
-    Raises:
-        CheckError: Where the folder cannot be made.
-        LogError: Where the recording cannot be written.
-        ShowError: Where the view cannot be written.
-    """
-    with ArtifactWriter(folder) as writer:
-        return writer.write(run, result, prefix=prefix)
 
 
 def _write_view(run: Run, result: CheckResult, rrd: Path, *, at_s: float) -> None:

@@ -16,7 +16,7 @@ from turtlelog.check.formula_trace import (
     read_signals,
 )
 from turtlelog.check.result import UndecidedError
-from turtlelog.check.robustness import FormulaWalk
+from turtlelog.check.robustness import CriticalPart, FormulaWalk
 from turtlelog.check.vocabulary import find_kind
 from turtlelog.display import format_html, format_number
 from turtlelog.escapes import escape_controls
@@ -138,7 +138,7 @@ def check_formula(
         return check_run(signals, expression, window_ns=window_ns)
     expression = _parse(expression)
     trace = FormulaTrace.open(signals, expression, window_ns=window_ns, ending=ending)
-    holds, walk = _decide(expression, trace)
+    holds, margin, critical = _decide(expression, trace)
     failed_ns = _find_violation(expression, trace) if holds is False else None
     values = trace.read_values(trace.start_ns if failed_ns is None else failed_ns)
     unknown = FormulaResult(
@@ -150,15 +150,14 @@ def check_formula(
         values=values,
         is_covered=_is_covered(expression, trace),
     )
-    if holds is None:
+    if critical is None:
         return replace(unknown, reason=_explain_unknown(expression, trace))
-    critical = walk.find_critical()
     decisive = trace.read_values(critical.time_ns)
     sides = read_sides(expression, critical.node, decisive, declaration or Declaration())
     return replace(
         unknown,
         holds=holds,
-        margin=walk.margin + 0.0,
+        margin=margin + 0.0,
         margin_s=(critical.time_ns - trace.start_ns) / 1e9,
         values=decisive if failed_ns is None else values,
         decided_by=format_expression(critical.node),
@@ -211,20 +210,26 @@ def check_run(
     return found
 
 
-def _decide(expression: Expression, trace: FormulaTrace) -> tuple[bool | None, FormulaWalk]:
-    """Return the verdict, and the walk that its margin comes from.
+_Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
+"""Whether a formula holds, its margin, and where that comes from."""
+
+
+def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
+    """Return the verdict; of long traces there is one walk at a time.
 
     Where part is unknown, the whole may still be decided: by the margins in which the unknown
     counts as badly, or as well, as it can.
     """
     walk = FormulaWalk(expression, trace)
-    if not (math.isnan(walk.margin) or walk.margin == 0):
-        return walk.margin > 0, walk
+    margin = walk.margin
+    if not (math.isnan(margin) or margin == 0):
+        return margin > 0, margin, walk.find_critical()
+    del walk
     for holds, unknown in ((True, -math.inf), (False, math.inf)):
-        truths = FormulaWalk(expression, trace, exact=True, unknown=unknown)
-        if (truths.margin > 0) is holds:
-            return holds, FormulaWalk(expression, trace, unknown=unknown)
-    return None, walk
+        if (FormulaWalk(expression, trace, exact=True, unknown=unknown).margin > 0) is holds:
+            walk = FormulaWalk(expression, trace, unknown=unknown)
+            return holds, walk.margin, walk.find_critical()
+    return None, margin, None
 
 
 def _find_violation(expression: Expression, trace: FormulaTrace) -> int | None:

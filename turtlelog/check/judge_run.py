@@ -3,20 +3,29 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_difference import match_run
 from turtlelog.check.judge_formula import Grown, judge_check, measure_named
 from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check, Spec
-from turtlelog.check.spec_file import require_reference
+from turtlelog.check.spec_file import count_parts, require_reference
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
 from turtlelog.log import ReadChoice, read_as_chosen, split_topic
 from turtlelog.log.ros2.bag import open_bag
 from turtlelog.log.ros2.bag_topics import TRANSFORMS
 from turtlelog.measure import SIGNALS, find_metric_kind
 from turtlelog.run import Run
+
+_MOST_PART_ROWS: Final = 150_000_000
+"""Parts of all formulas times samples: a window takes some 10 ns for each of its four parts and
+each sample. All together take 2 s, on a machine that does other things besides 5 s."""
+_EXPECT: Final = 6
+"""Parts that a bound on a metric takes as long as, beside its own: when it was passed is looked for
+by halves of the run."""
+_ANY_PARTS: Final = 400
+"""Names, numbers and operators that a specification may have, however long the recording is."""
 
 
 def check_runs(
@@ -92,6 +101,7 @@ def judge_run(
     if lost is not None:
         yield fail_recording(file, lost)
         return
+    _require_few_parts(spec, run, file)
     metrics = measure_named(spec.checks, run)
     grown: Grown = {}
     for check in spec.checks:
@@ -104,6 +114,19 @@ def judge_run(
             yield replace(fail_recording(file, str(err)), check=check.name)
     if reference is not None:
         yield from _judge_tolerances(spec, reference, run, file)
+
+
+def _require_few_parts(spec: Spec, run: Run, file: str) -> None:
+    rows = max(len(run.poses), len(run.commands), len(run.samples), 1)
+    most = max(_ANY_PARTS, _MOST_PART_ROWS // rows)
+    bounds = sum(check.kind == "expect" for check in spec.checks)
+    parts = sum(map(count_parts, spec.checks)) + _EXPECT * bounds
+    if parts > most:
+        raise CheckError(
+            f"{file}: the checks of {spec.source} take as long as {parts:,} names, numbers and"
+            f" operators; {most:,} are the most for a recording of {rows:,} samples. Split the"
+            " specification into several files, or the recording into parts"
+        )
 
 
 def _names_parameters(check: Check) -> bool:

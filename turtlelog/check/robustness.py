@@ -10,6 +10,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from textwrap import shorten
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -25,6 +26,7 @@ from turtlelog.check.piecewise_constant import (
     slide_maximum,
     slide_minimum,
 )
+from turtlelog.errors import CheckError
 from turtlelog.expressions import (
     Comparison,
     Expression,
@@ -108,8 +110,50 @@ class Part(Protocol):
         """
 
 
+_MOST_VALUES: Final = 8_000_000
+"""What the parts of one formula may come to together: with their times 130 MB."""
+_ANY_PARTS: Final = 20
+"""Comparisons and operators that a formula may have in any case, however long the recording is."""
+
+
 class FormulaWalk:
     """One walk over a formula: the margin of each part, where it comes from, and its violation.
+
+    Args:
+        expression: A formula.
+        trace: The signals that it names.
+        exact: As of a `PartReader`.
+        unknown: As of a `PartReader`.
+    """
+
+    def __init__(
+        self,
+        expression: Expression,
+        trace: FormulaTrace,
+        *,
+        exact: bool = False,
+        unknown: float = math.nan,
+    ) -> None:
+        self._start_ns = trace.start_ns
+        reader = PartReader(expression, trace, exact=exact, unknown=unknown)
+        self.root = reader.visit(expression.root, 1)
+
+    @property
+    def margin(self) -> float:
+        """That of the whole at the beginning."""
+        return float(self.root.margins.values[0])
+
+    def find_critical(self) -> CriticalPart:
+        """Return where the margin at the beginning comes from, which must be known."""
+        return self.root.find_critical(self._start_ns)
+
+    def find_violation(self) -> int | None:
+        """Return the first time at which the formula is violated [ns], None where it holds."""
+        return find_violation(self.root)
+
+
+class PartReader:
+    """Makes parts of a formula. It keeps none: their columns are long, and go with the walk.
 
     Args:
         expression: A formula.
@@ -129,21 +173,9 @@ class FormulaWalk:
         unknown: float = math.nan,
     ) -> None:
         self.trace = trace
+        rows = max((len(steps.time_ns) for steps in trace.signals.values()), default=1)
+        self._rows, self._left = rows, max(_MOST_VALUES, _ANY_PARTS * rows)
         self._expression, self._exact, self._unknown = expression, exact, unknown
-        self.root = self.visit(expression.root, 1)
-
-    @property
-    def margin(self) -> float:
-        """That of the whole at the beginning."""
-        return float(self.root.margins.values[0])
-
-    def find_critical(self) -> CriticalPart:
-        """Return where the margin at the beginning comes from, which must be known."""
-        return self.root.find_critical(self.trace.start_ns)
-
-    def find_violation(self) -> int | None:
-        """Return the first time at which the formula is violated [ns], None where it holds."""
-        return find_violation(self.root)
 
     def visit(self, node: Node, sign: int) -> Part:
         """Return a part of the formula.
@@ -151,7 +183,21 @@ class FormulaWalk:
         Args:
             node: Any part that is true or false.
             sign: -1 where the part counts against the formula: below `not`, left of `implies`.
+
+        Raises:
+            CheckError: Where its parts have too many values together.
         """
+        part = self._make(node, sign)
+        self._left -= len(part.margins.values)
+        if self._left < 0:
+            raise CheckError(
+                f"the formula {shorten(self._expression.text, 60)} has too many comparisons and"
+                f" operators for {self._rows:,} samples. Split it into several checks, or the"
+                " recording into parts"
+            )
+        return part
+
+    def _make(self, node: Node, sign: int) -> Part:
         match node:
             case Logic(operator="implies", operands=(left, right)):
                 return _Joined("implies", [_Negated(self, left, sign), self.visit(right, sign)])
@@ -245,9 +291,9 @@ class FormulaWalk:
 
 
 class _Leaf:
-    def __init__(self, walk: FormulaWalk, node: Node, sign: int) -> None:
-        self._walk, self._node, self._sign = walk, node, sign
-        self.margins = walk.measure_leaf(node, sign)
+    def __init__(self, reader: PartReader, node: Node, sign: int) -> None:
+        self._reader, self._node, self._sign = reader, node, sign
+        self.margins = reader.measure_leaf(node, sign)
 
     def find_critical(self, time_ns: int) -> CriticalPart:
         node = self._node
@@ -255,17 +301,17 @@ class _Leaf:
             return CriticalPart(node=node, time_ns=time_ns)
         pairs = zip(node.operators, node.operands, node.operands[1:], strict=False)
         links = [Comparison(operators=(op,), operands=(a, b)) for op, a, b in pairs]
-        found = [_Leaf(self._walk, link, self._sign) for link in links]
+        found = [_Leaf(self._reader, link, self._sign) for link in links]
         return min(found, key=lambda link: _read(link, time_ns)).find_critical(time_ns)
 
     def find_violation(self) -> int | None:
-        return self._walk.trace.start_ns
+        return self._reader.trace.start_ns
 
 
 class _Negated:
-    def __init__(self, walk: FormulaWalk, operand: Node, sign: int) -> None:
-        self._walk, self._operand, self._sign = walk, operand, sign
-        self._part = walk.visit(operand, -sign)
+    def __init__(self, reader: PartReader, operand: Node, sign: int) -> None:
+        self._reader, self._operand, self._sign = reader, operand, sign
+        self._part = reader.visit(operand, -sign)
         self.margins = negate_steps(self._part.margins)
 
     def find_critical(self, time_ns: int) -> CriticalPart:
@@ -274,13 +320,13 @@ class _Negated:
     def find_violation(self) -> int | None:
         window = self._operand
         if not isinstance(window, Temporal):
-            return self._walk.trace.start_ns
+            return self._reader.trace.start_ns
         turned = replace(
             window,
             operator="eventually" if window.operator == "always" else "always",
             operand=Prefix(operator="not", operand=window.operand),
         )
-        return find_violation(self._walk.visit(turned, self._sign))
+        return find_violation(self._reader.visit(turned, self._sign))
 
 
 class _Joined:
@@ -305,20 +351,20 @@ class _Joined:
 
 
 class _Windowed:
-    def __init__(self, walk: FormulaWalk, node: Temporal, sign: int) -> None:
-        self._walk, self._node = walk, node
-        self._body = walk.visit(node.operand, sign)
+    def __init__(self, reader: PartReader, node: Temporal, sign: int) -> None:
+        self._reader, self._node = reader, node
+        self._body = reader.visit(node.operand, sign)
         slide = slide_minimum if node.operator == "always" else slide_maximum
-        self.margins = walk.look_ahead(node, slide, [self._body.margins], sign)
+        self.margins = reader.look_ahead(node, slide, [self._body.margins], sign)
 
     def find_critical(self, time_ns: int) -> CriticalPart:
-        body = self._body.margins.cut(*self._walk.clip_window(self._node, time_ns))
+        body = self._body.margins.cut(*self._reader.clip_window(self._node, time_ns))
         find = np.argmin if self._node.operator == "always" else np.argmax
         return self._body.find_critical(int(body.time_ns[find(body.values)]))
 
     def find_violation(self) -> int | None:
-        start_ns, end_ns = self._walk.clip_window(self._node, self._walk.trace.start_ns)
-        if self._walk.begins_beyond(self._node):
+        start_ns, end_ns = self._reader.clip_window(self._node, self._reader.trace.start_ns)
+        if self._reader.begins_beyond(self._node):
             return None
         if self._node.operator == "eventually":
             return end_ns
@@ -326,14 +372,14 @@ class _Windowed:
 
 
 class _Until:
-    def __init__(self, walk: FormulaWalk, node: Until, sign: int) -> None:
-        self._walk, self._node = walk, node
-        self._left, self._right = walk.visit(node.left, sign), walk.visit(node.right, sign)
+    def __init__(self, reader: PartReader, node: Until, sign: int) -> None:
+        self._reader, self._node = reader, node
+        self._left, self._right = reader.visit(node.left, sign), reader.visit(node.right, sign)
         sides = [self._left.margins, self._right.margins]
-        self.margins = walk.look_ahead(node, compute_until, sides, sign)
+        self.margins = reader.look_ahead(node, compute_until, sides, sign)
 
     def find_critical(self, time_ns: int) -> CriticalPart:
-        start_ns, end_ns = self._walk.clip_window(self._node, time_ns)
+        start_ns, end_ns = self._reader.clip_window(self._node, time_ns)
         left, right = (part.margins.cut(time_ns, end_ns) for part in (self._left, self._right))
         marks = np.unique([time_ns, start_ns])
         begun = Steps(time_ns=marks, values=marks >= start_ns)
@@ -346,12 +392,12 @@ class _Until:
         return self._left.find_critical(int(times[np.argmin(held[: best + 1])]))
 
     def find_violation(self) -> int | None:
-        begin_ns = self._walk.trace.start_ns
-        _, end_ns = self._walk.clip_window(self._node, begin_ns)
+        begin_ns = self._reader.trace.start_ns
+        _, end_ns = self._reader.clip_window(self._node, begin_ns)
         failed_ns = _find_failure(self._left, begin_ns, end_ns)
         if failed_ns is not None:
             return failed_ns
-        return None if self._walk.begins_beyond(self._node) else end_ns
+        return None if self._reader.begins_beyond(self._node) else end_ns
 
 
 def find_violation(part: Part) -> int | None:

@@ -21,7 +21,7 @@ from turtlelog.check.vocabulary import describe_nearest, require_known_names, re
 from turtlelog.compare import ALIGNMENTS, Tolerance
 from turtlelog.compare.alignment import could_be_alignment
 from turtlelog.errors import CheckError, CompareError, LogError
-from turtlelog.expressions import Expression, iterate_nodes, parse_expression
+from turtlelog.expressions import Expression, Until, iterate_nodes, parse_expression
 from turtlelog.log import ReadChoice
 from turtlelog.log.read_choice import TimeSource, parse_goal
 from turtlelog.remote.urls import is_url, make_path
@@ -39,6 +39,9 @@ _KEYS: Final = {
 MOST_PARTS: Final = 20_000
 """Names, numbers and operators of all formulas. `always(speed < 1)` has 4 and takes 1.2 ms where it
 fails: so many take 6 s of processor time for a recording of 800 samples."""
+
+_UNTIL: Final = 20
+"""Parts that one more `until` takes as long as."""
 
 CHECK_KEYS: Final = ("expect", "holds", "phase", "when", "reason", "observed")
 
@@ -161,8 +164,7 @@ def _parse_checks(entries: Mapping[str, Any], source: str) -> tuple[Check, ...]:
     checks, parts = [], 0
     for name, entry in entries.items():
         check = _parse_check(name, entry, source)
-        formulas = filter(None, (check.formula, check.when))
-        parts += sum(1 for formula in formulas for _ in iterate_nodes(formula.root))
+        parts += count_parts(check)
         if parts > MOST_PARTS:
             raise CheckError(
                 f"{source}: the formulas of {len(entries):,} checks have more than {MOST_PARTS:,}"
@@ -171,6 +173,17 @@ def _parse_checks(entries: Mapping[str, Any], source: str) -> tuple[Check, ...]:
             )
         checks.append(check)
     return tuple(checks)
+
+
+def count_parts(check: Check) -> int:
+    """Return how many names, numbers and operators its formulas have; `until` counts for more."""
+    nodes = [
+        node
+        for formula in (check.formula, check.when)
+        if formula is not None
+        for node in iterate_nodes(formula.root)
+    ]
+    return len(nodes) + _UNTIL * sum(isinstance(node, Until) for node in nodes)
 
 
 def _parse_check(name: str, entry: Any, source: str) -> Check:

@@ -194,9 +194,6 @@ _MOST_NEW_OBJECTS: Final = 10_000
 """Objects after which Python looks for cycles among them, of which a command makes few: after 700,
 its default, a quarter of the time of a file of 65,000 channels goes into that."""
 
-_FORMER: Final = {"import": "convert LOG -o OUT.mcap", "export": "convert FILE -o OUT"}
-"""Commands that have another name now."""
-
 
 def main(tokens: Sequence[str] | None = None) -> None:
     """Run a command and exit: 0 fine, 1 a check failed, 2 bad usage or unreadable input."""
@@ -219,8 +216,6 @@ def main(tokens: Sequence[str] | None = None) -> None:
 
 def _call(tokens: Sequence[str] | None) -> Any:
     tokens = sys.argv[1:] if tokens is None else tokens
-    if tokens and tokens[0] in _FORMER:
-        raise UsageError(f"{tokens[0]}: expected turtlelog {_FORMER[tokens[0]]}, found an old name")
     with _stop_on_request(), _print_remote_notes(), limit_downloads():
         try:
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")

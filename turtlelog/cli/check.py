@@ -68,8 +68,8 @@ def check(
     metric without a value fails; so does a recording that cannot be read;
     incomplete recordings fail unless --partial is given.
 
-    Results stand in the order of the files, with a heading for each; of several recordings the
-    verdicts stand in a matrix as well.
+    The first line is the verdict. Below it stand the checks that fail; with --all every check of
+    every recording.
 
     Example: turtlelog check --init good.mcap -o spec.toml
 
@@ -104,7 +104,7 @@ def check(
     else:
         files = list_files(files, is_recursive=reports.recursive)
         results = check_files(spec, files, reports, topics)
-    verdict = print_results(spec, results, files=len(files), kind=kind)
+    verdict = print_results(spec, results, files=len(files), kind=kind, shows_all=reports.all_)
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
 
 

@@ -1,6 +1,8 @@
 """What `turtlelog check` prints."""
 
 import re
+import shlex
+import textwrap
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -19,11 +21,16 @@ if TYPE_CHECKING:
 
 
 _MOST_FILES: Final = 20
-"""Recordings whose checks are all shown: a table for each fills some ten screens. Of more, checks
-are counted, and failures are shown."""
+"""Recordings whose checks are held in memory. Of more, checks are counted."""
 
 _MOST_FAILURES: Final = 40
-"""Failures that are shown then: a screen of rows, and one of reasons."""
+"""Failures that are shown of several recordings: a screen of rows, and one of reasons."""
+
+_MOST_NAMES: Final = 8
+"""Recordings that are named as those in which checks fail."""
+
+_WIDTH: Final = 80
+"""Columns of a line of text."""
 
 
 def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str, Any]:
@@ -52,19 +59,25 @@ def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str
 
 
 def print_results(
-    spec: "Spec", results: "Iterable[CheckResult]", *, files: int, kind: str = "txt"
+    spec: "Spec",
+    results: "Iterable[CheckResult]",
+    *,
+    files: int,
+    kind: str = "txt",
+    shows_all: bool = False,
 ) -> "Verdict":
-    """Print a table per file, of several files the verdicts as a matrix, and return the verdict.
+    """Print the verdict and what fails, and return the verdict.
 
     Args:
         spec: Says why a bound is what it is.
         results: Of all files, in their order; of many they are counted as they come.
         files: How many there are.
         kind: As `FormatOptions` chooses; a file of values has rows and nothing else.
+        shows_all: Print what passes, too.
     """
     if kind == "txt" and files > _MOST_FILES:
         counted = CountedResults(results)
-        print_verdicts(_format_counted(counted, files=files, spec=spec))
+        print_verdicts(_format_many(counted, files=files, spec=spec, shows_all=shows_all))
         return counted.verdict
     results = [*results]
     verdict = tl.check.join_verdicts(results)
@@ -73,49 +86,135 @@ def print_results(
     elif kind == "csv":
         print_tables([_tabulate_values(spec, results)], kind)
     elif kind == "txt":
-        print_verdicts(format_results(results, files=files, spec=spec))
+        print_verdicts(format_results(results, files=files, spec=spec, shows_all=shows_all))
     else:
         tables = [*_tabulate_files(results), *_tabulate_matrix(results)]
-        notes = (*_list_reasons(spec, results), _summarise(CountedResults(results), files=files))
+        notes = (_conclude(CountedResults(results), files), *_list_reasons(spec, results))
         print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
     return verdict
 
 
 def format_results(
-    results: "Sequence[CheckResult]", *, files: int, spec: "Spec | None" = None
+    results: "Sequence[CheckResult]",
+    *,
+    files: int,
+    spec: "Spec | None" = None,
+    shows_all: bool = False,
 ) -> str:
-    """Return what is printed of results in the order of files.
+    """Return the verdict, then what fails.
 
     Args:
-        results: Of all files.
+        results: Of all files, in their order.
         files: How many there are.
-        spec: Says why a bound is what it is; None: what passes is left out.
+        spec: Says why a bound is what it is; None: nothing is said of bounds.
+        shows_all: Return what passes, too.
     """
-    failed = [result for result in results if result.verdict == "FAIL"]
-    shown = failed if spec is None else [*results]
-    tables = [*_tabulate_files(shown), *_tabulate_matrix(shown)]
-    lines = [*_list_reasons(spec, shown), *_list_worst(shown)]
-    return _join(tables, lines, _summarise(CountedResults(results), files=files))
-
-
-def _format_counted(counted: "CountedResults", *, files: int, spec: "Spec") -> str:
-    """Return how often each check passes, the first failures, and how many there are."""
-    shown = counted.failures
-    tables = [_count_checks(counted, files=files)]
-    tables += [_tabulate(shown, "Failures", names_file=True)] if shown else []
-    failed = counted.verdicts[tl.check.Verdict.FAIL]
-    more = failed - len(shown)
+    counted = CountedResults(results)
+    if files > 1 and not shows_all:
+        return _format_many(counted, files=files, spec=spec)
+    shown = [*results] if shows_all else [one for one in results if one.verdict != "PASS"]
+    tables = [*_tabulate_files(shown), *(_tabulate_matrix(shown) if shows_all else ())]
     lines = [*_list_reasons(spec, shown)]
+    return _join(counted, files, tables, lines, _list_next(counted, spec, shows_all=shows_all))
+
+
+def _format_many(
+    counted: "CountedResults", *, files: int, spec: "Spec | None", shows_all: bool = False
+) -> str:
+    """Return the verdict, how often each check fails, and in which recordings."""
+    tables = [_count_checks(counted, shows_all=shows_all)]
+    if shows_all:
+        tables.append(_tabulate(counted.failures, "Failures", names_file=True))
+    lines = [*_list_failing(counted), *_list_reasons(spec, counted.failures)]
+    more = counted.verdicts[tl.check.Verdict.FAIL] - len(counted.failures)
     if more:
-        lines.append(f"{more} of {failed} failures are not shown: --csv and --json show them")
-    return _join(tables, lines, _summarise(counted, files=files))
+        lines.append(f"{more} more failures are not shown: --csv and --json show them")
+    tables = [table for table in tables if table.rows]
+    return _join(counted, files, tables, lines, _list_next(counted, spec, shows_all=shows_all))
 
 
-def _join(tables: "Sequence[Table]", lines: Sequence[str], summary: str) -> str:
-    parts = ["Checks; times from the first sample"] if tables else []
-    parts += [format_table(table).rstrip("\n") for table in tables]
-    parts += ["\n".join(map(escape_controls, lines))] if lines else []
-    return "\n\n".join([*parts, summary])
+def _join(
+    counted: "CountedResults",
+    files: int,
+    tables: "Sequence[Table]",
+    lines: Sequence[str],
+    rest: Iterable[str],
+) -> str:
+    """Return the verdict and its parts, an empty line between them."""
+    blocks = [format_table(table).rstrip("\n") for table in tables]
+    ends = [_wrap(found) for found in (lines, [*rest]) if found]
+    return "\n\n".join([_conclude(counted, files), *blocks, *ends])
+
+
+def _wrap(lines: Sequence[str]) -> str:
+    """Return lines that fit a page; commands and formulas stay whole."""
+    return "\n".join(
+        textwrap.fill(
+            escape_controls(line),
+            _WIDTH,
+            subsequent_indent="  ",
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        for line in lines
+    )
+
+
+def _conclude(counted: "CountedResults", files: int) -> str:
+    """Return the verdict, and of how many checks, in one line."""
+    verdicts, verdict = counted.verdicts, counted.verdict
+    total = verdicts.total()
+    failed, skipped = verdicts[tl.check.Verdict.FAIL], verdicts[tl.check.Verdict.SKIPPED]
+    place = counted.file if files == 1 and counted.file else f"{files} recordings"
+    rest = f", {skipped} {_is_or_are(skipped)} skipped" if skipped else ""
+    if failed:
+        verb = "fails" if failed == 1 else "fail"
+        text = f"{failed} of {_count(total, 'check')} {verb}{rest}"
+    elif verdict == "SKIPPED":
+        return f"{verdict}: no check was judged in {place}: {skipped} {_is_or_are(skipped)} skipped"
+    elif skipped:
+        passed = verdicts[tl.check.Verdict.PASS]
+        verb = "passes" if passed == 1 else "pass"
+        text = f"{passed} of {_count(total, 'check')} {verb}{rest}"
+    else:
+        text = "the check passes" if total == 1 else f"all {total} checks pass"
+    return f"{verdict}: {escape_controls(place)}: {text}"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _is_or_are(number: int) -> str:
+    return "is" if number == 1 else "are"
+
+
+def _list_failing(counted: "CountedResults") -> Iterator[str]:
+    """Yield in which recordings checks fail, the first of many."""
+    if counted.failing:
+        names = ", ".join(f"{file} ({count})" for file, count in counted.failing.items())
+        more = counted.failing_files - len(counted.failing)
+        rest = f" and {more} more" if more else ""
+        yield f"Recordings in which checks fail, and how many: {names}{rest}"
+
+
+def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: bool) -> Iterator[str]:
+    """Yield the smallest margins where all pass, bounds to think about, and what to do next."""
+    observed = 0 if spec is None else sum(check.is_observed for check in spec.checks)
+    if counted.verdict == "PASS" and (found := counted.find_smallest()) is not None:
+        margin = tl.display.format_number(found.margin, found.unit)
+        limit = tl.display.format_number(found.limit, found.unit)
+        yield f"Nearest to its limit: {found.check}, margin {margin}, limit {limit}"
+    if spec is not None and observed:
+        were = "1 bound was" if observed == 1 else f"{observed} bounds were"
+        yield f"{were} read off a good run: look at observed = true in {spec.source}"
+    if spec is None:
+        return
+    measured = next((one for one in counted.failures if one.value is not None), None)
+    if measured is not None:
+        yield f"Why? turtlelog explain {shlex.quote(measured.file)}"
+    if not shows_all and counted.verdicts.total() > 1:
+        yield "All checks with their margins: --all"
 
 
 class CountedResults:
@@ -126,6 +225,9 @@ class CountedResults:
         of_checks: Likewise, by check.
         nearest: The one of each check that is nearest to its limit, or the furthest beyond it.
         failures: The first that fail.
+        failing: How many fail in each of the first files in which any does.
+        failing_files: In how many files any does.
+        file: The first.
     """
 
     def __init__(self, results: "Iterable[CheckResult]") -> None:
@@ -134,18 +236,40 @@ class CountedResults:
         self.of_checks: dict[str, Counter[Verdict]] = {}
         self.nearest: dict[str, CheckResult] = {}
         self.failures: list[CheckResult] = []
+        self.failing: dict[str, int] = {}
+        self.failing_files = 0
+        self._latest = ""
+        self.file = ""
         for result in results:
             self._count(result)
 
     def _count(self, result: "CheckResult") -> None:
+        self.file = self.file or result.file
         self.verdicts[result.verdict] += 1
         self.of_checks.setdefault(result.check, Counter())[result.verdict] += 1
         if result.margin is not None:
             nearest = self.nearest.setdefault(result.check, result)
             if result.margin < (nearest.margin or 0.0):
                 self.nearest[result.check] = result
-        if result.verdict == "FAIL" and len(self.failures) < _MOST_FAILURES:
+        if result.verdict == "FAIL":
+            self._count_failure(result)
+
+    def _count_failure(self, result: "CheckResult") -> None:
+        self.failing_files += result.file != self._latest
+        self._latest = result.file
+        if result.file in self.failing or len(self.failing) < _MOST_NAMES:
+            self.failing[result.file] = self.failing.get(result.file, 0) + 1
+        if len(self.failures) < _MOST_FAILURES:
             self.failures.append(result)
+
+    def find_smallest(self) -> "CheckResult | None":
+        """Return the one that is nearest to its limit, as a part of the limit."""
+        parts = [
+            (one.margin / abs(one.limit), number)
+            for number, one in enumerate(self.nearest.values())
+            if one.margin is not None and one.limit
+        ]
+        return [*self.nearest.values()][min(parts)[1]] if parts else None
 
     @property
     def verdict(self) -> "Verdict":
@@ -155,13 +279,21 @@ class CountedResults:
         return decide_verdict(self.verdicts)
 
 
-def _count_checks(counted: CountedResults, *, files: int) -> "Table":
-    """Return how often each check passes, and where it is nearest to its limit, or beyond."""
+def _count_checks(counted: CountedResults, *, shows_all: bool) -> "Table":
+    """Return how often each check passes, and where it is nearest to its limit, or beyond.
+
+    Of those that fail nowhere only where all are asked for.
+    """
     titles = ("check", "PASS", "FAIL", "SKIPPED", "unit", "least margin", "file")
+    shown = [
+        check
+        for check, verdicts in counted.of_checks.items()
+        if shows_all or verdicts[tl.check.Verdict.FAIL]
+    ]
     return tl.compare.Table(
-        title=f"{files} recordings, {len(counted.of_checks)} checks",
+        title="Checks" if shows_all else "Checks that fail",
         columns=tuple(tl.compare.Column(title=title) for title in titles),
-        rows=tuple(_count_check(check, counted) for check in counted.of_checks),
+        rows=tuple(_count_check(check, counted) for check in shown),
     )
 
 
@@ -173,13 +305,6 @@ def _count_check(check: str, counted: CountedResults) -> "tuple[Cell, ...]":
         return (check, *counts, None, None, None)
     unit, *_, margin = _show(nearest)
     return (check, *counts, unit, margin, nearest.file)
-
-
-def _summarise(counted: CountedResults, *, files: int) -> str:
-    words = zip(tl.check.Verdict, ("pass", "fail", "skipped"), strict=True)
-    counts = [f"{counted.verdicts[verdict]} {word}" for verdict, word in words]
-    recordings = "1 recording" if files == 1 else f"{files} recordings"
-    return f"{counted.verdict}: {recordings}, {', '.join(counts)}"
 
 
 def _tabulate_files(results: "Sequence[CheckResult]") -> "list[Table]":
@@ -261,14 +386,18 @@ def _show(result: "CheckResult") -> "tuple[str, float | None, float | None, floa
 
 
 def _list_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") -> Iterator[str]:
+    """Yield why checks fail or are skipped, where their rows do not say it."""
     meant = {} if spec is None else _read_reasons(spec)
     for result in results:
-        if reason := _explain(result, meant):
+        if not _is_told_by_row(result, meant) and (reason := _explain(result, meant)):
             yield f"{result.verdict} {result.file}: {result.check}: {reason}"
-    observed = 0 if spec is None else sum(check.is_observed for check in spec.checks)
-    if spec is not None and observed:
-        count = "1 bound was" if observed == 1 else f"{observed} bounds were"
-        yield f"{count} read off a good run: look at observed = true in {spec.source}"
+
+
+def _is_told_by_row(result: "CheckResult", meant: Mapping[str, str]) -> bool:
+    """Whether its name, value and limit say why a check fails: it has no other reason."""
+    is_named = result.expected.startswith(result.check)
+    is_plain = not (result.reason or result.decided_by or meant.get(result.check))
+    return is_named and is_plain and result.value is not None and result.limit is not None
 
 
 def _explain(result: "CheckResult", meant: Mapping[str, str]) -> str:
@@ -283,22 +412,10 @@ def _explain(result: "CheckResult", meant: Mapping[str, str]) -> str:
 
 
 def _read_reasons(spec: "Spec") -> dict[str, str]:
-    """Return why each bound is what it is, by the name of the check."""
+    """Return why bounds are what they are, by the names of checks; not of those read off a run."""
     tolerances = {
         **{f"signals.{name}": found for name, found in spec.tolerances.signals.items()},
         **{f"metrics.{name}": found for name, found in spec.tolerances.metrics.items()},
     }
-    return {found.name: found.reason for found in spec.checks} | {
-        name: found.reason for name, found in tolerances.items()
-    }
-
-
-def _list_worst(results: "Sequence[CheckResult]") -> Iterator[str]:
-    from turtlelog.check.result import find_worst
-
-    worst = find_worst(results)
-    if worst:
-        yield "Worst margins"
-    for result in worst:
-        margin = tl.display.format_number(result.margin, result.unit)
-        yield f"  {margin:>12}  {result.check}  {result.file}"
+    bounds = {found.name: found.reason for found in spec.checks if not found.is_observed}
+    return bounds | {name: found.reason for name, found in tolerances.items()}

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
@@ -48,12 +48,14 @@ class ReportOptions(WorkOptions):
         report: Write a report on the recordings and their checks to this .html file. It needs all
             that is read, which one process then reads.
         recursive: Take every recording below the folders given.
+        all_: Print the checks that pass, too.
     """
 
     junit: Place | None = None
     artifacts: Place | None = None
     report: Place | None = None
     recursive: Recursive = False
+    all_: Annotated[bool, Parameter(name="--all")] = False
 
 
 def check_into_table(

@@ -1,4 +1,4 @@
-"""`turtlelog demo`: the paper's experiment, once through the house."""
+"""`turtlelog demo`: the paper's experiment, recorded, measured and shown."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,18 +12,20 @@ from turtlelog.errors import UsageError
 from turtlelog.libraries import load_library
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from turtlelog import Run
 
 
 def demo(
     *, output: Annotated[Place, Parameter(name=("--output", "-o"))] = Path("demo-out")
 ) -> None:
-    """Run the paper's experiment (Kp = 1, 2, 4, 10, as built) and write everything about it.
+    """Simulate and record the paper's four runs (Kp = 1, 2, 4, 10) and compare them.
 
     Example: turtlelog demo -o demo-out
 
     Args:
-        output: The folder to write into: recordings (.mcap), Rerun recordings (.rrd), Table 1.
+        output: Folder of the recordings (.mcap), Rerun recordings (.rrd) and Table 1.
     """
     load_library("rerun")
     try:
@@ -42,7 +44,18 @@ def demo(
     print_note(f"wrote {output / 'table1'}.{{{','.join(tl.show.TABLE_FORMATS)}}}")
     print_note("")
     tables = [format_table(table) for table in (table1, tl.compare.tabulate_whole_runs(runs))]
-    print_text("\n".join([*tables, _tell_next(output)]))
+    print_text("\n".join([f"{_write_answer(runs, output)}\n", *tables, _tell_next(output)]))
+
+
+def _write_answer(runs: "Sequence[Run]", folder: Path) -> str:
+    """Return how far from the goal the runs end, the nearest and the furthest."""
+    name = "final.position_error"
+    errors = {run.name: tl.measure_run(run, only=[name])[name].value or 0.0 for run in runs}
+    near, far = (choose(errors, key=errors.__getitem__) for choose in (min, max))
+    return (
+        f"{folder}: {len(runs)} runs. {near} ends {errors[near]:.3g} m from the goal, {far}"
+        f" {errors[far]:.3g} m."
+    )
 
 
 def _record(name: str, folder: Path) -> "Run":
@@ -62,6 +75,6 @@ def _tell_next(folder: Path) -> str:
     return (
         f"See the four runs:   {command} view {comparison}\n"
         f"See one of them:     {command} view {run}\n"
-        f"Ask a recording:     {command} info {recording}\n"
+        f"Why does it miss?    {command} explain {recording}\n"
         f"Change one thing:    {command} run paper-kp10 --set loop.queue_policy=newest"
     )

@@ -7,11 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.explain_answer import (
-    describe_explanation,
-    format_attribution,
-    format_identification,
-)
+from turtlelog.cli.explain_answer import build_answer, format_answer, format_details
 from turtlelog.cli.explain_motion import describe_motion, format_motion
 from turtlelog.cli.list_names import complete_mechanisms, complete_metrics
 from turtlelog.cli.options import (
@@ -33,7 +29,8 @@ if TYPE_CHECKING:
     from turtlelog import Run
     from turtlelog.explain import Attribution, Identification
 
-_NOTHING: Final = "No metric is explained: no scenario stands for this log."
+_NOTHING: Final = "no scenario fits this log"
+_DETAILS: Final = "Every cause, setting and its evidence: --details"
 
 
 @Parameter(name="*")
@@ -42,14 +39,15 @@ class ExplainOptions:
     """Files to write, which code may run, and in how many processes.
 
     Attributes:
+        details: Print every cause, and every setting with its evidence, too.
         scenario: Write the identified scenario to this .toml file.
-        rrd: Write a Rerun recording of the run beside its ghosts without the effects, and the
-            attribution in steps.
-        trust_law: Run the code of the law that the recording names, where it is not built in.
-        jobs: Processes to simulate in; as many as cores where that is quicker. A law that is not
-            built in takes one.
+        rrd: Write a Rerun recording of the run, of its simulations without the effects, and of the
+            contributions.
+        trust_law: Run the code of the law that the recording names, if the law is not built in.
+        jobs: Number of processes. Default: one per core if that is faster; 1 for laws of your own.
     """
 
+    details: bool = False
     scenario: Place | None = None
     rrd: Place | None = None
     trust_law: bool = False
@@ -68,44 +66,38 @@ def explain(
     topics: ReadingOptions | None = None,
     json: Json = False,
 ) -> None:
-    """Say what made a run what it is, and which effect caused which part of a metric.
+    """Explain a metric of a run: which effect of the implementation contributes how much.
 
-    First it identifies, from the samples of the controller (the poses that it read and the commands
-    that it gave): gains, limits, tolerances, dead times, queues, start backlog and pause, each with
-    its evidence or the reason why the log does not show. The identified scenario is simulated again
-    and compared with the log, sample by sample.
-
-    Of another law than sequential-p no parameter is identified. Where its recording holds the whole
-    scenario, that is simulated again; where it reproduces every sample, the loop's effects and the
-    law's own mechanisms share the metric. That runs the code that the recording names, and needs
-    --trust-law unless the law is built in.
-
-    Of a recording without such samples, as most bags are, it says what poses and commands tell:
-    how often they come, jumps, gaps, the largest commands, and of turtlesim the dead time of its
-    commands, taken through its plant.
+    First it identifies gains, limits, tolerances, dead times, queues and the pause from the samples
+    of the controller: the poses that it read and the commands that it gave. It simulates the
+    identified scenario and compares the result with the log, sample by sample.
 
     Then it simulates that scenario without its effects, in every combination, and divides the
-    metric among them: Shapley values, whose sum is the metric as built less that without all. They
-    are given where the re-simulation has the log's own value; both stand side by side. Effects are
-    what an implementation adds: queue, delay, jitter, loss, repeat, late, noise, bias, quantum,
-    dropout, outlier, disturbance, of sequential-p pause and wrap, and what another law declares.
-    Properties of any such loop stand beside them, each taken out alone: saturation, acceleration,
-    jerk, shaping, sampling, float32, of sequential-p projection and tolerance.
+    metric among them. Contributions are Shapley values: their sum is the metric with all effects
+    less the metric without them. They are given if the re-simulation agrees with the log. Effects
+    are what an implementation adds, such as queue, delay, jitter, loss, noise or pause. Design
+    parameters, such as saturation, sampling or tolerance, are each taken out alone.
 
-    Where an effect is random, the shares are means over 32 seeds with standard errors; what this
-    run's own seed makes of them is a line of its own.
+    Parameters are identified for sequential-p. The recording of another law is explained by the
+    scenario that it contains, if that reproduces every sample. That runs the code that the
+    recording names, and needs --trust-law unless the law is built in.
+
+    Most third-party bags contain no samples. For these the answer shows what poses and commands
+    tell: rates, jumps, gaps, the largest commands, and for turtlesim the dead time of its commands.
+
+    If an effect is random, contributions are means over 32 seeds with standard errors.
 
     Example: turtlelog explain kp10.mcap --metric final.heading_error
 
     Args:
         file: A recording (.mcap), a ROS 2 bag, a table (.csv, .parquet, .tum), or one of the
             paper's logs (.json, .csv).
-        metric: What to explain, by its id (turtlelog list metrics); by default the final position
-            error, and without a goal the error of the last loop.
-        mechanisms: Effects and properties that share it, separated by commas (turtlelog list
-            mechanisms); by default every effect that is in the run. Of more than six, those six
-            that change it most.
-        json: Print one JSON object instead of tables.
+        metric: Metric to explain, by its id (turtlelog list metrics). Default: the final position
+            error, or without a goal the error of the last loop.
+        mechanisms: Effects and design parameters to divide the metric among, separated by commas
+            (turtlelog list mechanisms). Default: every effect that is in the run, at most the six
+            that change the metric most.
+        json: Print one JSON object.
     """
     options = options or ExplainOptions()
     require_new_target(options.scenario, [file], suffix=".toml")
@@ -115,7 +107,6 @@ def explain(
 
     names = None if mechanisms is None else split_names(mechanisms, "--mechanisms")
     (run,) = read_runs([file], topics)
-    is_asked = metric is not None or names is not None
     metric = metric or tl.explain.choose_metric(run.declaration)
     tl.explain.require_mechanisms(run, metric, names)
     require_trust(run, trust_law=options.trust_law)
@@ -134,16 +125,20 @@ def explain(
                 work=tl.explain.Work(jobs=require_jobs(options.jobs), report=progress.count),
             )
     motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
+    answer = build_answer(
+        file,
+        tl.measure_run(run, only=[metric])[metric],
+        found,
+        attribution,
+        None if motion is None else describe_motion(run, motion),
+    )
     if json:
-        motions = {"motion": None if motion is None else describe_motion(run, motion)}
-        print_json(describe_explanation(file, found, attribution) | motions)
+        print_json(answer)
     elif motion is not None:
-        print_text(format_motion(run, motion))
-        if is_asked:
-            print_text(_NOTHING)
+        print_text(format_motion(file, run, motion))
     else:
-        print_text(format_identification(found))
-        print_text(_NOTHING if attribution is None else format_attribution(attribution))
+        print_text(format_answer(answer, found))
+        print_text(f"\n{format_details(answer, found)}" if options.details else _DETAILS)
     if options.rrd is not None:
         _draw(run, found, attribution, options.rrd)
 
@@ -155,7 +150,7 @@ def _draw(
     path: Path,
 ) -> None:
     if attribution is None:
-        raise ExplainError(f"{path}: expected shares or a ghost, found none: {_NOTHING}")
+        raise ExplainError(f"{path}: there is nothing to draw, because {_NOTHING}")
     with show_progress("simulating without", 100.0, "%") as progress:
         without = tl.explain.simulate_what_ifs(found, attribution, report=progress.count)
     tl.show.write_explanation_rrd(run, attribution, without, path)

@@ -1,19 +1,23 @@
-"""What `turtlelog explain` found: as JSON, as tables and sentences."""
+"""The answer of `turtlelog explain`: as an object, and in words."""
 
 import textwrap
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table
+from turtlelog.cli.replay_answer import describe_pose_error
+from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
-    from turtlelog.explain import Attribution, Finding, Identification, SeedRange, StartRange
+    from turtlelog import Metric
+    from turtlelog.explain import Attribution, Finding, Identification
 
 
-_JSON: Final = {
+_PLACES: Final = {
     "start_backlog": "loop.start_backlog",
     "pause_ticks": "law.pause_ticks",
     "dead_time_ticks": {},
@@ -38,10 +42,10 @@ _JSON: Final = {
         "burst": "pause.burst",
     },
 }
-"""What stands where in the answer's `identified`."""
+"""The keys of findings, by their place in the answer's `identified`."""
 
 _ROWS: Final = (
-    ("start backlog", "loop.start_backlog", "poses"),
+    ("initial queue", "loop.start_backlog", "poses"),
     ("pause", "law.pause_ticks", "ticks"),
     ("  by the clock", "pause.seconds", "s"),
     ("  command held in it", "pause.held_turn_rate_rad_s", "rad/s"),
@@ -64,68 +68,81 @@ _ROWS: Final = (
     ("poses", "loop.pose_precision", ""),
     ("stop reason", "stop_reason", ""),
 )
-"""What the table shows: its name, its key among the findings, its unit there."""
+"""The rows of the table: name, key among the findings, unit there."""
 
 _DEAD_TIME: Final = "dead_time."
 """Begins the key of a loop's dead time."""
 
-
-_DRIVEN: Final = "No simulation stands for this log. The plant was driven with its commands."
+_DRIVEN: Final = "No scenario fits this log. The plant was driven with its commands."
 
 _NOTED: Final = "the recorded scenario"
 """Evidence of what is known by the re-simulation of the recorded scenario."""
 
-_TEXT_WIDTH: Final = 95
-"""As wide as the notes of tables."""
+_WIDTH: Final = 80
+"""Of lines [characters]."""
 
-_EVIDENCE_WIDTH: Final = 46
+_EVIDENCE_WIDTH: Final = 26
+_MEANING_WIDTH: Final = 30
+"""Of the last columns of the tables [characters]: the others need the rest of a line."""
 
-_WIDTH: Final = 96
-"""Of lines, as wide as the notes of a table [characters]."""
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExplainAnswer:
+    """What made a run what it is.
+
+    Attributes:
+        file: As it was given.
+        name: Of the run.
+        metric: What is explained, as the log has it.
+        identified: Values of the findings by what they are, null where they are not identified.
+        reasons: Why a finding has no value, by its key.
+        findings: All findings with their confidence and evidence.
+        resimulation: How the scenario, simulated again, compares with the log; None without one.
+        tried: By key of the loop's settings, the values that were tried.
+        attribution: The value divided among its causes; None where no scenario fits the log.
+        in_words: What each cause that contributes does in this run.
+        notes: What else is worth a sentence.
+        motion: What poses and commands show where there are no samples; None where there are.
+    """
+
+    file: str
+    name: str
+    metric: Mapping[str, Any]
+    identified: Mapping[str, Any]
+    reasons: Mapping[str, str]
+    findings: tuple[Mapping[str, Any], ...]
+    resimulation: Mapping[str, Any] | None
+    tried: Mapping[str, tuple[Any, ...]]
+    attribution: "Attribution | None"
+    in_words: Mapping[str, str]
+    notes: tuple[str, ...]
+    motion: Mapping[str, Any] | None
 
 
-def describe_explanation(
-    file: Path, found: "Identification", attribution: "Attribution | None"
-) -> dict[str, Any]:
+def build_answer(
+    file: Path,
+    metric: "Metric",
+    found: "Identification",
+    attribution: "Attribution | None",
+    motion: Mapping[str, Any] | None,
+) -> ExplainAnswer:
     """Return the answer."""
     again = found.resimulation
-    return {
-        "file": str(file),
-        "name": found.name,
-        "identified": _nest(_JSON, found, "value") | {"dead_time_ticks": _list_dead_times(found)},
-        "reasons": {
-            key: finding.evidence
-            for key, finding in found.findings.items()
-            if finding.value is None
-        },
-        "findings": [
-            {
-                "key": key,
-                "value": finding.value,
-                "certainty": finding.certainty.value,
-                "evidence": finding.evidence,
-                "interval": finding.interval,
-                "candidates": finding.candidates,
-                "assumed": finding.assumed,
-            }
-            for key, finding in found.findings.items()
-        ],
-        "resimulation": None
-        if again is None
-        else {
-            "samples": again.samples,
-            "max_abs_error": {
-                "x": again.max_abs_error.x_m,
-                "y": again.max_abs_error.y_m,
-                "heading": again.max_abs_error.heading_rad,
-            },
-            "max_command_error": again.max_command_error,
-            "is_exact": again.is_exact,
-        },
-        "tried": {key: [*values] for key, values in found.tried.items()},
-        "attribution": None if attribution is None else describe_attribution(attribution),
-        "notes": [*found.notes],
-    }
+    error = None if again is None else {"max_abs_error": describe_pose_error(again.max_abs_error)}
+    return ExplainAnswer(
+        file=str(file),
+        name=found.name,
+        metric=metric.to_dict(),
+        identified=_nest(_PLACES, found) | {"dead_time_ticks": _list_dead_times(found)},
+        reasons={k: one.evidence for k, one in found.findings.items() if one.value is None},
+        findings=tuple({"key": key, **asdict(one)} for key, one in found.findings.items()),
+        resimulation=None if again is None else asdict(again) | (error or {}),
+        tried=found.tried,
+        attribution=attribution,
+        in_words={} if attribution is None else dict(_describe_causes(found, attribution)),
+        notes=found.notes,
+        motion=motion,
+    )
 
 
 def _list_dead_times(found: "Identification") -> dict[str, Any]:
@@ -137,89 +154,175 @@ def _list_dead_times(found: "Identification") -> dict[str, Any]:
     }
 
 
-def describe_attribution(found: "Attribution") -> dict[str, Any]:
-    """Return what is told of an attribution."""
+def _nest(places: dict[str, Any], found: "Identification") -> dict[str, Any]:
     return {
-        "metric": found.metric,
-        "unit": found.unit,
-        "as_logged": found.as_logged,
-        "as_built": found.as_built,
-        "without_all": found.without_all,
-        "shares": [
-            {
-                "mechanism": share.mechanism,
-                "share": share.share,
-                "standard_error": share.standard_error,
-                "alone": share.alone,
-            }
-            for share in found.shares
-        ],
-        "this_seed": found.this_seed,
-        "seeds": None if found.seeds is None else _describe_seeds(found.seeds),
-        "others": [
-            {
-                "mechanism": share.mechanism,
-                "alone": share.alone,
-                "standard_error": share.standard_error,
-                "ending": share.ending or None,
-            }
-            for share in found.others
-        ],
-        "withheld": found.withheld or None,
-        "together": [
-            {
-                "mechanisms": case.mechanisms,
-                "value": case.value,
-                "standard_error": case.standard_error,
-            }
-            for case in found.together
-        ],
-        "without_value": [
-            {"mechanisms": case.mechanisms, "reason": case.reason} for case in found.without_value
-        ],
-        "grain": {"size": found.grain.size, "reason": found.grain.reason},
-        "starts": None if found.starts is None else _describe_starts(found.starts),
-        "sentences": tl.explain.write_sentences(found),
-    }
-
-
-def _describe_seeds(found: "SeedRange") -> dict[str, Any]:
-    return {
-        "count": found.count,
-        "used": found.used,
-        "mean": found.mean,
-        "standard_error": found.standard_error,
-        "low": found.low,
-        "high": found.high,
-    }
-
-
-def _describe_starts(found: "StartRange") -> dict[str, Any]:
-    return {
-        "count": found.count,
-        "within_rad": found.within_rad,
-        "low": found.low,
-        "high": found.high,
-        "without_value": found.without_value,
-        "is_wide": found.is_wide,
-        "parts": [
-            {"mechanism": name, "low": low, "high": high}
-            for name, (low, high) in found.parts.items()
-        ],
-    }
-
-
-def _nest(places: dict[str, Any], found: "Identification", field: str) -> dict[str, Any]:
-    return {
-        name: _nest(key, found, field)
+        name: _nest(key, found)
         if isinstance(key, dict)
-        else getattr(found.findings.get(key), field, None)
+        else getattr(found.findings.get(key), "value", None)
         for name, key in places.items()
     }
 
 
+def _describe_causes(
+    found: "Identification", attribution: "Attribution"
+) -> Iterator[tuple[str, str]]:
+    """Yield what each contributing cause does in this run: its settings, or words for them."""
+    from turtlelog.scenario import flatten_scenario
+
+    scenario = found.build_scenario()
+    values = flatten_scenario(scenario)
+    table = tl.explain.find_mechanisms(scenario)
+    for one in attribution.contributions:
+        neutral = table[one.cause].neutral
+        settings = [
+            f"{key} = {values[key]}"
+            for key in neutral
+            if values.get(key, neutral[key]) != neutral[key]
+        ]
+        yield one.cause, _WORDS.get((*neutral,), _name_settings)(found, ", ".join(settings))
+
+
+def _name_settings(_: "Identification", settings: str) -> str:
+    return settings
+
+
+def _describe_queue(found: "Identification", settings: str) -> str:
+    """Return the dead times that the queue is a part of."""
+    ticks = {loop: value for loop, value in _list_dead_times(found).items() if value is not None}
+    if not ticks:
+        return settings
+    names = [tl.explain.describe_loop_name(found.law, loop) for loop in ticks]
+    parts = [f"{value} {name}" for name, value in zip(names, ticks.values(), strict=True)]
+    parts[0] = parts[0].replace(" ", " ticks ", 1)
+    return f"commands wait: dead time {', '.join(parts)}"
+
+
+def _describe_pause(found: "Identification", settings: str) -> str:
+    seconds = getattr(found.findings.get("pause.seconds"), "value", None)
+    if not found.tells_law or seconds is None:
+        return settings
+    return f"the controller is silent for {seconds:.4g} s after the rotation"
+
+
+def _describe_wrap(found: "Identification", settings: str) -> str:
+    return "the heading error is not wrapped to half a turn" if found.tells_law else settings
+
+
+_WORDS: Final = {
+    ("loop.queue_policy", "loop.start_backlog"): _describe_queue,
+    ("law.pause_ticks",): _describe_pause,
+    ("law.wrap_error",): _describe_wrap,
+}
+"""What causes do, by the settings that take them out."""
+
+
+def format_answer(answer: ExplainAnswer, found: "Identification") -> str:
+    """Return the value, its causes, what they depend on, and how sure all of that is."""
+    name = escape_controls(Path(answer.file).name)
+    attribution = answer.attribution
+    if attribution is None:
+        return _fill([f"{name}: {_write_unknown(answer.metric)}", *_write_known(answer, found)])
+    named = tl.explain.choose_named(attribution)
+    if not named:
+        lines = [f"{name}: {tl.explain.write_value(attribution)}"]
+    else:
+        lines = [f"{name}: why {_write_why(attribution)}", ""]
+        lines += [f"{tl.explain.write_cause_head(attribution)}:"]
+    sizes = [tl.explain.format_contribution(attribution, one) for one in named]
+    widths = [max(map(len, column), default=0) for column in ([one.cause for one in named], sizes)]
+    for one, size in zip(named, sizes, strict=True):
+        head = f"  {one.cause:<{widths[0]}}  {size:<{widths[1]}}  "
+        words = answer.in_words[one.cause]
+        lines += textwrap.wrap(
+            words, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head)
+        ) or [head.rstrip()]
+    lines += tl.explain.write_reasons(attribution)
+    return _fill([*lines, _write_confidence(found, attribution)])
+
+
+def _fill(lines: list[str]) -> str:
+    wrapped = [
+        line
+        if line.startswith("  ") or not line
+        else textwrap.fill(line, _WIDTH, break_on_hyphens=False, break_long_words=False)
+        for line in lines
+    ]
+    return "\n".join(wrapped)
+
+
+def _write_why(found: "Attribution") -> str:
+    """Return the value of the log, and the re-simulation's where it is another."""
+    if found.as_logged is None:
+        return f"{found.metric} is {tl.explain.format_value(found, found.resimulated)}"
+    sizes = [tl.explain.format_value(found, one) for one in (found.as_logged, found.resimulated)]
+    again = "" if sizes[0] == sizes[1] else f" ({sizes[1]} re-simulated)"
+    return f"{found.metric} is {sizes[0]}{again}"
+
+
+def _write_unknown(metric: Mapping[str, Any]) -> str:
+    if metric["value"] is None:
+        return f"{metric['id']} has no value: {metric['reason']}"
+    size = f"{metric['value']:.4g} {metric['unit']}".removesuffix(" 1")
+    return f"{metric['id']} is {size}; its causes are unknown"
+
+
+def _write_known(answer: ExplainAnswer, found: "Identification") -> Iterator[str]:
+    """Yield why there is no scenario to simulate, and what the log shows all the same."""
+    yield from map(_capitalise, answer.notes)
+    known = [
+        f"{name.strip()} {_format_value(finding.value, unit)}"
+        for name, key, unit in _list_rows(found)
+        if (finding := found.findings.get(key)) is not None and finding.value is not None
+    ]
+    if known:
+        yield f"The log shows: {', '.join(known)}."
+
+
+def _write_confidence(found: "Identification", attribution: "Attribution") -> str:
+    """Return how far the scenario that was simulated reproduces the log."""
+    again = found.resimulation
+    if again is None:
+        return ""
+    rows = f"all {again.samples} samples"
+    if found.is_recorded:
+        return f"Confidence: as recorded. The recorded scenario reproduces {rows}."
+    if not again.is_exact:
+        return f"Confidence: {_judge_settings(found)}. {_write_differences(found)}"
+    sure = "exact" if attribution.acting and not attribution.doubts else ""
+    label = f"Confidence: {sure}. " if sure else ""
+    return f"{label}The re-simulation reproduces {rows} bit for bit."
+
+
+def _judge_settings(found: "Identification") -> str:
+    """Return how far the settings of a loop are known that does not reproduce every sample."""
+    from turtlelog.explain import Certainty
+
+    settings = [one for key, one in found.findings.items() if key in found.tried]
+    is_known = all(one.certainty is not Certainty.UNKNOWN for one in settings)
+    return "fitted" if settings and is_known else "unknown in part"
+
+
+def _write_differences(found: "Identification") -> str:
+    again = found.resimulation
+    if again is None:
+        return "Nothing was simulated again."
+    error = again.max_abs_error
+    return (
+        f"Largest differences of the re-simulation, in {again.samples} samples: x {error.x_m:.3g}"
+        f" m, y {error.y_m:.3g} m, heading {degrees(error.heading_rad):.3g} deg, commands"
+        f" {again.max_command_error:.3g}."
+    )
+
+
+def format_details(answer: ExplainAnswer, found: "Identification") -> str:
+    """Return every cause, what was identified with its evidence, and what was tried."""
+    parts = [] if answer.attribution is None else [format_causes(answer.attribution)]
+    parts += [format_identification(found), _format_resimulation(found)]
+    return "\n".join(filter(None, parts))
+
+
 def format_identification(found: "Identification") -> str:
-    """Return what was identified, with its evidence, and how the re-simulation compares."""
+    """Return what was identified, with its evidence."""
     rows: list[tuple[str, ...]] = []
     hidden: dict[str, list[str]] = {note: [] for note in found.notes}
     for name, key, unit in _list_rows(found):
@@ -231,17 +334,17 @@ def format_identification(found: "Identification") -> str:
         elif finding.value is None:
             hidden[finding.evidence].append(name.strip())
         else:
-            # The note that is its evidence stands below the table, once.
+            # The note that is its evidence is below the table, once.
             rows += _format_finding(name, replace(finding, evidence=_NOTED), unit)
+    notes = [_capitalise(note) + _name_unknown(names) for note, names in hidden.items()]
     table = tl.compare.Table(
         title=f"Identified from the log of {found.name}",
         columns=tuple(
-            tl.compare.Column(title=title) for title in ("", "value", "how sure", "evidence")
+            tl.compare.Column(title=title) for title in ("", "value", "confidence", "evidence")
         ),
         rows=tuple(rows),
-        notes=tuple(_capitalise(note) + _name_unknown(names) for note, names in hidden.items()),
     )
-    return f"{format_table(table)}\n{_format_resimulation(found)}"
+    return "\n".join([format_table(table), *([_fill(notes), ""] if notes else [])])
 
 
 def _name_unknown(names: list[str]) -> str:
@@ -249,37 +352,39 @@ def _name_unknown(names: list[str]) -> str:
     return f" Therefore unknown: {', '.join(names)}." if names else ""
 
 
-def format_attribution(found: "Attribution") -> str:
-    """Return the values, the shares, and what they mean."""
+def format_causes(found: "Attribution") -> str:
+    """Return a table of what changes the value; empty where nothing does."""
     from turtlelog.explain.attribution import THIS_SEED, THIS_SEED_MEANS
 
-    unit, sentences = found.unit, tl.explain.write_sentences(found)
-    parts = found.changing
-    if all(one.share is None and one.alone is None for one in parts):
-        # No table of dashes or zeros: what there is to say stands in the sentences.
-        wrapped = "\n".join(textwrap.fill(one, _TEXT_WIDTH) for one in sentences)
-        return f"\nWhat caused {found.metric}\n\n{wrapped}"
+    unit, parts = found.unit, found.changing
+    if all(one.contribution is None and one.alone is None for one in parts):
+        return ""
     columns = [
-        tl.compare.Column(title="mechanism"),
-        tl.compare.Column(title="share", unit=unit),
-        tl.compare.Column(title="without it alone", unit=unit),
+        tl.compare.Column(title="cause"),
+        tl.compare.Column(title="contribution", unit=unit),
+        tl.compare.Column(title="without it", unit=unit),
         tl.compare.Column(title="without it means"),
     ]
-    rows = [[one.mechanism, one.share, one.alone, one.meaning] for one in parts]
+    rows = [[one.cause, one.contribution, one.alone, one.meaning] for one in parts]
     if any(one.standard_error for one in parts):
-        columns.insert(2, tl.compare.Column(title="standard error", unit=unit))
+        columns.insert(2, tl.compare.Column(title="s.e.", unit=unit))
         for row, one in zip(rows, parts, strict=True):
             row.insert(2, one.standard_error)
-        if found.shares and found.seeds is not None and found.seeds.varies:
+        if found.contributions and found.seeds is not None and found.seeds.varies:
             row = [THIS_SEED, found.this_seed, None, None, THIS_SEED_MEANS]
-            rows.insert(sum(one.share is not None for one in parts), row)
+            rows.insert(sum(one.contribution is not None for one in parts), row)
     table = tl.compare.Table(
-        title=f"What caused {found.metric}",
+        title=f"Causes of {found.metric}",
         columns=tuple(columns),
-        rows=tuple(map(tuple, rows)),
-        notes=sentences,
+        rows=tuple(line for row in rows for line in _break_row(row)),
     )
-    return f"\n{format_table(table)}"
+    return format_table(table)
+
+
+def _break_row(row: list[Any]) -> list[tuple[Any, ...]]:
+    """Return a row whose last cell goes on below."""
+    first, *rest = textwrap.wrap(row[-1], _MEANING_WIDTH, break_on_hyphens=False)
+    return [(*row[:-1], first), *(("",) * (len(row) - 1) + (line,) for line in rest)]
 
 
 def _list_rows(found: "Identification") -> list[tuple[str, str, str]]:
@@ -317,17 +422,11 @@ def _format_value(value: Any, unit: str, digits: int = 6) -> str:
 
 
 def _format_resimulation(found: "Identification") -> str:
-    again = found.resimulation
-    if again is None:
-        if not found.tried:
-            return "Nothing was simulated again.\n"
-        return f"{_DRIVEN}\n{_format_tried(found)}\n"
-    error = again.max_abs_error
-    return (
-        f"Simulated again: {again.samples} samples, largest differences x {error.x_m:.3g} m,"
-        f" y {error.y_m:.3g} m,\nheading {degrees(error.heading_rad):.3g} deg,"
-        f" commands {again.max_command_error:.3g}.\n{_format_tried(found)}\n"
-    )
+    if found.resimulation is not None:
+        return _fill([_write_differences(found), _format_tried(found)])
+    if not found.tried:
+        return "Nothing was simulated again."
+    return _fill([_DRIVEN, _format_tried(found)])
 
 
 def _format_tried(found: "Identification") -> str:
@@ -339,10 +438,8 @@ def _format_tried(found: "Identification") -> str:
         for name, key, unit in _ROWS
         if len(found.tried.get(key, ())) > 1
     ]
-    text = (
-        f"Settings tried: {'; '.join(parts) or 'one, the clock and the dead times leave no other'}."
-    )
-    return textwrap.fill(text, _WIDTH, break_on_hyphens=False)
+    only = "one, the clock and the dead times leave no other"
+    return f"Settings tried: {'; '.join(parts) or only}."
 
 
 def _format_range(values: tuple[Any, ...], unit: str) -> str:
@@ -352,4 +449,4 @@ def _format_range(values: tuple[Any, ...], unit: str) -> str:
 
 
 def _capitalise(note: str) -> str:
-    return f"{note[:1].upper()}{note[1:]}."
+    return f"{note[:1].upper()}{note[1:].removesuffix('.')}."

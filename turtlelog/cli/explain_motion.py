@@ -1,7 +1,8 @@
-"""What `turtlelog explain` says of a recording without a controller's samples."""
+"""The answer of `turtlelog explain` for a recording without samples of a controller."""
 
 import textwrap
 from math import degrees
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.cli.replay_plant import describe_plant, judge_rounding, list_breaks
@@ -12,12 +13,12 @@ if TYPE_CHECKING:
     from turtlelog import Run
     from turtlelog.explain import Delays, Largest, MotionFacts, Periods
 
-_WIDTH: Final = 95
-"""As wide as the notes of tables [characters]."""
+_WIDTH: Final = 80
+"""Of lines [characters]."""
 
 _NEEDS: Final = (
-    "More would need the samples of the controller (turtlelog_msgs/msg/ControlSample): the pose"
-    " that it read, and the command that it gave."
+    "An explanation needs the samples of the controller (turtlelog_msgs/msg/ControlSample): the"
+    " pose that it read, and the command that it gave."
 )
 
 _SILENCE: Final = 1.5
@@ -91,9 +92,11 @@ def describe_motion(run: "Run", found: "MotionFacts") -> dict[str, Any]:
     }
 
 
-def format_motion(run: "Run", found: "MotionFacts") -> str:
-    """Return the facts as sentences."""
+def format_motion(file: Path, run: "Run", found: "MotionFacts") -> str:
+    """Return that no cause is known, and the facts as sentences."""
+    name = escape_controls(file.name)
     sentences = [
+        f"{name}: not explained, because there are no samples of a controller.",
         _tell_kind(run, found),
         _tell_rate(run, "pose", len(run.poses), found.poses),
         _tell_rate(run, "command", len(run.commands), found.commands),
@@ -109,14 +112,13 @@ def format_motion(run: "Run", found: "MotionFacts") -> str:
 
 
 def _tell_kind(run: "Run", found: "MotionFacts") -> str:
-    name = escape_controls(found.name)
     topics = [run.notes.get(f"{kind}_topic", "") for kind in ("pose", "command")]
     where = join_words([escape_controls(topic) for topic in topics if topic])
     kind = "turtlesim" if found.kind == "turtlesim" else "a robot, not turtlesim"
     if found.kind == "robot" and run.poses.speed_m_s is not None and not run.parameters:
         kind = "a robot that publishes poses as turtlesim does, not turtlesim"
     length = f"run.duration {run.duration_s:.3f} s"
-    return f"{name}: {kind}, {length}{f', of {where}' if where else ''}."
+    return f"{kind[0].upper()}{kind[1:]}, {length}{f', of {where}' if where else ''}."
 
 
 def _tell_rate(run: "Run", noun: str, rows: int, periods: "Periods | None") -> str:

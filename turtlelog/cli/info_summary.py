@@ -41,14 +41,14 @@ _TOLD: Final = (
 )
 """Notes of a run on the bag that it was read from."""
 
-_NOTHING_LEFT: Final = "truncated: no message can be recovered"
+NOTHING_LEFT: Final = "truncated: no message can be recovered"
 """What an incomplete file without messages is."""
 
 _LEFT_OUT: Final = ": left out: "
 
 _SHOWN_TOPICS: Final = 3
 
-_CONTROL: Final = "turtlelog_msgs/msg/ControlSample"
+CONTROL: Final = "turtlelog_msgs/msg/ControlSample"
 _TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 
 
@@ -57,14 +57,28 @@ class ReadRun:
     """What the run of a file tells that its topics do not.
 
     Attributes:
+        kind: Whose poses these are.
         duration_s: The metric `run.duration` [s].
-        has_commands: Whether it holds commands.
-        has_samples: Whether it holds samples of a controller.
+        poses: Topic, rate and number of the poses; the rate if it is steady.
+        commands: Likewise; empty if there are none.
+        samples: Number of samples of a controller.
     """
 
+    kind: str
     duration_s: float
-    has_commands: bool
-    has_samples: bool
+    poses: str
+    commands: str
+    samples: int
+
+    @property
+    def has_commands(self) -> bool:
+        """Whether there are commands."""
+        return bool(self.commands)
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether there are samples of a controller."""
+        return self.samples > 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,9 +113,9 @@ def summarise(
     """
     is_lost = not info.complete and not any(topic.count for topic in info.topics)
     if info.format_version is not None:
-        return Summary(text=_summarise_own(info, _NOTHING_LEFT if is_lost else ""))
+        return Summary(text=_summarise_own(info, NOTHING_LEFT if is_lost else ""))
     if not info.complete:
-        text = _NOTHING_LEFT if is_lost else _summarise_topics(info, "it is not complete")
+        text = NOTHING_LEFT if is_lost else _summarise_topics(info, "it is not complete")
         return Summary(text=text)
     if not is_asked and (large := _find_large(path, info)):
         note = f"not looked at, {large}: info --clock does"
@@ -135,7 +149,7 @@ def _summarise_own(info: "RecordingInfo", lost: str) -> str:
     origin = "" if info.source == "simulation" else f", from {info.source}"
     counts = {
         noun: sum(topic.count for topic in info.topics if topic.type == kind)
-        for kind, noun in ((_CONTROL, "sample"), ("turtlesim/msg/Pose", "pose"))
+        for kind, noun in ((CONTROL, "sample"), ("turtlesim/msg/Pose", "pose"))
     }
     rows = join_words([describe_count(count, noun) for noun, count in counts.items() if count])
     length = "" if info.duration_s is None else f" in {info.duration_s:.1f} s"
@@ -214,9 +228,11 @@ def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
     return Summary(
         text=_describe_run(run),
         run=ReadRun(
+            kind=_describe_kind(run),
             duration_s=run.duration_s,
-            has_commands=len(run.commands) > 0,
-            has_samples=len(run.samples) > 0,
+            poses=_describe_rows(run, "pose_topic", run.poses.time_ns),
+            commands=_describe_rows(run, "command_topic", run.commands.time_ns),
+            samples=len(run.samples),
         ),
         missing=tuple(_list_missing(run, info)),
         clock=None
@@ -231,16 +247,29 @@ def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
     )
 
 
-def _describe_run(run: "Run") -> str:
-    pose_topic = _name_topic(run, "pose_topic")
+def _describe_rows(run: "Run", note: str, time_ns: "NDArray[Any]") -> str:
+    """Return topic, rate and number of rows; empty without rows."""
+    if not len(time_ns):
+        return ""
+    rate, topic = _describe_rate(time_ns).removeprefix("at "), _name_topic(run, note)
+    noun = "message" if topic else "row"
+    return ", ".join(filter(None, (topic, rate, describe_count(len(time_ns), noun))))
+
+
+def _describe_kind(run: "Run") -> str:
+    """Return whose poses these are, or what kind of a file without topics it is."""
     pose_type = run.notes.get("pose_topic", "").partition("(")[2].rstrip(")")
-    is_turtlesim = pose_type.startswith("turtlesim")
+    if not _name_topic(run, "pose_topic"):
+        return "a log of a controller" if len(run.samples) else "poses in a table"
+    if not pose_type.startswith("turtlesim"):
+        return "a robot"
+    is_turtlesim = tl.replay.moves_as_turtlesim(run)
+    return "turtlesim" if is_turtlesim else f"a robot that publishes {pose_type}"
+
+
+def _describe_run(run: "Run") -> str:
+    pose_topic, kind = _name_topic(run, "pose_topic"), _describe_kind(run)
     rate = _describe_rate(run.poses.time_ns)
-    kind = "turtlesim" if is_turtlesim else "a robot"
-    if is_turtlesim and not tl.replay.moves_as_turtlesim(run):
-        kind = f"a robot that publishes {pose_type}"
-    if not pose_topic:
-        kind = "a log of a controller" if len(run.samples) else "poses in a table"
     amount = rate if rate and pose_topic else describe_count(len(run.poses), "pose")
     amount += f" {rate}" if rate and not pose_topic else ""
     parts = [f"{pose_topic} {amount}" if pose_topic and rate else f"{amount}{_on(pose_topic)}"]

@@ -20,7 +20,6 @@ from turtlelog.cli.replay_answer import (
     describe_changes,
     describe_law,
     describe_loop,
-    format_changes,
     format_law,
     format_loop,
 )
@@ -53,26 +52,24 @@ def replay(
     topics: TopicOptions | None = None,
     json: Json = False,
 ) -> int:
-    """Drive a recording again and say how far the result is from what was recorded.
+    """Replay a recording and show where the result departs from it.
 
-    Without --plant or --law its scenario is simulated again in closed loop, changed by --set and
-    its like where given, and compared tick by tick and sample by sample. --law gives a law the
-    recorded poses and compares what it commands. --plant takes the recorded commands through
-    turtlelog's turtlesim, or through the lagged robot of the recording. Times count from the first
-    sample, or else the first pose.
+    By default its scenario is simulated again in closed loop, with the changes of --set, and
+    compared tick by tick and sample by sample. --law gives a law the recorded poses and compares
+    its commands. --plant drives turtlesim, or the robot model of the recording, with the recorded
+    commands. Times count from the first sample, or from the first pose without samples.
 
     A law that is not built in is code. The code of --law FILE:Class, --set law.kind=FILE:Class and
-    of a scenario file given by name runs; that of a law that only the recording names runs with
+    of a scenario file given by name runs. The code of a law that only the recording names runs with
     --trust-law and not otherwise.
 
     Example: turtlelog replay kp10.mcap --set loop.queue_policy=newest
 
-    Differences are an answer, not a failure: the exit code is 0. With --expect-equal the replay is
-    checked: the answer ends with the verdict of `turtlelog check`, and the exit code is 1 where it
-    is FAIL.
+    Differences are an answer, not a failure: the exit code is 0. With --expect-equal the answer
+    ends with a verdict as that of `turtlelog check`, and the exit code is 1 if it is FAIL.
 
     Args:
-        file: A recording (.mcap), a ROS 2 bag of turtlesim, or a log of the paper's.
+        file: A recording (.mcap), a ROS 2 bag of turtlesim, or a log of the paper.
         output: Write the run of the closed loop to this .mcap file.
         json: Print one JSON object instead of tables.
     """
@@ -82,11 +79,11 @@ def replay(
     require_new_target(output, [file], suffix=".mcap")
     (run,) = read_runs([file], topics)
     if mode.plant:
-        described, text, found = _replay_plant(run)
+        described, text, found = _replay_plant(file, run)
     else:
         scenario = choose_scenario(run, mode, changes, kind)
         answer = _replay_loop if mode.law is None else _replay_law
-        described, text, found = answer(run, scenario, mode, output)
+        described, text, found = answer(file, run, scenario, mode, output)
     failed = False
     if mode.expect_equal:
         from turtlelog.check.judge_difference import judge_replay
@@ -103,13 +100,13 @@ def replay(
     return EXIT_FAILED if failed else EXIT_FINE
 
 
-def _replay_plant(run: "Run") -> _Answer:
+def _replay_plant(file: Path, run: "Run") -> _Answer:
     found = tl.replay_plant(run)
-    return describe_plant(run, found), format_plant(run, found), found
+    return describe_plant(run, found), format_plant(file, run, found), found
 
 
 def _replay_law(
-    run: "Run", scenario: "Scenario | None", mode: ReplayOptions, _: Path | None
+    file: Path, run: "Run", scenario: "Scenario | None", mode: ReplayOptions, _: Path | None
 ) -> _Answer:
     found = tl.replay_law(
         run,
@@ -118,11 +115,11 @@ def _replay_law(
         trust_law=mode.trust_law,
         step_budget_s=choose_step_budget(mode.step_budget_ms),
     )
-    return describe_law(run, found), format_law(run, found), found
+    return describe_law(run, found), format_law(file, run, found, details=mode.details), found
 
 
 def _replay_loop(
-    run: "Run", scenario: "Scenario | None", mode: ReplayOptions, output: Path | None
+    file: Path, run: "Run", scenario: "Scenario | None", mode: ReplayOptions, output: Path | None
 ) -> _Answer:
     found = tl.replay_loop(
         run,
@@ -134,9 +131,7 @@ def _replay_loop(
     if output is not None:
         tl.write_recording(found.run, output)
         print_note(f"wrote {output}")
-    text = format_loop(run, found)
-    if found.first_difference is not None:
-        text += f"\n\n{format_changes(run, found.run)}"
+    text = format_loop(file, run, found, details=mode.details)
     metrics = describe_changes(run, found.run)
     described = {"output": None if output is None else str(output), "metrics": metrics}
     return describe_loop(run, found) | described, text, found

@@ -1,11 +1,13 @@
 """How replays that compare signals are answered: through a law, and in closed loop."""
 
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table
-from turtlelog.display import format_pair, show_angle
+from turtlelog.display import describe_count, format_pair, show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -14,6 +16,9 @@ if TYPE_CHECKING:
     from turtlelog.replay import Difference, LawReplay, LoopReplay, PoseError, SignalDifference
 
     Measured = Mapping[str, Metric]
+
+_WIDTH: Final = 80
+"""Of lines [characters]."""
 
 _ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
 """Signals that are printed even where they are equal."""
@@ -82,26 +87,30 @@ def describe_loop(run: "Run", found: "LoopReplay") -> dict[str, Any]:
     }
 
 
-def format_law(run: "Run", found: "LawReplay") -> str:
-    """Return what is printed of a replay through a law."""
-    title = f"{found.scenario.law.kind} on the {found.samples} poses that {run.name} read"
-    notes = _describe_rest(found.signals, found.absent)
-    if found.missing_samples:
-        notes += (f"{found.missing_samples} samples are lost: the law did not see their poses.",)
-    lines = [format_table(_tabulate(run, found.signals, title, notes)), *_format_declaration(found)]
-    if found.first_difference is None:
-        sentence = "On the recorded poses the law commands what was recorded"
-        return "\n".join([*lines, f"{sentence}{_describe_slack(found.signals)}."])
-    lines.append(_format_first(run, found.first_difference, found.signals))
+def format_law(file: Path, run: "Run", found: "LawReplay", *, details: bool) -> str:
+    """Return whether a law commands what was recorded, and where it first does not."""
+    law, first = escape_controls(found.scenario.law.kind), found.first_difference
+    if first is None:
+        head = f"{law} commands what was recorded{_describe_slack(found.signals)}"
+    else:
+        head = f"{law} departs in {_format_difference(run, first, found.signals)}"
+    lines = [f"{escape_controls(file.name)}: {head}."]
     command = found.first_command_difference
-    if command is not None and command != found.first_difference:
-        lines.append(f"In the commands: {_format_difference(run, command, found.signals)}.")
-    lines.append(_describe_published(found))
-    if found.commands is not None and found.commands != found.first_difference:
-        lines.append(f"Commands: {_format_difference(run, found.commands, found.signals)}.")
-    if found.stop is not None and found.stop != found.first_difference:
-        lines.append(f"The end: {_format_difference(run, found.stop, found.signals)}.")
-    return "\n".join(lines)
+    if command is not None and command != first:
+        lines.append(f"First command: {_format_difference(run, command, found.signals)}.")
+    if first is not None:
+        lines.append(_describe_published(found))
+        others = {"Published command": found.commands, "The end": found.stop}
+        lines += [
+            f"{name}: {_format_difference(run, one, found.signals)}."
+            for name, one in others.items()
+            if one is not None and one != first
+        ]
+    lines += _format_declaration(found)
+    if found.missing_samples:
+        lines.append(f"{found.missing_samples} samples are lost: the law did not see their poses.")
+    title = f"{law} on the {found.samples} poses that {run.name} read"
+    return f"{fill_lines(lines)}\n{_format_signals(run, found, title, details=details)}"
 
 
 def _format_declaration(found: "LawReplay | LoopReplay") -> list[str]:
@@ -110,7 +119,7 @@ def _format_declaration(found: "LawReplay | LoopReplay") -> list[str]:
     if told is None:
         return []
     recorded, replayed = (escape_controls(str(text)) for text in (told.recorded, told.replayed))
-    return [f"The law declares itself otherwise. Recorded: {recorded}.\nReplayed: {replayed}."]
+    return [f"The law declares itself otherwise. Recorded: {recorded}. Replayed: {replayed}."]
 
 
 def _describe_published(found: "LawReplay") -> str:
@@ -126,24 +135,45 @@ def _describe_published(found: "LawReplay") -> str:
     return "The commands as published are the law's."
 
 
-def format_loop(run: "Run", found: "LoopReplay") -> str:
-    """Return what is printed of a replay in closed loop."""
-    rows = "tick by tick" if found.by_tick else "sample by sample"
-    title = f"{found.run.name} simulated again, against {run.name}, {rows}"
-    lines = [
-        format_table(
-            _tabulate(run, found.signals, title, _describe_rest(found.signals, found.absent))
-        ),
-        _format_counts(run, found),
-    ]
-    lines += _format_declaration(found)
-    if found.first_difference is None:
+def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -> str:
+    """Return whether the replay is the recording, and where it first differs."""
+    first = found.first_difference
+    if first is None:
         goes_on = any(count.recorded != count.replayed for count in found.counts.values())
         end = ", as far as that goes" if goes_on else ""
-        slack = _describe_slack(found.signals)
         columns = "every column that it holds" if found.absent else "every column"
-        return "\n".join([*lines, f"The replay is the recording, in {columns}{end}{slack}."])
-    return "\n".join([*lines, _format_first(run, found.first_difference, found.signals)])
+        slack = _describe_slack(found.signals)
+        head = f"the replay is the recording, in {columns}{end}{slack}"
+    else:
+        head = f"the replay departs in {_format_difference(run, first, found.signals)}"
+    lines = [f"{escape_controls(file.name)}: {head}."]
+    if found.run.name != run.name:
+        lines.append(escape_controls(f"Replayed as: {found.run.name}"))
+    lines += [*_list_counts(run, found), *_format_declaration(found)]
+    rows = "tick by tick" if found.by_tick else "sample by sample"
+    title = f"{found.run.name} simulated again, against {run.name}, {rows}"
+    parts = [fill_lines(lines)]
+    parts += [] if first is None else [f"\n{format_changes(run, found.run)}"]
+    return "\n".join([*parts, _format_signals(run, found, title, details=details)])
+
+
+def fill_lines(lines: Iterable[str]) -> str:
+    """Return sentences in lines of 80 characters."""
+    return "\n".join(
+        textwrap.fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
+        for line in lines
+    )
+
+
+def _format_signals(
+    run: "Run", found: "LawReplay | LoopReplay", title: str, *, details: bool
+) -> str:
+    """Return the table of signals, or how many differ and how to see them."""
+    if details:
+        rest = fill_lines(_describe_rest(found.signals, found.absent))
+        return f"\n{format_table(_tabulate(run, found.signals, title))}\n{rest}".rstrip()
+    differing = sum(signal.largest > 0.0 or signal.differing > 0 for signal in found.signals)
+    return f"{differing} of {describe_count(len(found.signals), 'signal')} differ: --details"
 
 
 def _describe_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[dict[str, Any]]:
@@ -161,9 +191,7 @@ def _describe_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list
     ]
 
 
-def _tabulate(
-    run: "Run", signals: "Sequence[SignalDifference]", title: str, notes: tuple[str, ...]
-) -> "Table":
+def _tabulate(run: "Run", signals: "Sequence[SignalDifference]", title: str) -> "Table":
     return tl.compare.Table(
         title=title,
         columns=(
@@ -185,7 +213,6 @@ def _tabulate(
             for found in signals
             if _is_printed(found)
         ),
-        notes=notes,
     )
 
 
@@ -210,7 +237,7 @@ def _is_printed(found: "SignalDifference") -> bool:
     return found.largest > 0.0 or found.differing > 0 or found.signal in _ALWAYS
 
 
-def _format_counts(run: "Run", found: "LoopReplay") -> str:
+def _list_counts(run: "Run", found: "LoopReplay") -> list[str]:
     """Return how many rows there are, and why both ended."""
     counts = [
         f"{count.recorded} {name}"
@@ -220,12 +247,8 @@ def _format_counts(run: "Run", found: "LoopReplay") -> str:
     ]
     ends = run.stop_reason or "not recorded why", found.run.stop_reason or ""
     was, now = (end.replace("_", " ") for end in ends)
-    end = f"both ended: {was}" if was == now else f"it ended: {was}; the replay: {now}"
-    return f"Recorded: {'; '.join(counts)}.\nWhy {escape_controls(end)}."
-
-
-def _format_first(run: "Run", first: "Difference", signals: "Sequence[SignalDifference]") -> str:
-    return f"First difference: {_format_difference(run, first, signals)}."
+    end = f"Both ended: {was}" if was == now else f"It ended: {was}; the replay: {now}"
+    return [f"Recorded: {'; '.join(counts)}.", f"{escape_controls(end)}."]
 
 
 def _format_difference(
@@ -282,7 +305,7 @@ def format_changes(recorded: "Run", replayed: "Run") -> str:
     was, now = _measure_both(recorded, replayed)
     return format_table(
         tl.compare.Table(
-            title=f"{recorded.name}, and what became of it: {replayed.name}",
+            title="Metrics of the recording and of the replay",
             columns=tuple(
                 tl.compare.Column(title=title)
                 for title in ("metric", "unit", "recorded", "replayed", "difference")

@@ -27,18 +27,20 @@ class ReplayOptions:
 
     Attributes:
         plant: Drive the recorded commands through the plant.
+        details: Print every signal with its largest difference.
         law: Let a law answer the recorded poses: the recorded one, or KIND, which is a built-in
             kind, path.py:Class or package.module:Class.
         scenario: A preset or scenario file in place of the recording's own; a log that knows a part
             of its scenario keeps that.
-        tolerance: Differences up to this one count as none [m, rad, m/s, rad/s: as the signal].
-        expect_equal: Exit with code 1 where there is a difference.
-        trust_law: Run the code of the law that the recording names, where it is not built in.
+        tolerance: Largest difference that counts as none [m, rad, m/s, rad/s: as the signal].
+        expect_equal: Exit with code 1 if there is a difference.
+        trust_law: Run the code of the law that the recording names, if it is not built in.
         step_budget_ms: End the replay if the law computes longer in one step, by the clock.
             Default: 10000. Unit: ms. Built-in laws have no default.
     """
 
     plant: bool = False
+    details: bool = False
     law: Annotated[list[str] | None, Parameter(consume_multiple=(0, 2), metavar="[KIND]")] = None
     scenario: str | None = None
     tolerance: float | None = None

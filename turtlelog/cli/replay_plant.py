@@ -2,11 +2,18 @@
 
 from dataclasses import asdict
 from math import degrees
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table
-from turtlelog.cli.replay_answer import describe_difference, describe_pose_error, tell_time
+from turtlelog.cli.replay_answer import (
+    describe_difference,
+    describe_pose_error,
+    fill_lines,
+    tell_time,
+)
+from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -55,31 +62,33 @@ def describe_plant(run: "Run", found: "PlantReplay") -> dict[str, Any]:
     }
 
 
-def format_plant(run: "Run", found: "PlantReplay") -> str:
-    """Return the stretches as a table, and what lies between them."""
+def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:
+    """Return whether the plant reproduces the poses, its segments, and what is between them."""
     use = found.commands
     and_of_velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
-    notes = [
-        *judge_rounding(found),
+    first, *judged = judge_rounding(found)
+    sentences = [
+        f"{escape_controls(file.name)}: {first[0].lower()}{first[1:]}",
+        *judged,
         f"Commands: {use.taken} taken, {use.unseen} that no pose shows;"
         f" the plant stopped by itself {use.stops} times.",
         "Rounding: one step of the 32 bits of a pose, for other platforms."
         if tl.plants.find_plant(run).name == tl.plants.LAGGED
-        else f"Rounding: what 32 bits of a stretch's first pose{and_of_velocities} may grow to,"
+        else f"Rounding: what 32 bits of a segment's first pose{and_of_velocities} may grow to,"
         " along the way driven.",
     ]
     if use.never_arrived:
-        notes.append(
-            f"The transport lost {use.never_arrived} commands, as the events tell: one that equals"
+        sentences.append(
+            f"The transport lost {use.never_arrived} commands, as the events show: one that equals"
             " the command before it counts as taken."
         )
     if use.disturbed_ticks:
-        notes.append(
-            f"In {use.disturbed_ticks} ticks a disturbance pushes the plant: its velocity shows no"
+        sentences.append(
+            f"In {use.disturbed_ticks} ticks a disturbance acts on the plant: its velocity shows no"
             " command there, and was used as recorded."
         )
     if unexplained := use.unexplained_ticks - use.disturbed_ticks:
-        notes.append(
+        sentences.append(
             f"No recorded command explains {unexplained} ticks: the recorded velocity was used"
             " there."
         )
@@ -87,7 +96,7 @@ def format_plant(run: "Run", found: "PlantReplay") -> str:
         *(("from", "s"), ("to", "s"), ("ticks", ""), ("x", "m"), ("y", "m")),
         *(("heading", "deg"), ("rounding", "m"), ("rounding", "deg")),
     )
-    stretches = tl.compare.Table(
+    segments = tl.compare.Table(
         title=f"Largest differences between the plant and {run.name}",
         columns=tuple(
             tl.compare.Column(title=title, unit=unit, digits=3 if unit == "s" else None)
@@ -106,9 +115,10 @@ def format_plant(run: "Run", found: "PlantReplay") -> str:
             )
             for stretch in found.stretches
         ),
-        notes=tuple(notes),
     )
-    return "\n".join([format_table(stretches), *list_breaks(run, found)])
+    breaks = list_breaks(run, found)
+    parts = [fill_lines(sentences), "", format_table(segments)]
+    return "\n".join([*parts, *breaks]).rstrip()
 
 
 def judge_rounding(found: "PlantReplay") -> list[str]:
@@ -120,7 +130,7 @@ def judge_rounding(found: "PlantReplay") -> list[str]:
         sentences = ["The largest difference is within what 32-bit poses can tell."]
     else:
         count = len(found.stretches)
-        of_all = f", in {beyond} of {count} stretches" if count > 1 else ""
+        of_all = f", in {beyond} of {count} segments" if count > 1 else ""
         times = f"{found.of_rounding:.3g} times what 32-bit poses can tell"
         sentences = [f"The largest difference is {times}{of_all}."]
     if found.heading_bits == 32:

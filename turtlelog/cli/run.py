@@ -21,14 +21,13 @@ from turtlelog.cli.options import (
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
-    describe_metrics,
     flush_stdout,
-    format_table,
     print_json,
     print_note,
     print_text,
 )
 from turtlelog.cli.progress import Progress, show_progress, watch_ticks
+from turtlelog.cli.run_answer import build_answer, format_run, write_end
 from turtlelog.cli.scenario_options import (
     LawOptions,
     RowOptions,
@@ -43,7 +42,6 @@ from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
-    from turtlelog.compare import Table
     from turtlelog.runner import Sink
     from turtlelog.show.rerun.viewer import ViewerProcess
     from turtlelog.simulate import Tick
@@ -62,11 +60,12 @@ class LiveOptions:
     """What happens while the loop runs, and after it.
 
     Attributes:
-        watch: Run again whenever the file of the law, or the scenario file, is saved, and show what
+        watch: Run again when the file of the law or the scenario file is saved, and show what
             changed. Ctrl-C, or closing the window of --live, ends it.
         realtime: Run at the speed of the wall clock.
-        live: Show the run in a viewer while it goes on, and until its window is closed.
-        connect: As --live, in a viewer that runs, as in rerun+http://127.0.0.1:9876/proxy.
+        live: Show the run in a viewer while it runs, and until its window is closed.
+        connect: Show the run in a viewer that is already open. Example:
+            rerun+http://127.0.0.1:9876/proxy.
         step_budget_ms: End the run if the law computes longer in one step, by the clock. Default:
             10000. Unit: ms. Built-in laws have no default.
     """
@@ -86,10 +85,9 @@ class RecordOptions:
     Attributes:
         output: Write the recording to this .mcap file.
         rrd: Write a Rerun recording to this .rrd file.
-        strip_scenario: Leave the scenario out of what is written, and call the run by its file: a
-            riddle for `turtlelog explain`.
-        trust_law: Run the code of the law that a recording or table names, where it is not built
-            in.
+        strip_scenario: Leave the scenario out of what is written, and name the run after its file.
+            Use it to try `turtlelog explain` on a run whose settings are unknown.
+        trust_law: Run the code of the law that a recording or table names, if it is not built in.
     """
 
     output: Output = None
@@ -108,22 +106,23 @@ def run(
     live: LiveOptions | None = None,
     json: Json = False,
 ) -> int:
-    """Simulate a scenario in closed loop, print its metrics, record it.
+    """Simulate a scenario in closed loop, print how it ended and its metrics, record it.
 
     Example: turtlelog run paper-kp10 --set loop.queue_policy=newest -o kp10.mcap
 
-    With --realtime the recording is written while the loop runs, to a new file that can be read up
-    to the last second whatever happens. Ctrl-C or a terminal that closes ends the run, and the file
-    is finished (exit code 130). With --live a viewer shows it on the way; closing that does the run
-    no harm. Of a law that fails, what came before is written (exit code 2).
+    With --realtime the recording is written while the loop runs, to a new file. That file is
+    readable up to the last second however the run ends. Ctrl-C or a terminal that closes ends the
+    run and completes the file (exit code 130). With --live a viewer shows the run; closing the
+    viewer does not end it. If a law fails, the samples before the failure are written (exit code
+    2).
 
-    A note on stderr says where a gain is beyond theory's limit of stability, with the dead time
-    that the settings make certain, and where the law uses no goal, heading of the goal or path that
-    was set.
+    A note on stderr says if a gain is above the stability limit of the theory, at the dead time
+    that the settings imply, and if the law ignores a goal, a heading of the goal or a path that was
+    set.
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose
-            scenario is simulated again. Without one paper, and with --law textbook.
+            scenario is simulated again. Default: paper, or textbook with --law.
         json: Print one JSON object instead of tables.
     """
     record, live, source = record or RecordOptions(), live or LiveOptions(), source or RowOptions()
@@ -229,27 +228,11 @@ def _answer(
         print_note(f"{name.replace('_', ' ')}: {note}")
     _write(result, record, is_recorded=is_recorded)
     if json:
-        print_json(
-            {
-                "name": result.name,
-                "file": None if record.output is None else str(record.output),
-                "rrd": None if record.rrd is None else str(record.rrd),
-                "samples": len(result.samples),
-                "stop_reason": result.stop_reason,
-                "metrics": describe_metrics(tl.measure_run(result)),
-            }
-        )
-        return code
-    head = f"{result.name}: {len(result.samples)} samples. {result.events[-1].text}\n"
-    table = format_table(_tabulate(result)) if before is None else describe_change(result, before)
-    print_text(f"{head}\n{table}")
+        print_json(build_answer(result, output=record.output, rrd=record.rrd))
+    else:
+        table = format_run(result) if before is None else describe_change(result, before)
+        print_text(f"{write_end(result)}\n\n{table}")
     return code
-
-
-def _tabulate(run: "Run") -> "Table":
-    return tl.compare.tabulate_metrics(
-        [run], only=tl.measure.list_essential_metrics(run.declaration)
-    )
 
 
 def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:

@@ -4,7 +4,6 @@ from .difference import (
     RunComparison as RunComparison,
     compare_metrics as compare_metrics,
     compare_runs as compare_runs,
-    iter_comparisons as iter_comparisons,
     tabulate_differences as tabulate_differences,
 )
 from .like_loops import order_ids as order_ids
@@ -35,7 +34,6 @@ from .robot_comparison import (
     tabulate_robots as tabulate_robots,
 )
 from .robot_prediction import (
-    HORIZONS_S as HORIZONS_S,
     compare_robot as compare_robot,
 )
 from .run_names import (
@@ -49,7 +47,6 @@ from .run_summary import (
     choose_columns as choose_columns,
     list_lacks as list_lacks,
     list_needed_metrics as list_needed_metrics,
-    list_usual_metrics as list_usual_metrics,
     list_usual_of_run as list_usual_of_run,
     select_runs as select_runs,
     sort_runs as sort_runs,

@@ -85,21 +85,7 @@ def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -
     Raises:
         CompareError: Where there is no such alignment, or the runs do not overlap.
     """
-    (comparison,) = iter_comparisons(reference, (run,), alignment=alignment)
-    return comparison
-
-
-def iter_comparisons(
-    reference: Run, runs: Iterable[Run], *, alignment: str = "first_sample"
-) -> Iterator[RunComparison]:
-    """Yield a comparison for every run, as `compare_runs`; none is kept once it is yielded.
-
-    Raises:
-        CompareError: As `compare_runs`.
-    """
-    metrics = measure_run(reference)
-    for run in runs:
-        yield compare_measured(reference, metrics, run, alignment=alignment)
+    return compare_measured(reference, measure_run(reference), run, alignment=alignment)
 
 
 def compare_measured(

@@ -113,7 +113,7 @@ class RunSummary:
 
         None where it was not measured, or no metric of this law has such an id and a parameter has.
         """
-        if name in list_metrics(self.declaration):
+        if name in self.metrics or name in list_metrics(self.declaration):
             return self.metrics.get(name)
         is_metric = name not in self.parameters and find_metric_kind(name) is not None
         return miss_metric(self.declaration, name) if is_metric else None

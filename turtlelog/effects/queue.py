@@ -36,7 +36,7 @@ PART = Effect(
             name="queue",
             kind="effect",
             neutral={"loop.queue_policy": "newest", "loop.start_backlog": 1},
-            meaning="the newest command wins, and no backlog at the start",
+            meaning="the newest command wins, and no initial queue",
         ),
     ),
     modelled=("loop.start_backlog", "loop.pose_queue", "loop.command_queue", "loop.queue_policy"),

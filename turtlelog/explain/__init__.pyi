@@ -6,9 +6,10 @@ from .attribute import (
 )
 from .attribution import (
     Attribution as Attribution,
-    Grain as Grain,
+    Contribution as Contribution,
+    Part as Part,
+    Resolution as Resolution,
     SeedRange as SeedRange,
-    Share as Share,
     StartRange as StartRange,
     Together as Together,
     ValueSet as ValueSet,
@@ -42,12 +43,17 @@ from .motion_facts import (
     read_motion_facts as read_motion_facts,
 )
 from .report import (
+    choose_named as choose_named,
+    format_contribution as format_contribution,
+    format_value as format_value,
+    write_cause_head as write_cause_head,
+    write_reasons as write_reasons,
     write_sentences as write_sentences,
+    write_value as write_value,
 )
 from .resimulation import (
     Resimulation as Resimulation,
 )
 from .what_ifs import (
-    name_without as name_without,
     simulate_what_ifs as simulate_what_ifs,
 )

@@ -1,4 +1,4 @@
-"""Which mechanism caused which part of a value: Shapley shares over simulations without them."""
+"""Attribute a value to its causes: Shapley values over simulations without them."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -6,7 +6,13 @@ from dataclasses import replace
 from typing import Final
 
 from turtlelog.errors import ExplainError
-from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet, find_grain
+from turtlelog.explain.attribution import (
+    Attribution,
+    Contribution,
+    Together,
+    ValueSet,
+    find_resolution,
+)
 from turtlelog.explain.game import Coalition, Game, Outcome, Work, list_coalitions
 from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import LOOP_KEYS, Certainty, Finding, Identification
@@ -22,8 +28,8 @@ from turtlelog.explain.mechanisms import (
 from turtlelog.explain.seeds import describe_alone, divide_over_seeds
 from turtlelog.explain.shapley import (
     Worth,
+    compute_contributions,
     compute_dividends,
-    compute_shares,
     find_smallest,
     vary_start,
 )
@@ -98,14 +104,14 @@ def attribute_run(
     scenario = identified.build_scenario()
     found = attribute_scenario(scenario, metric=metric, mechanisms=mechanisms, work=work)
     logged = measure_run(run, only=[metric])[metric]
-    found = replace(found, as_logged=logged.value, reason=logged.reason or found.reason)
+    found = replace(found, as_logged=logged.value, reason=logged.reason or found.reason or None)
     is_identified = scenario.law.kind == DEFAULT_LAW and not identified.is_recorded
     if is_identified:
-        others = tuple(_withhold_alone(share, identified.findings) for share in found.others)
+        others = tuple(_withhold_alone(other, identified.findings) for other in found.others)
         found = replace(found, others=others)
     obstacle = found.withheld or _compare_with_log(found, knows_seed=identified.is_recorded)
     if obstacle:
-        return replace(found, withheld=obstacle, shares=())
+        return replace(found, withheld=obstacle, contributions=())
     if not is_identified:
         return found
     table = find_mechanisms(scenario)
@@ -124,7 +130,7 @@ def attribute_scenario(
 
     All 2^n sets of n mechanisms are simulated, with each of 32 seeds where one that is in draws
     random numbers. Of more than six, those six take part that change the value most, alone out or
-    alone in; the others stay as built.
+    alone in; the others stay as recorded.
 
     Raises:
         ExplainError: Where a metric or mechanism is not known, a mechanism stands twice, or there
@@ -149,17 +155,17 @@ def attribute_scenario(
     game.prepare(
         [*({*chosen} - inside for inside in list_coalitions(chosen)), *([o] for o in others)]
     )
-    built = game.play_as_built()
+    built = game.play_as_recorded()
     found = Attribution(
         metric=metric,
         unit=list_metrics(declaration)[metric].unit,
-        as_built=built.value,
+        resimulated=built.value,
         without_all=game.take_out(chosen).value,
-        mechanisms=tuple(chosen),
-        shares=(),
+        causes=tuple(chosen),
+        contributions=(),
         others=tuple(describe_alone(game, name) for name in others),
-        grain=find_grain(scenario, declaration, metric, built.value or 0.0),
-        reason=built.reason,
+        resolution=find_resolution(scenario, declaration, metric, built.value or 0.0),
+        reason=built.reason or None,
         left=tuple(name for name in mechanisms if name in others),
         effects=list_effects(table),
         remarks=() if SAMPLING in table else (_write_no_sampling(scenario),),
@@ -168,7 +174,7 @@ def attribute_scenario(
         return divide_over_seeds(found, game)
     # A run without a value has its reason in its own seed.
     outcomes = {
-        inside: game.play_as_built({*chosen} - inside) for inside in list_coalitions(chosen)
+        inside: game.play_as_recorded({*chosen} - inside) for inside in list_coalitions(chosen)
     }
     worth = {key: found.value for key, found in outcomes.items() if found.value is not None}
     if len(worth) < len(outcomes):
@@ -239,21 +245,21 @@ def _compare(left: Outcome, right: Outcome) -> float:
 
 
 def _divide(found: Attribution, game: Game, scenario: Scenario, worth: Worth) -> Attribution:
-    shares = compute_shares(worth, found.mechanisms)
-    dividends = compute_dividends(worth, found.mechanisms)
+    contributions = compute_contributions(worth, found.causes)
+    dividends = compute_dividends(worth, found.causes)
     found = replace(
         found,
-        shares=tuple(describe_alone(game, name, share) for name, share in shares.items()),
-        together=tuple(
-            Together(mechanisms=names, value=value) for names, value in dividends.items()
+        contributions=tuple(
+            describe_alone(game, name, contribution) for name, contribution in contributions.items()
         ),
+        together=tuple(Together(causes=names, value=value) for names, value in dividends.items()),
     )
     starts = vary_start(
         scenario,
         found.metric,
-        added=worth[frozenset(found.mechanisms)] - worth[frozenset()],
-        grain=found.grain.size,
-        mechanisms=found.mechanisms,
+        added=worth[frozenset(found.causes)] - worth[frozenset()],
+        resolution=found.resolution.size,
+        mechanisms=found.causes,
         acting=found.acting,
     )
     return replace(found, starts=starts)
@@ -262,18 +268,18 @@ def _divide(found: Attribution, game: Game, scenario: Scenario, worth: Worth) ->
 def _tell_what_has_no_value(
     found: Attribution, outcomes: Mapping[Coalition, Outcome]
 ) -> Attribution:
-    """Return the smallest sets that decide whether there is a value, in place of shares."""
+    """Return the smallest sets that decide whether there is a value, in place of contributions."""
     missing = [inside for inside, outcome in outcomes.items() if outcome.value is None]
     present = [inside for inside in outcomes if inside not in missing]
 
     def describe(inside: Coalition) -> ValueSet:
-        names = tuple(name for name in found.mechanisms if name in inside)
-        return ValueSet(mechanisms=names, reason=outcomes[inside].reason)
+        names = tuple(name for name in found.causes if name in inside)
+        return ValueSet(causes=names, reason=outcomes[inside].reason or None)
 
     is_empty = frozenset() in missing
     return replace(
         found,
-        withheld="with some of the mechanisms it has a value, with others none"
+        withheld="with some of the causes it has a value, with others none"
         if present
         else "it has no value",
         without_value=tuple(describe(inside) for inside in find_smallest(missing)),
@@ -282,12 +288,12 @@ def _tell_what_has_no_value(
 
 
 def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
-    """Return why the shares of the re-simulation say nothing of the log; empty where they do."""
-    logged, built, without = found.as_logged, found.as_built, found.without_all
+    """Return why the re-simulation says nothing of the log; empty where it does."""
+    logged, built, without = found.as_logged, found.resimulated, found.without_all
     if logged is None:
-        return "the log has no value of it"
+        return "the log has no value"
     if built is None or without is None:
-        return "the re-simulation has no value of it"
+        return "the re-simulation has no value"
     if found.seeds is not None and not knows_seed:
         is_central = found.seeds.low <= logged <= found.seeds.high
         return "" if is_central else _OUTSIDE
@@ -295,17 +301,24 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
     if added <= _SAME * abs(logged):
         same = f"{100.0 * _SAME:g} % of the value"
         agrees = apart <= _SAME * abs(logged)
-        return "" if agrees else f"they differ by more than {same}, and the effects add less"
+        reason = f"log and re-simulation differ by more than {same}, and the effects add less"
+        return "" if agrees else reason
     agrees = apart <= _AGREEMENT * added
-    return "" if agrees else "they differ by more than a tenth of what the effects add together"
+    return (
+        ""
+        if agrees
+        else ("log and re-simulation differ by more than a tenth of what the effects add together")
+    )
 
 
-def _withhold_alone(share: Share, findings: Mapping[str, Finding]) -> Share:
+def _withhold_alone(contribution: Contribution, findings: Mapping[str, Finding]) -> Contribution:
     """Return a property without its value where it hangs on a gain that the log does not show."""
-    unknown = [key for key in _list_gains(share.mechanism) if findings[key].value is None]
+    unknown = [key for key in _list_gains(contribution.cause) if findings[key].value is None]
     if not unknown:
-        return share
-    return replace(share, alone=None, ending=f"the log does not show {' and '.join(unknown)}")
+        return contribution
+    return replace(
+        contribution, alone=None, ending=f"the log does not show {' and '.join(unknown)}"
+    )
 
 
 def _list_gains(mechanism: str) -> tuple[str, ...]:
@@ -324,13 +337,16 @@ def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[Mechanism]) -
             for key, finding in findings.items()
             if key in LOOP_KEYS and finding.certainty is Certainty.AMBIGUOUS
         ]
-        yield f"Other settings fit the log alike, and their shares may differ: {'; '.join(alike)}."
+        yield (
+            "Other settings fit the log as well, and their contributions may differ:"
+            f" {'; '.join(alike)}."
+        )
     if Certainty.FITTED in found:
-        yield "The shares are those of the likeliest settings; none reproduces every sample."
+        yield "Contributions are those of the likeliest settings. None reproduces every sample."
     if Certainty.UNKNOWN in found:
         assumed = [
             f"{key} {findings[key].used}"
             for key in keys
             if findings[key].certainty is Certainty.UNKNOWN
         ]
-        yield f"Assumed, as the log does not show: {', '.join(assumed)}."
+        yield f"Assumed, because the log does not show them: {', '.join(assumed)}."

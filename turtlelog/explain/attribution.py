@@ -1,7 +1,6 @@
-"""What an attribution says: values, shares, and what they hang on."""
+"""What an attribution says: values, contributions, and what they depend on."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from html import escape
 from typing import Final
@@ -34,8 +33,8 @@ _COUNTS: Final = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grain:
-    """The largest change of a metric that is next to nothing.
+class Resolution:
+    """The largest change of a metric that is negligible.
 
     Attributes:
         size: In the metric's unit.
@@ -46,20 +45,22 @@ class Grain:
     reason: str
 
 
-def find_grain(scenario: Scenario, declaration: Declaration, metric: str, value: float) -> Grain:
-    """Return the grain of a metric of a scenario, where it has this value.
+def find_resolution(
+    scenario: Scenario, declaration: Declaration, metric: str, value: float
+) -> Resolution:
+    """Return the resolution of a metric of a scenario, where it has this value.
 
-    Of a law whose tolerances are not known a share of the value stands for what they leave.
+    Of a law whose tolerances are not known a contribution of the value stands for what they leave.
     """
     unit = list_metrics(declaration)[metric].unit
     if unit == "s":
-        return Grain(size=find_sample_period_s(scenario), reason="one sample period")
+        return Resolution(size=find_sample_period_s(scenario), reason="one sample period")
     if scenario.law.kind == DEFAULT_LAW and unit in {"m", "deg", "%"}:
         return _find_tolerated(scenario, declaration, metric, unit)
     kind = metric.rpartition(".")[2]
     if kind.removeprefix("speed_").removeprefix("turn_rate_") in _COUNTS:
-        return Grain(size=_HALF_A_COUNT, reason="half a count")
-    return Grain(size=_SHARE * abs(value), reason=f"{100.0 * _SHARE:g} % of the value")
+        return Resolution(size=_HALF_A_COUNT, reason="half a count")
+    return Resolution(size=_SHARE * abs(value), reason=f"{100.0 * _SHARE:g} % of the value")
 
 
 def find_sample_period_s(scenario: Scenario) -> float:
@@ -69,20 +70,22 @@ def find_sample_period_s(scenario: Scenario) -> float:
     return period_s
 
 
-def _find_tolerated(scenario: Scenario, declaration: Declaration, metric: str, unit: str) -> Grain:
+def _find_tolerated(
+    scenario: Scenario, declaration: Declaration, metric: str, unit: str
+) -> Resolution:
     """Return what the tolerances of the sequential law leave."""
     heading_rad = scenario.law.parameters.heading_tolerance_rad
     position_m = scenario.law.parameters.position_tolerance_m
     distance_m, turn_rad = _find_steps(scenario)
     if unit == "m":
         reach = "heading tolerance times distance plus position tolerance"
-        return Grain(size=allow_position(heading_rad, position_m, distance_m), reason=reach)
+        return Resolution(size=allow_position(heading_rad, position_m, distance_m), reason=reach)
     if unit == "deg":
-        return Grain(size=math.degrees(heading_rad), reason="the heading tolerance")
+        return Resolution(size=math.degrees(heading_rad), reason="the heading tolerance")
     loop = declaration.find_loop(metric.rpartition(".")[0])
     turns = loop is not None and loop.signal == "heading"
     tolerance, step = (heading_rad, turn_rad) if turns else (position_m, distance_m)
-    return Grain(size=100.0 * tolerance / step, reason="the tolerance over the step")
+    return Resolution(size=100.0 * tolerance / step, reason="the tolerance over the step")
 
 
 def _find_steps(scenario: Scenario) -> tuple[float, float]:
@@ -96,11 +99,11 @@ def _find_steps(scenario: Scenario) -> tuple[float, float]:
 
 
 _CLEAR: Final = 3.0
-"""Standard errors: of six shares that are 0, one seems to be more in 3 % of runs (with Student's t
-of 31 degrees of freedom, each in 1 of 190)."""
+"""Standard errors: of six contributions that are 0, one seems to be more in 3 % of runs (with
+Student's t of 31 degrees of freedom, each in 1 of 190)."""
 
 THIS_SEED: Final = "this seed"
-"""The line of what the shares do not hold."""
+"""The line of what the contributions do not hold."""
 
 THIS_SEED_MEANS: Final = "the value of its own seed, less the mean over seeds"
 
@@ -111,63 +114,78 @@ def is_clear(value: float, standard_error: float | None) -> bool:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Share:
-    """The part of one mechanism.
+class Contribution:
+    """What one cause contributes to a value, and what the value is without it alone.
 
     Attributes:
-        mechanism: Its name.
-        share: Its Shapley share of as_built - without_all, in the metric's unit; negative where it
-            makes the value smaller. None where it takes no part. With random effects the mean of
-            its shares over seeds.
-        alone: The metric with this mechanism out and all others in; None where it has no value.
-            With random effects its mean over seeds.
+        cause: Its name.
+        contribution: Its Shapley share of resimulated - without_all, in the metric's unit; negative
+            where it makes the value smaller. None where it takes no part. With random effects the
+            mean over seeds.
+        alone: The metric without this cause alone; None where it has no value. With random effects
+            its mean over seeds.
         ending: What differs in kind without it, in one clause: a phase that no longer ends, or why
-            there is no value. Empty where the run passes the same phases.
+            there is no value. None where the run passes the same phases.
         meaning: What taking it out means, in one clause.
-        standard_error: With random effects that of the share; where it takes no part, that of the
-            change without it. None otherwise.
+        standard_error: With random effects that of the contribution; where it takes no part, that
+            of the change without it. None otherwise.
     """
 
-    mechanism: str
-    share: float | None
+    cause: str
+    contribution: float | None
     alone: float | None
-    ending: str = ""
+    ending: str | None = None
     meaning: str
     standard_error: float | None = None
 
     @property
     def is_clear(self) -> bool:
         """Whether it differs from 0 by more than its seeds do."""
-        return is_clear(self.share or 0.0, self.standard_error)
+        return is_clear(self.contribution or 0.0, self.standard_error)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Together:
-    """What several mechanisms make only when all of them act.
+    """What several causes add only when all of them act.
 
     Attributes:
-        mechanisms: At least two.
-        value: What they add beyond all that fewer of them add, in the metric's unit; their shares
-            hold it in equal parts.
+        causes: At least two.
+        value: What they add beyond all that fewer of them add, in the metric's unit; it is divided
+            equally among their contributions.
         standard_error: With random effects; None otherwise.
     """
 
-    mechanisms: tuple[str, ...]
+    causes: tuple[str, ...]
     value: float
     standard_error: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ValueSet:
-    """A smallest set of mechanisms that gives the metric a value, or leaves it without one.
+    """A smallest set of causes that gives the metric a value, or leaves it without one.
 
     Attributes:
-        mechanisms: Those that are in; all others that take part are out.
-        reason: Why there is no value; empty where there is.
+        causes: Those that are in; all others that take part are out.
+        reason: Why there is no value; None where there is.
     """
 
-    mechanisms: tuple[str, ...]
-    reason: str = ""
+    causes: tuple[str, ...]
+    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """A cause's part of what all of them add, over starts; 1 is all of it.
+
+    Attributes:
+        cause: Its name.
+        low: The lowest part.
+        high: The highest part.
+    """
+
+    cause: str
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,11 +198,11 @@ class StartRange:
         low: The smallest value, in the metric's unit.
         high: The largest value.
         without_value: How many starts have none.
-        is_wide: Whether the value hangs on single samples: where the effects add more than the
-            grain, whether both its range and that of what they add exceed half of it.
-        parts: Where it is wide, the lowest and highest part of a mechanism in what those that
-            change the value add together; 1 is all of it. Empty where they do not all add to it at
-            every start, or where it takes too many simulations.
+        is_wide: Whether the value depends on single samples: where the effects add more than the
+            resolution, whether both its range and that of what they add exceed half of it.
+        parts: Where it is wide, the part of each cause that changes the value. Empty where they do
+            not all add to it at every start, or where it takes too many simulations.
+        without_all: Where it is wide, the smallest and largest value without all that take part.
     """
 
     count: int
@@ -193,7 +211,8 @@ class StartRange:
     high: float
     without_value: int
     is_wide: bool
-    parts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    parts: tuple[Part, ...] = ()
+    without_all: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,10 +221,11 @@ class SeedRange:
 
     Attributes:
         count: Seeds that were simulated.
-        used: Those with which every combination of mechanisms has a value: the shares are theirs.
-        mean: Of the value as built, over those.
+        used: Those with which every combination of causes has a value: the contributions are
+            theirs.
+        mean: Of the value with all effects, over those.
         standard_error: Of that mean.
-        low: From here to `high` lie the central 95 % of the values as built.
+        low: From here to `high` are the central 95 % of the values with all effects.
         high: See `low`.
     """
 
@@ -230,105 +250,115 @@ class Attribution:
         metric: Its id.
         unit: Its unit.
         as_logged: The log's own value; None where it has none, or where there is no log.
-        as_built: Re-simulated, with all mechanisms in; None where it has no value.
+        resimulated: The value re-simulated with all effects; None where it has no value.
         without_all: Re-simulated, with all that take part out; None where it has no value. Where
             what is left is random, the mean over seeds.
-        mechanisms: Those that take part: the value is divided among them.
-        shares: Theirs, in their order; none where they are withheld. `math.fsum` of them is
-            as_built - without_all: see `compute_shares`. With random effects they are means over
-            seeds, and `this_seed` is what is missing.
+        causes: Those that take part: the value is divided among them.
+        contributions: Theirs, in their order; none where they are withheld. `math.fsum` of them is
+            resimulated - without_all: see `compute_contributions`. With random effects they are
+            means over seeds, and `this_seed` is what is missing.
         others: What else is in the scenario, each taken out alone.
-        grain: The largest change that is next to nothing.
-        withheld: Why there are no shares, in one clause; empty where there are.
-        together: What several mechanisms make only together.
-        without_value: The smallest sets of mechanisms that leave the metric without a value.
+        resolution: The largest change that is negligible.
+        withheld: Why there are no contributions, in one clause; None where there are.
+        together: What several causes add only together.
+        without_value: The smallest sets of causes that leave the metric without a value.
         with_value: The smallest sets that give it one, where it has none without all.
         starts: The value over starts within one sample's turn; None where the robot does not turn,
             and with random effects.
         seeds: The value over seeds; None without random effects.
-        reason: Why it has no value, in the log or else re-simulated; empty where it has.
-        doubts: What the shares rest on that the log does not prove, in whole sentences.
-        left: Mechanisms that were to take part and stay as built, being more than six.
+        reason: Why it has no value, in the log or else re-simulated; None where it has.
+        doubts: What the contributions rest on that the log does not prove, in whole sentences.
+        left: Effects that were to take part and stay as recorded, being more than six.
         effects: Every effect that loop and law may have, whether it is in the scenario or not.
         remarks: What could not be taken out, in whole sentences.
+        this_seed: What the run's own seed makes of it: resimulated less the mean over seeds; None
+            without random effects.
+        sentences: All this in words.
     """
 
     metric: str
     unit: str
     as_logged: float | None = None
-    as_built: float | None
+    resimulated: float | None
     without_all: float | None
-    mechanisms: tuple[str, ...]
-    shares: tuple[Share, ...]
-    others: tuple[Share, ...]
-    grain: Grain
-    withheld: str = ""
+    causes: tuple[str, ...]
+    contributions: tuple[Contribution, ...]
+    others: tuple[Contribution, ...]
+    resolution: Resolution
+    withheld: str | None = None
     together: tuple[Together, ...] = ()
     without_value: tuple[ValueSet, ...] = ()
     with_value: tuple[ValueSet, ...] = ()
     starts: StartRange | None = None
     seeds: SeedRange | None = None
-    reason: str = ""
+    reason: str | None = None
     doubts: tuple[str, ...] = ()
     left: tuple[str, ...] = ()
     effects: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    this_seed: float | None = field(init=False)
+    sentences: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Say what the values come to."""
+        from turtlelog.explain.report import write_sentences
+
+        this_seed = None
+        if self.seeds is not None and self.resimulated is not None:
+            this_seed = self.resimulated - self.seeds.mean
+        object.__setattr__(self, "this_seed", this_seed)
+        object.__setattr__(self, "sentences", write_sentences(self))
 
     @property
     def acting(self) -> tuple[str, ...]:
         """Those that change the value in any combination."""
-        names = {share.mechanism for share in self.shares if share.share}
-        names.update(name for case in self.together if case.value for name in case.mechanisms)
-        return tuple(name for name in self.mechanisms if name in names)
+        names = {
+            contribution.cause for contribution in self.contributions if contribution.contribution
+        }
+        names.update(name for case in self.together if case.value for name in case.causes)
+        return tuple(name for name in self.causes if name in names)
 
     @property
-    def changing(self) -> tuple[Share, ...]:
-        """Of the shares and others those that say something: a change, or what is different."""
-        return tuple(one for one in (*self.shares, *self.others) if self._changes(one))
+    def changing(self) -> tuple[Contribution, ...]:
+        """Contributions and others that change the value, or how the run ends."""
+        return tuple(one for one in (*self.contributions, *self.others) if self._changes(one))
 
-    def _changes(self, one: Share) -> bool:
+    def _changes(self, one: Contribution) -> bool:
         least = _ROUNDING * abs(self.divided)
-        sizes = (one.share or 0.0, one.standard_error or 0.0)
+        sizes = (one.contribution or 0.0, one.standard_error or 0.0)
         moves = one.alone is not None and abs(one.alone - self.divided) > least
         return bool(one.ending) or moves or any(abs(size) > least for size in sizes)
 
     @property
-    def this_seed(self) -> float | None:
-        """What the run's own seed makes of it: as built less the mean over seeds."""
-        if self.seeds is None or self.as_built is None:
-            return None
-        return self.as_built - self.seeds.mean
-
-    @property
     def divided(self) -> float:
-        """What the shares and `without_all` add up to: as built, with random effects in the mean.
-
-        0 where there is no value.
-        """
-        return (self.as_built or 0.0) if self.seeds is None else self.seeds.mean
+        """What contributions and `without_all` add up to: with random effects the mean; or 0."""
+        return (self.resimulated or 0.0) if self.seeds is None else self.seeds.mean
 
     def __repr__(self) -> str:
-        parts = [f"{share.mechanism} {share.share:.4g}" for share in self.shares if share.share]
+        parts = [
+            f"{contribution.cause} {contribution.contribution:.4g}"
+            for contribution in self.contributions
+            if contribution.contribution
+        ]
         is_divided = not (self.withheld or self.without_value)
-        cause = (", ".join(parts) or "no effect changes it") if is_divided else "no shares"
-        value = self.as_built if self.as_logged is None else self.as_logged
+        cause = (", ".join(parts) or "no effect changes it") if is_divided else "no contributions"
+        value = self.resimulated if self.as_logged is None else self.as_logged
         size = "no value" if value is None else f"{value:.4g} {self.unit}"
         return f"<Attribution of {self.metric}: {size}: {cause}>"
 
     def _repr_html_(self) -> str:
-        from turtlelog.explain.report import write_sentences
-
-        heads = ["mechanism", f"share [{self.unit}]", f"without it alone [{self.unit}]", "means"]
+        unit = self.unit
+        heads = ["cause", f"contribution [{unit}]", f"without it alone [{unit}]", "means"]
         rows: list[list[object]] = [
-            [one.mechanism, one.share, one.alone, one.ending or one.meaning]
+            [one.cause, one.contribution, one.alone, one.ending or one.meaning]
             for one in self.changing
         ]
         if self.seeds is not None:
-            heads.insert(2, f"s.e. [{self.unit}]")
+            heads.insert(2, f"s.e. [{unit}]")
             for row, one in zip(rows, self.changing, strict=True):
                 row.insert(2, one.standard_error)
-            if self.shares and self.seeds.varies:
+            if self.contributions and self.seeds.varies:
                 row = [THIS_SEED, self.this_seed, None, None, THIS_SEED_MEANS]
-                rows.insert(sum(one.share is not None for one in self.changing), row)
+                rows.insert(sum(one.contribution is not None for one in self.changing), row)
         table = format_html(rows, heads=heads, title=f"What caused {self.metric}")
-        return table + "".join(f"\n<p>{escape(text)}</p>" for text in write_sentences(self))
+        return table + "".join(f"\n<p>{escape(text)}</p>" for text in self.sentences)

@@ -32,7 +32,7 @@ from turtlelog.simulate import simulate_many
 
 SEEDS: Final = tuple(range(1_000_000_000, 1_000_000_032))
 """Of the means: the same for all runs, so that two which differ in their seed alone have the same
-shares; and far from those that people number their runs with."""
+contributions; and far from those that people number their runs with."""
 
 _OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation_rms")
 """Dead times are looked for up to 40 poses, which a finer clock passes in a few ticks."""
@@ -122,7 +122,7 @@ class Game:
         self.prepare([out])
         return [self._outcomes[out, seed] for seed in self._list_seeds(out)]
 
-    def play_as_built(self, names: Iterable[str] = ()) -> Outcome:
+    def play_as_recorded(self, names: Iterable[str] = ()) -> Outcome:
         """Return the outcome without these mechanisms, with the scenario's own seed."""
         out = frozenset(names).intersection(self.present)
         self._simulate([(out, None)])

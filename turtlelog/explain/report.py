@@ -1,4 +1,4 @@
-"""An attribution in sentences, each of which is so."""
+"""An attribution in sentences, each of which is true of the run."""
 
 import math
 from typing import Final
@@ -6,8 +6,9 @@ from typing import Final
 from turtlelog.display import join_words
 from turtlelog.explain.attribution import (
     Attribution,
+    Contribution,
     SeedRange,
-    Share,
+    StartRange,
     Together,
     ValueSet,
     is_clear,
@@ -15,148 +16,216 @@ from turtlelog.explain.attribution import (
 from turtlelog.explain.mechanisms import RANDOM_EFFECTS
 
 _NAMED: Final = 0.1
-"""Of the sum of the shares' magnitudes: a mechanism with a larger share is named, and so is what
-arises only together. A property is named beyond this part of the value."""
+"""Of the sum of the contributions' magnitudes: a cause with a larger one is named, and so is what
+arises only together. A design parameter is named beyond this part of the value."""
 
 _MOST_TOGETHER: Final = 3
-"""Sets that arise only together, in one sentence; of four mechanisms there are eleven."""
+"""Sets that arise only together, in one sentence; of four causes there are eleven."""
 
 _SAME: Final = 1e-6
 """Of a value: a smaller difference between log and re-simulation goes without a word."""
 
+_ALIKE: Final = 1.25
+"""Contributions are about equal if the largest is at most this many times the smallest."""
+
+_COUNTS: Final = ("No", "One", "Two", "Three", "Four", "Five", "Six")
+"""Effects in words; more than six take no part unless they are chosen."""
+
 
 def write_sentences(found: Attribution) -> tuple[str, ...]:
-    """Return the value, what caused it, what it hangs on, and which property changes it alone."""
-    sentences = [_write_value(found)]
-    if found.without_value:
-        sentences += [_write_missing(found)]
-    elif found.withheld:
-        sentences += [_write_withheld(found)]
-    else:
-        sentences += [_write_seeds(found), _write_cause(found), _write_starts(found)]
-        sentences += [_write_unclear(found), _write_this_seed(found)]
-        sentences += [*found.doubts, *(_write_alone(found, other) for other in found.others)]
-    if found.left:
-        sentences += [f"{_capitalise(join_words(found.left))} {_be(found.left)} left as built."]
-    sentences += found.remarks
-    return tuple(filter(None, sentences))
+    """Return the value, what caused it, what that depends on, and what changes it alone."""
+    parts = [write_part(found, one) for one in choose_named(found)]
+    causes = [f"{write_cause_head(found)}: {join_words(parts)}."] if parts else []
+    return (write_value(found), *causes, *write_reasons(found))
 
 
-def _write_value(found: Attribution) -> str:
-    logged, built = found.as_logged, found.as_built
+def write_value(found: Attribution) -> str:
+    """Return the value of the log and that of the re-simulation, where they differ."""
+    logged, built = found.as_logged, found.resimulated
     if logged is None and built is None:
         return f"{found.metric} has no value: {found.reason}."
     if logged is None:
-        in_log = f", and none in the log: {found.reason}" if found.reason else ""
-        return f"{found.metric} is {_format(found, built)}{' re-simulated' * bool(in_log)}{in_log}."
+        in_log = f", and has no value in the log: {found.reason}" if found.reason else ""
+        again = " re-simulated" * bool(in_log)
+        return f"{found.metric} is {format_value(found, built)}{again}{in_log}."
+    size = format_value(found, logged)
     if built is None:
-        return (
-            f"{found.metric} is {_format(found, logged)} in the log; re-simulated it has no value."
-        )
+        return f"{found.metric} is {size} in the log; re-simulated it has no value."
     if abs(logged - built) <= _SAME * abs(built):
-        return f"{found.metric} is {_format(found, built)}, in the log and re-simulated."
-    if _format(found, logged) == _format(found, built):
-        apart = _format(found, abs(logged - built))
-        size = _format(found, logged)
+        return f"{found.metric} is {size}, in the log and re-simulated."
+    if size == format_value(found, built):
+        apart = format_value(found, abs(logged - built))
         return f"{found.metric} is {size}, in the log and re-simulated; they differ by {apart}."
-    return (
-        f"{found.metric} is {_format(found, logged)} in the log, and {_format(found, built)}"
-        " re-simulated."
-    )
+    return f"{found.metric} is {size} in the log, and {format_value(found, built)} re-simulated."
 
 
-def _write_withheld(found: Attribution) -> str:
-    return f"No shares: {found.withheld}."
+def write_cause_head(found: Attribution) -> str:
+    """Return how many effects and design parameters cause the value, for a list of them."""
+    named = choose_named(found)
+    sizes = [one.contribution or 0.0 for one in named]
+    count = _COUNTS[len(named)] if len(named) < len(_COUNTS) else str(len(named))
+    left = max(found.resolution.size, _NAMED * abs(found.divided))
+    is_whole = min(sizes) > 0.0 and abs(found.without_all or 0.0) <= left
+    does = "cause" if is_whole else "change"
+    head = f"{count} {_name_kinds(found, named)} {does}"
+    head += "s it" if len(named) == 1 else " it"
+    if found.seeds is not None:
+        return f"{head} in the mean over seeds"
+    is_alike = len(named) > 1 and 0.0 < max(sizes) <= _ALIKE * min(sizes)
+    return f"{head}, in about equal parts" if is_alike else head
+
+
+def _name_kinds(found: Attribution, named: list[Contribution]) -> str:
+    many = "s" * (len(named) > 1)
+    effects = [one for one in named if one.cause in found.effects]
+    if len(effects) == len(named):
+        return f"effect{many} of the implementation"
+    return "effects and design parameters" if effects else f"design parameter{many}"
+
+
+def choose_named(found: Attribution) -> list[Contribution]:
+    """Return the contributions that explain the value, the largest first; none if too small."""
+    if not found.acting or found.withheld or _is_negligible(found):
+        return []
+    return [one for one in _list_large(found) if one.is_clear]
+
+
+def write_part(found: Attribution, one: Contribution) -> str:
+    """Return a cause with its contribution."""
+    return f"{one.cause} {format_contribution(found, one)}"
+
+
+def format_contribution(found: Attribution, one: Contribution) -> str:
+    """Return a contribution with its sign, unit, and standard error if it has one."""
+    value = one.contribution or 0.0
+    return f"{'+' if value >= 0.0 else ''}{format_value(found, value, one.standard_error)}"
+
+
+def write_reasons(found: Attribution) -> tuple[str, ...]:
+    """Return what the causes come to, what they depend on, and what else changes the value."""
+    if found.without_value:
+        sentences = [_write_missing(found)]
+    elif found.withheld:
+        sentences = [f"No contributions: {found.withheld}."]
+    else:
+        sentences = [_write_seeds(found), _write_rest(found), _write_together(found)]
+        sentences += [_write_starts(found), _write_unclear(found), _write_this_seed(found)]
+        sentences += [*found.doubts, *_write_others(found)]
+    if found.left:
+        sentences += [f"{_capitalise(join_words(found.left))} {_be(found.left)} left as recorded."]
+    sentences += found.remarks
+    return tuple(filter(None, sentences))
 
 
 def _write_missing(found: Attribution) -> str:
     if not found.with_value and found.without_all is None:
         return (
-            f"Nor has it one without {join_words(found.mechanisms, 'or')}."
-            if found.mechanisms
+            f"It has no value without {join_words(found.causes, 'or')} either."
+            if found.causes
             else ""
         )
     parts = [
         f"{_name_set(found, case)} it has no value: {case.reason}" for case in found.without_value
     ]
-    parts += [f"{_name_set(found, case)} it has one" for case in found.with_value]
-    return _capitalise("; ".join(parts)) + ". So there are no shares."
+    parts += [f"{_name_set(found, case)} it has a value" for case in found.with_value]
+    return _capitalise("; ".join(parts)) + ". Therefore there are no contributions."
 
 
 def _name_set(found: Attribution, case: ValueSet) -> str:
-    if not case.mechanisms:
-        return f"without {join_words(found.mechanisms)}"
-    alone = " alone" if len(found.mechanisms) > len(case.mechanisms) else ""
-    return f"with {join_words(case.mechanisms)}{alone}"
+    if not case.causes:
+        return f"without {join_words(found.causes)}"
+    alone = " alone" if len(found.causes) > len(case.causes) else ""
+    return f"with {join_words(case.causes)}{alone}"
 
 
-def _write_cause(found: Attribution) -> str:
-    if not found.mechanisms:
-        return f"None of the effects is in this run: {join_words(found.effects)}."
-    if not found.acting and found.seeds is not None and [*found.mechanisms] == _list_idle(found):
+def _is_negligible(found: Attribution) -> bool:
+    """Return whether neither an effect nor all of them exceed the resolution."""
+    largest = max((abs(one.contribution or 0.0) for one in found.contributions), default=0.0)
+    return max(largest, abs(_sum_effects(found))) <= found.resolution.size
+
+
+def _sum_effects(found: Attribution) -> float:
+    return found.divided - (found.without_all or 0.0)
+
+
+def _write_rest(found: Attribution) -> str:
+    """Return what the value is without the effects, or that they change little."""
+    if not found.causes:
+        return "No effect of the implementation is in this run."
+    if not found.acting and found.seeds is not None and [*found.causes] == _list_idle(found):
         return ""  # the sentence on seeds says so
     if not found.acting:
-        return f"Without {join_words(found.mechanisms, 'or')} it is the same."
-    largest = max(abs(share.share or 0.0) for share in found.shares)
-    added = found.divided - (found.without_all or 0.0)
-    if max(largest, abs(added)) <= found.grain.size:
+        return f"Without {join_words(found.causes, 'or')} it is the same."
+    added = _sum_effects(found)
+    if _is_negligible(found):
         idle = _list_idle(found) if found.seeds is not None else []  # a sentence says so of these
-        names = [name for name in found.mechanisms if name not in idle]
+        names = [name for name in found.causes if name not in idle]
         together = " together change" if len(names) > 1 else " changes"
         return (
-            f"{_capitalise(join_words(names))}{together} it by {_format(found, added)}:"
-            f" next to nothing, no more than {_describe_grain(found)}."
+            f"{_capitalise(join_words(names))}{together} it by {format_value(found, added)},"
+            f" not more than the resolution, {_describe_resolution(found)}."
         )
-    parts = [_write_part(found, share) for share in _choose_named(found) if share.is_clear]
-    parts = parts or ["no effect is told from chance"]
-    nothing = ", next to nothing together" if abs(added) <= found.grain.size else ""
-    return (
-        f"{_capitalise(join_words(parts))}{_write_together(found)}{nothing};"
-        f" without {join_words(found.acting)} it would be {_format(found, found.without_all)}"
-        f"{_write_remainder(found)}."
-    )
+    without = f"Without {_name_acting(found)} it would be {format_value(found, found.without_all)}"
+    cancel = ""
+    if abs(added) <= found.resolution.size:
+        cancel = f" Together they change it by not more than {_describe_resolution(found)}."
+    chance = "" if choose_named(found) else "No effect is distinguishable from chance. "
+    return f"{chance}{without}{_write_bound(found)}.{cancel}"
 
 
-def _describe_grain(found: Attribution) -> str:
-    return f"{found.grain.reason} ({_format(found, found.grain.size)})"
+def _name_acting(found: Attribution) -> str:
+    """Return the causes that act: `both` where the list of causes named them."""
+    if len(found.acting) == 2 == len(choose_named(found)):
+        return "both"
+    return join_words(found.acting)
 
 
-def _choose_named(found: Attribution) -> list[Share]:
-    ordered = sorted(found.shares, key=lambda share: -abs(share.share or 0.0))
-    return [share for share in ordered if abs(share.share or 0.0) > _NAMED * _sum_shares(found)]
+def _describe_resolution(found: Attribution) -> str:
+    return f"{format_value(found, found.resolution.size)} ({found.resolution.reason})"
 
 
-def _sum_shares(found: Attribution) -> float:
-    return math.fsum(abs(share.share or 0.0) for share in found.shares)
+def _write_bound(found: Attribution) -> str:
+    """Return whether the tolerances allow as much, of the errors at the end that they bound."""
+    is_bounded = found.metric in {"final.position_error", "final.heading_error"}
+    is_bounded = is_bounded and "tolerance" not in found.causes
+    if not is_bounded or found.without_all is None or found.without_all > found.resolution.size:
+        return ""
+    if "tolerance" in found.resolution.reason:
+        return f"; the tolerances alone allow {format_value(found, found.resolution.size)}"
+    return f", not more than {_describe_resolution(found)}"
 
 
-def _write_part(found: Attribution, share: Share) -> str:
-    value = share.share or 0.0
-    size = _format(found, abs(value), share.standard_error)
-    return (
-        f"{share.mechanism} adds {size}" if value > 0.0 else f"{share.mechanism} takes away {size}"
-    )
+def _list_large(found: Attribution) -> list[Contribution]:
+    ordered = sorted(found.contributions, key=lambda one: -abs(one.contribution or 0.0))
+    least = _NAMED * _sum_contributions(found)
+    return [one for one in ordered if abs(one.contribution or 0.0) > least]
+
+
+def _sum_contributions(found: Attribution) -> float:
+    return math.fsum(abs(one.contribution or 0.0) for one in found.contributions)
 
 
 def _write_together(found: Attribution) -> str:
-    """Return what arises only when several act, in brackets; empty where that is little."""
+    """Return what arises only if several act; empty where that is little."""
+    if not found.acting or _is_negligible(found):
+        return ""
     largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
     parts = [
         _write_case(found, case)
         for case in largest
-        if abs(case.value) > _NAMED * _sum_shares(found)
+        if abs(case.value) > _NAMED * _sum_contributions(found)
         and is_clear(case.value, case.standard_error)
     ]
-    return f" ({'; '.join(parts)})" if parts else ""
+    return f"They act together: {'; '.join(parts)}." if parts else ""
 
 
 def _write_case(found: Attribution, case: Together) -> str:
-    size = _format(found, abs(case.value), case.standard_error)
-    names = join_words(case.mechanisms)
+    size = format_value(found, abs(case.value), case.standard_error)
+    names = join_words(case.causes)
     if case.value > 0.0:
-        both = "both" if len(case.mechanisms) == 2 else "all"
-        return f"{size} of this arises only when {names} {both} act"
-    return f"{names} together make {size} less than the sum of their parts"
+        both = "both" if len(case.causes) == 2 else "all"
+        return f"{size} arises only if {names} {both} act"
+    return f"{names} together add {size} less than the sum of their parts"
 
 
 def _write_seeds(found: Attribution) -> str:
@@ -169,15 +238,15 @@ def _write_seeds(found: Attribution) -> str:
     of = f"{seeds.count} seeds"
     if seeds.used < seeds.count:
         of = f"{seeds.used} of {of} (with the others it has no value, or none without some effect)"
-    mean = _format(found, seeds.mean, seeds.standard_error)
-    low, high = _format(found, seeds.low), _format(found, seeds.high)
+    mean = format_value(found, seeds.mean, seeds.standard_error)
+    low, high = format_value(found, seeds.low), format_value(found, seeds.high)
     # Values that round alike have no range that these digits show.
-    within = f"lie between {low} and {high}"
+    within = f"are between {low} and {high}"
     if low == high:
-        within = f"span {_format(found, seeds.high - seeds.low)}"
+        within = f"span {format_value(found, seeds.high - seeds.low)}"
     return (
         f"Each seed gives another value: over {of} the mean is {mean} (one standard error), and the"
-        f" central 95 % {within}. The shares are of the mean."
+        f" central 95 % {within}. Contributions are means over the seeds."
     )
 
 
@@ -197,78 +266,107 @@ def _write_equal_seeds(found: Attribution, seeds: SeedRange) -> str:
 
 def _list_idle(found: Attribution) -> list[str]:
     """Return the random effects that change the value in no combination."""
-    return [name for name in found.mechanisms if name in RANDOM_EFFECTS - {*found.acting}]
+    return [name for name in found.causes if name in RANDOM_EFFECTS - {*found.acting}]
 
 
 def _write_unclear(found: Attribution) -> str:
-    """Return the shares that would be named if they were further from 0 than chance."""
-    unclear = [share for share in _choose_named(found) if not share.is_clear]
+    """Return the contributions that would be named if they were further from 0 than chance."""
+    unclear = [one for one in _list_large(found) if not one.is_clear]
     if found.seeds is None or not unclear:
         return ""
     parts = [
-        f"{share.mechanism} ({_format(found, share.share, share.standard_error)})"
-        for share in unclear
+        f"{one.cause} ({format_value(found, one.contribution, one.standard_error)})"
+        for one in unclear
     ]
-    return f"Chance alone may make the share of {join_words(parts)}."
+    return f"The contribution of {join_words(parts)} may be chance."
 
 
 def _write_this_seed(found: Attribution) -> str:
     value = found.this_seed
     if value is None or found.seeds is None or not found.seeds.varies:
         return ""
-    size = _format(found, abs(value))
+    size = format_value(found, abs(value))
     does = "adds" if value >= 0.0 else "takes away"
-    return f"The seed of this run {does} {size}: that is the rest."
+    return f"The seed of this run {does} {size}, compared with the mean over seeds."
 
 
 def _write_starts(found: Attribution) -> str:
     starts = found.starts
     if starts is None:
         return ""
-    within = f"{math.degrees(starts.within_rad):.3g} deg either way"
-    where = f"over {starts.count} starts that span one sample's turn ({within})"
-    low, high = _format(found, starts.low), _format(found, starts.high)
+    within = f"{math.degrees(starts.within_rad):.3g} deg"
+    where = f"or {starts.count} start headings within +-{within} it is"
     missing = f"; {starts.without_value} of them have no value" if starts.without_value else ""
+    span = _format_span(found, starts.low, starts.high)
     if not starts.is_wide:
-        span = f"is {low}" if low == high else f"is between {low} and {high}"
-        return f"{_capitalise(where)} it {span}{missing}."
-    names = [*starts.parts]
-    parts = [
-        f"{name}'s part of what {join_words(names)} add is between {low:.2g} and {high:.2g}"
-        for name, (low, high) in [*starts.parts.items()][: len(names) - 1]
-    ]
+        return f"F{where} {span}{missing}."
     return (
-        f"It hangs on single samples: {where} it is between {low} and {high}"
-        f"{''.join(f', and {part}' for part in parts)}{missing}."
+        f"It depends on single samples: f{where} {span}{missing}."
+        f"{_write_parts(starts)}{_write_without_all(found, starts)}"
     )
 
 
-def _write_remainder(found: Attribution) -> str:
-    """Return whether the tolerances leave as much, of the errors at the end that they bound."""
-    is_bounded = found.metric in {"final.position_error", "final.heading_error"}
-    if not is_bounded or found.without_all is None or found.without_all > found.grain.size:
-        return ""
-    return f", no more than {_describe_grain(found)}"
+def _write_parts(starts: StartRange) -> str:
+    """Return which part each cause has of what they add; that of the last follows."""
+    names = [part.cause for part in starts.parts]
+    parts = [
+        f"{part.cause} contributes {100.0 * part.low:.2g} to {100.0 * part.high:.2g} %"
+        for part in starts.parts[: len(names) - 1]
+    ]
+    return f" {_capitalise(join_words(parts))} of what {join_words(names)} add." if parts else ""
 
 
-def _write_alone(found: Attribution, other: Share) -> str:
-    built = found.divided
-    without = f"Re-simulated without {other.mechanism} alone ({other.meaning})"
-    if other.alone is None:
-        return f"{without} it has no value: {other.ending}."
-    change = abs(other.alone - built)
-    if change <= found.grain.size or change <= _NAMED * abs(built):
+def _write_without_all(found: Attribution, starts: StartRange) -> str:
+    if starts.without_all is None:
         return ""
-    if not is_clear(change, other.standard_error):
-        return ""
-    if other.ending:
-        return f"{without} {other.ending}."
+    span = _format_span(found, *starts.without_all)
+    return f" Without {join_words(found.acting)} it is {span}."
+
+
+def _format_span(found: Attribution, low: float, high: float) -> str:
+    """Return a range with one unit."""
+    least, most = f"{low:.4g}", format_value(found, high)
+    return most if format_value(found, low) == most else f"{least} to {most}"
+
+
+def _write_others(found: Attribution) -> list[str]:
+    """Return what alone changes the value: what lowers it is no cause of a value this large."""
+    told = [one for one in found.others if _is_told(found, one)]
+    lowering = [one for one in told if _lowers(found, one)]
+    mean = "" if found.seeds is None else "in the mean "
+    parts = [f"{one.cause} (without it {mean}{format_value(found, one.alone)})" for one in lowering]
+    sentences = [f"Not a cause: {', '.join(parts)}."] if parts else []
+    return [*sentences, *(_write_alone(found, one) for one in told if one not in lowering)]
+
+
+def _is_told(found: Attribution, one: Contribution) -> bool:
+    """Return whether something changes the value alone by more than little and chance."""
+    if one.alone is None:
+        return True
+    change = abs(one.alone - found.divided)
+    is_large = change > found.resolution.size and change > _NAMED * abs(found.divided)
+    return is_large and is_clear(change, one.standard_error)
+
+
+def _lowers(found: Attribution, one: Contribution) -> bool:
+    """Return whether the value would be larger without a design parameter, as with the effects."""
+    is_design = one.cause not in found.effects and one.alone is not None and not one.ending
+    return is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found)
+
+
+def _write_alone(found: Attribution, one: Contribution) -> str:
+    kind = "Effect apart" if one.cause in found.effects else "Design parameter"
     mean = "" if found.seeds is None else " in the mean"
-    direction = "higher" if other.alone > built else "lower"
-    return f"{without} it would be {direction}{mean}: {_format(found, other.alone)}."
+    change = one.ending or f"{format_value(found, one.alone)}{mean}"
+    if one.alone is None:
+        change = f"no value, {one.ending}"
+    return f"{kind}: {one.cause} (without it, {one.meaning}: {change})."
 
 
-def _format(found: Attribution, value: float | None, standard_error: float | None = None) -> str:
+def format_value(
+    found: Attribution, value: float | None, standard_error: float | None = None
+) -> str:
+    """Return a value in four digits with the metric's unit, and its standard error if given."""
     spread = f" +- {standard_error:.2g}" if standard_error else ""
     return f"{value or 0.0:.4g}{spread} {found.unit}".removesuffix(" 1")
 

@@ -1,4 +1,4 @@
-"""The shares of random effects: means over seeds, with standard errors."""
+"""The contributions of random effects: means over seeds, with standard errors."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,23 +8,23 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.explain.attribution import Attribution, SeedRange, Share, Together
+from turtlelog.explain.attribution import Attribution, Contribution, SeedRange, Together
 from turtlelog.explain.game import Coalition, Game, Outcome, list_coalitions
-from turtlelog.explain.shapley import Worth, compute_dividends, compute_shares
+from turtlelog.explain.shapley import Worth, compute_contributions, compute_dividends
 
 _FEWEST: Final = 0.5
-"""Of the seeds: shares of fewer would be those of a minority of runs, whatever the others do."""
+"""Of the seeds: fewer are a minority of runs, whatever the others do."""
 
 _CENTRAL: Final = (0.025, 0.975)
 """Between these quantiles lie the central 95 %."""
 
 
 def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
-    """Return the attribution with its shares, or why there are none.
+    """Return the attribution with its contributions, or why there are none.
 
     A seed counts where every combination has a value with it: combinations are compared by seed.
     """
-    names = found.mechanisms
+    names = found.causes
     coalitions = list_coalitions(names)
     played = {inside: game.take_out_each(set(names) - inside) for inside in coalitions}
     count = max(map(len, played.values()))
@@ -34,25 +34,25 @@ def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
         reason = f"only with {len(known)} of {count} seeds every combination has a value"
         return replace(found, withheld=reason)
     worth = {inside: fmean(one[inside] for one in known) for inside in coalitions}
-    shares = [compute_shares(one, names) for one in known]
+    contributions = [compute_contributions(one, names) for one in known]
     dividends = [compute_dividends(one, names) for one in known]
-    means = compute_shares(worth, names)
+    means = compute_contributions(worth, names)
     together = compute_dividends(worth, names)
     return replace(
         found,
         without_all=worth[frozenset()],
         seeds=_describe_seeds([one[frozenset(names)] for one in known], count),
-        shares=tuple(
+        contributions=tuple(
             replace(
-                describe_alone(game, name, share),
-                standard_error=_find_error([one[name] for one in shares]),
+                describe_alone(game, name, contribution),
+                standard_error=_find_error([one[name] for one in contributions]),
             )
-            for name, share in means.items()
+            for name, contribution in means.items()
         ),
         others=tuple(_add_error(game, other) for other in found.others),
         together=tuple(
             Together(
-                mechanisms=case,
+                causes=case,
                 value=value,
                 standard_error=_find_error([one[case] for one in dividends]),
             )
@@ -61,13 +61,13 @@ def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
     )
 
 
-def describe_alone(game: Game, name: str, share: float | None = None) -> Share:
+def describe_alone(game: Game, name: str, contribution: float | None = None) -> Contribution:
     """Return what a value is without a mechanism alone."""
-    return Share(
-        mechanism=name,
-        share=share,
+    return Contribution(
+        cause=name,
+        contribution=contribution,
         alone=game.take_out([name]).value,
-        ending=game.describe_ending(name),
+        ending=game.describe_ending(name) or None,
         meaning=game.mechanisms[name].meaning,
     )
 
@@ -97,9 +97,9 @@ def _describe_seeds(values: Sequence[float], count: int) -> SeedRange:
     )
 
 
-def _add_error(game: Game, other: Share) -> Share:
+def _add_error(game: Game, other: Contribution) -> Contribution:
     """Return a property with the standard error of the change without it, by seed."""
-    built, without = game.take_out_each(), game.take_out_each([other.mechanism])
+    built, without = game.take_out_each(), game.take_out_each([other.cause])
     pairs = [
         (one.value, without[min(number, len(without) - 1)].value)
         for number, one in enumerate(built)

@@ -1,9 +1,9 @@
 """The value of a game, divided in exact arithmetic among those that play it.
 
-A share is a Shapley value (Shapley, "A value for n-person games", 1953): what a mechanism adds to
-the value, averaged over all orders in which they can be put in. What a set of mechanisms makes only
-together is its dividend (Harsanyi, 1963). How steady all of it is, the same scenario shows from
-starts that lie within one sample's turn.
+A contribution is a Shapley value (Shapley, "A value for n-person games", 1953): what a mechanism
+adds to the value, averaged over all orders in which they can be put in. What a set of mechanisms
+makes only together is its dividend (Harsanyi, 1963). How steady all of it is, the same scenario
+shows from starts that lie within one sample's turn.
 """
 
 import math
@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.explain.attribution import StartRange, find_sample_period_s
+from turtlelog.explain.attribution import Part, StartRange, find_sample_period_s
 from turtlelog.explain.game import Coalition, Game, list_coalitions
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run
@@ -23,15 +23,15 @@ Worth = Mapping[Coalition, float]
 """The value of every coalition."""
 
 
-def compute_shares(worth: Worth, mechanisms: Sequence[str]) -> dict[str, float]:
-    """Return the share of each mechanism.
+def compute_contributions(worth: Worth, mechanisms: Sequence[str]) -> dict[str, float]:
+    """Return the contribution of each mechanism.
 
     `math.fsum` of them is the float `worth` of all less that of none, to the last bit, except where
-    the shares cancel: it then misses by at most one step of the smallest share's own floats.
+    the contributions cancel: it then misses by at most one step of the floats of the smallest.
     """
     exact = [_compute_share(worth, mechanism, mechanisms) for mechanism in mechanisms]
     total = worth[frozenset(mechanisms)] - worth[frozenset()]
-    return dict(zip(mechanisms, _round_shares(exact, total), strict=True))
+    return dict(zip(mechanisms, _round_contributions(exact, total), strict=True))
 
 
 def compute_dividends(worth: Worth, mechanisms: Sequence[str]) -> dict[tuple[str, ...], float]:
@@ -55,29 +55,34 @@ def find_smallest(coalitions: Iterable[Coalition]) -> list[Coalition]:
 
 def _compute_share(worth: Worth, mechanism: str, mechanisms: Sequence[str]) -> Fraction:
     count = len(mechanisms)
-    share = Fraction(0)
+    contribution = Fraction(0)
     for others in list_coalitions([other for other in mechanisms if other != mechanism]):
         orders = math.factorial(len(others)) * math.factorial(count - len(others) - 1)
         adds = Fraction(worth[others | {mechanism}]) - Fraction(worth[others])
-        share += Fraction(orders, math.factorial(count)) * adds
-    return share
+        contribution += Fraction(orders, math.factorial(count)) * adds
+    return contribution
 
 
-def _round_shares(exact: list[Fraction], total: float) -> list[float]:
-    """Return the shares as floats whose sum rounds to the total.
+def _round_contributions(exact: list[Fraction], total: float) -> list[float]:
+    """Return the contributions as floats whose sum rounds to the total.
 
     The smallest that is not 0 takes up what rounding the others leaves: its own steps are finest.
     Where that is a tie between two floats, the next smallest does.
     """
-    rounded = [float(share) for share in exact]
-    rows = sorted((row for row, share in enumerate(rounded) if share), key=lambda r: abs(exact[r]))
+    rounded = [float(one) for one in exact]
+    rows = sorted((row for row, one in enumerate(rounded) if one), key=lambda r: abs(exact[r]))
     tried = [_absorb(rounded, row, total) for row in rows] or [rounded]
-    return next((shares for shares in tried if math.fsum(shares) == total), tried[0])
+    return next((found for found in tried if math.fsum(found) == total), tried[0])
 
 
-def _absorb(shares: list[float], row: int, total: float) -> list[float]:
-    others = sum((Fraction(share) for at, share in enumerate(shares) if at != row), Fraction())
-    return [float(Fraction(total) - others) if at == row else s for at, s in enumerate(shares)]
+def _absorb(contributions: list[float], row: int, total: float) -> list[float]:
+    others = sum(
+        (Fraction(contribution) for at, contribution in enumerate(contributions) if at != row),
+        Fraction(),
+    )
+    return [
+        float(Fraction(total) - others) if at == row else s for at, s in enumerate(contributions)
+    ]
 
 
 _COUNT: Final = 17
@@ -96,7 +101,7 @@ def vary_start(
     metric: str,
     *,
     added: float,
-    grain: float,
+    resolution: float,
     mechanisms: Sequence[str],
     acting: Sequence[str],
 ) -> StartRange | None:
@@ -106,7 +111,7 @@ def vary_start(
         scenario: With all mechanisms in.
         metric: Has a value.
         added: What the mechanisms add together.
-        grain: The largest change that is next to nothing.
+        resolution: The largest change that is negligible.
         mechanisms: Among whom the value is divided.
         acting: Those of them that change it.
     """
@@ -121,7 +126,10 @@ def vary_start(
     ]
     found = [game.take_out().value for game in games]
     values = [value for value in found if value is not None]
-    is_wide = _is_wide(values, games, mechanisms, added) if abs(added) > grain else False
+    is_far = abs(added) > resolution and max(values) - min(values) > _WIDE * abs(added)
+    without = [game.take_out(mechanisms).value for game in games] if is_far else []
+    is_wide = is_far and _is_wide(found, without, added)
+    rest = [value for value in without if value is not None]
     ticks = len(built.poses) * len(games) * 2 ** len(acting)
     return StartRange(
         count=len(games),
@@ -130,25 +138,20 @@ def vary_start(
         high=max(values),
         without_value=len(found) - len(values),
         is_wide=is_wide,
-        parts=_divide_again(games, acting) if is_wide and ticks <= _MOST_TICKS else {},
+        parts=_divide_again(games, acting) if is_wide and ticks <= _MOST_TICKS else (),
+        without_all=(min(rest), max(rest)) if is_wide and len(rest) == len(games) else None,
     )
 
 
-def _is_wide(
-    values: Sequence[float], games: Sequence[Game], mechanisms: Sequence[str], added: float
-) -> bool:
-    """Return whether the value, and what the mechanisms add to it, range over too much.
+def _is_wide(values: Sequence[float | None], without: Sequence[float | None], added: float) -> bool:
+    """Return whether what the mechanisms add to the value ranges over too much.
 
     A value that only follows the start, as a turn's length does, follows it without them as well.
     """
-    if max(values) - min(values) <= _WIDE * abs(added):
-        return False
     additions = [
-        built - without
-        for built, without in (
-            (game.take_out().value, game.take_out(mechanisms).value) for game in games
-        )
-        if built is not None and without is not None
+        value - rest
+        for value, rest in zip(values, without, strict=True)
+        if value is not None and rest is not None
     ]
     return max(additions) - min(additions) > _WIDE * abs(added)
 
@@ -158,9 +161,7 @@ def _turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
     return replace(scenario, start=replace(scenario.start, heading_rad=heading_rad))
 
 
-def _divide_again(
-    games: Sequence[Game], mechanisms: Sequence[str]
-) -> Mapping[str, tuple[float, float]]:
+def _divide_again(games: Sequence[Game], mechanisms: Sequence[str]) -> tuple[Part, ...]:
     """Return the lowest and highest part of each mechanism; none unless all add alike."""
     parts = []
     for game in games:
@@ -169,11 +170,14 @@ def _divide_again(
         }
         worth = {inside: value for inside, value in found.items() if value is not None}
         if len(worth) < len(found):
-            return {}
+            return ()
         total = worth[frozenset(mechanisms)] - worth[frozenset()]
-        shares = compute_shares(worth, mechanisms)
-        if any(share * total <= 0.0 for share in shares.values()):
-            return {}
-        parts.append([share / total for share in shares.values()])
+        contributions = compute_contributions(worth, mechanisms)
+        if any(contribution * total <= 0.0 for contribution in contributions.values()):
+            return ()
+        parts.append([contribution / total for contribution in contributions.values()])
     lows, highs = np.min(parts, axis=0).tolist(), np.max(parts, axis=0).tolist()
-    return dict(zip(mechanisms, zip(lows, highs, strict=True), strict=True))
+    return tuple(
+        Part(cause=name, low=low, high=high)
+        for name, low, high in zip(mechanisms, lows, highs, strict=True)
+    )

@@ -57,8 +57,8 @@ def simulate_what_ifs(
 def _list_deciding(found: Attribution) -> tuple[str, ...]:
     """Return the mechanisms with which there is no value, or with which alone there is one."""
     cases = (*found.without_value, *found.with_value)
-    named = {name for case in cases for name in case.mechanisms}
-    return tuple(name for name in found.mechanisms if name in named) or found.mechanisms
+    named = {name for case in cases for name in case.causes}
+    return tuple(name for name in found.causes if name in named) or found.causes
 
 
 def name_without(mechanisms: tuple[str, ...]) -> str:

@@ -8,14 +8,11 @@ from .evaluation import (
     require_kind as require_kind,
 )
 from .operands import (
-    ARGUMENTS as ARGUMENTS,
     Kind as Kind,
     Operand as Operand,
     compare_operands as compare_operands,
-    make_operand as make_operand,
 )
 from .parser import (
-    PRECEDENCE as PRECEDENCE,
     parse_expression as parse_expression,
 )
 from .printing import (

@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from math import nan
-from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
+from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from msgspec import Meta
 
@@ -170,19 +171,27 @@ def list_unused(parameters: Any) -> tuple[str, ...]:
 
 def prepare(parameters: Any) -> SequentialNumbers:
     """Return the keys of either sequential law as numbers."""
-    values: dict[str, Any] = {}
-    for one in fields(SequentialNumbers):
-        value = getattr(parameters, one.name, None)
-        if isinstance(value, str):
-            words = get_type_hints(type(parameters))[one.name]
-            value = get_args(words).index(value)
-        if value is not None:
-            values[one.name] = value
+    kind: Any = type(parameters)
+    values: dict[str, Any] = {
+        name: getattr(parameters, name) if words is None else words.index(getattr(parameters, name))
+        for name, words in _list_numbers(kind)
+    }
     schedule = parameters.schedule
     if schedule is not None:
         values["entries"] = len(schedule.at)
         values["has_distances"] = schedule.over == DISTANCE
     return SequentialNumbers(**values)
+
+
+@cache
+def _list_numbers(keys: Any) -> tuple[tuple[str, tuple[str, ...] | None], ...]:
+    """Return the keys of a law that are numbers of both, each with its words where it has such."""
+    hints = get_type_hints(keys)
+    names = [one.name for one in fields(SequentialNumbers) if one.name in hints]
+    return tuple(
+        (name, get_args(hints[name]) if get_origin(hints[name]) is Literal else None)
+        for name in names
+    )
 
 
 def build_table(parameters: Any) -> Sequence[Row]:

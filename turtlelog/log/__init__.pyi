@@ -57,5 +57,4 @@ from .recovery import (
 )
 from .ros2 import (
     read_bag as read_bag,
-    read_bag_info as read_bag_info,
 )

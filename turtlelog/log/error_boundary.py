@@ -20,6 +20,10 @@ class DamageError(LogError):
     """A file that is not what its writer wrote, or not all of it."""
 
 
+class LimitError(DamageError):
+    """A file that asks for more than one of its size may: what follows would be refused as well."""
+
+
 class UnfinishedError(DamageError):
     """A file whose writer never came to its end, or whose end is cut off."""
 

@@ -118,6 +118,11 @@ class Survey:
     span_ns: tuple[int, int] | None = None
     damages: list[Loss] = field(default_factory=list)
 
+    @property
+    def is_own(self) -> bool:
+        """Whether turtlelog wrote it, as far as its records tell."""
+        return any(isinstance(found, Metadata) and found.name == HEAD for found in self.records)
+
     def count(self, channels: NDArray[np.uint16], times: NDArray[np.uint64]) -> None:
         """Count messages by their channels and log times."""
         if len(channels):

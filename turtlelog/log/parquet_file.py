@@ -49,6 +49,8 @@ decoded they take up to 80 MB."""
 _REMOTE_FOOTER_PARTS: Final = 2**17
 """Structs likewise: they take up to 100 MB in Arrow."""
 
+_DOWNLOAD: Final = "; download the file, then name the copy"
+
 _DEEPEST: Final = 32
 """How far columns lie within structs and lists: those of ROS messages do 6 times."""
 
@@ -96,13 +98,16 @@ class ParquetFile:
         with open_file(path) as stream:
             self._size = stream.seek(0, 2)
             is_remote = isinstance(make_path(path), RemotePath)
+            # What a server says of the size justifies nothing.
+            self._believed = min(self._size, SMALL_FILE - 1) if is_remote else self._size
+            self._advice = _DOWNLOAD if is_remote else ""
             most_bytes = grow_bound(_FOOTER_BYTES, self._size)
             most_parts = grow_bound(_FOOTER_PARTS, self._size)
             self._claims = read_footer_claims(
                 stream,
                 most_bytes=min(most_bytes, _REMOTE_FOOTER_BYTES) if is_remote else most_bytes,
                 most_parts=min(most_parts, _REMOTE_FOOTER_PARTS) if is_remote else most_parts,
-                advice="; download the file, then name the copy" if is_remote else "",
+                advice=self._advice,
             )
             if self._claims.depth > _DEEPEST:
                 raise LogError(
@@ -153,10 +158,10 @@ class ParquetFile:
         Raises:
             LogError: Without the file's name: how many there are, how many may be, what to do.
         """
-        most = count_most_rows(self._size)
+        most = count_most_rows(self._believed)
         if self.row_count > most:
             told = describe_rows(f"{self.row_count:,}", most, self._size)
-            raise LogError(f"{told}, or write it without compression")
+            raise LogError(f"{told}, or write it without compression{self._advice}")
 
     def require_cells(self, columns: int, rows: int | None = None) -> None:
         """Refuse to read more cells than may be in memory at once.
@@ -169,11 +174,12 @@ class ParquetFile:
             LogError: Without the file's name.
         """
         rows = self.row_count if rows is None else rows
-        most = _CELLS_A_ROW * max(MOST_ROWS, self._size // _ROW_BYTES)
+        most = _CELLS_A_ROW * max(MOST_ROWS, self._believed // _ROW_BYTES)
         if rows * columns > most:
             raise LogError(
                 f"the table has {columns:,} columns of {rows:,} rows; {most:,} cells are the most"
                 f" for a file of {self._size:,} bytes. Write fewer columns"
+                f"{self._advice}"
             )
 
     def _is_asked(self, place: int, names: Sequence[str] | None) -> bool:
@@ -189,7 +195,8 @@ class ParquetFile:
             LogError: Where the columns would take more memory than they may.
         """
         self.require_cells(len(places), sum(self.group_rows[group] for group in groups))
-        counts = _PageCounts(grow_bound(_PAGES, self._size), grow_bound(_TEXT_BYTES, self._size))
+        size = self._believed
+        counts = _PageCounts(grow_bound(_PAGES, size), grow_bound(_TEXT_BYTES, size), self._advice)
         texts = []
         for place in places:
             chunks = [self._find_chunk(group, place) for group in groups]
@@ -209,7 +216,8 @@ class ParquetFile:
 class _PageCounts:
     """What pages may still ask for."""
 
-    def __init__(self, pages: int, text_bytes: int) -> None:
+    def __init__(self, pages: int, text_bytes: int, advice: str) -> None:
+        self._advice = advice
         self._pages, self._text_bytes = pages, text_bytes
         self._most_pages, self._most_text_bytes = pages, text_bytes
 
@@ -241,6 +249,7 @@ class _PageCounts:
             if self._pages < 0:
                 raise LogError(
                     f"the columns have more than {self._most_pages:,} pages. Write larger pages"
+                    f"{self._advice}"
                 )
             yield page
 
@@ -259,7 +268,7 @@ class _PageCounts:
         if self._text_bytes < 0:
             raise LogError(
                 f"the texts may take more than {self._most_text_bytes:,} bytes. Write shorter texts"
-                " in a dictionary, or leave these columns out"
+                f" in a dictionary, or leave these columns out{self._advice}"
             )
 
 

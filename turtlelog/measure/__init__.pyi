@@ -69,6 +69,3 @@ from .step_response import (
     find_overshoot as find_overshoot,
     find_settling_time as find_settling_time,
 )
-from .table.end import (
-    PAPER_WINDOW_S as PAPER_WINDOW_S,
-)

@@ -1,7 +1,3 @@
-from .ranges import (
-    RangeStream as RangeStream,
-    RemoteFile as RemoteFile,
-)
 from .urls import (
     RemoteNote as RemoteNote,
     RemotePath as RemotePath,

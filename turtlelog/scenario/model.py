@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta
@@ -10,7 +11,7 @@ from msgspec import Meta
 from turtlelog.effects import EFFECTS
 from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
-from turtlelog.parts import Place, absent
+from turtlelog.parts import Effect, Place, absent
 from turtlelog.paths import Path
 from turtlelog.plants.turtlesim import SPAWN_XY_M
 from turtlelog.scenario.dotted_keys import DEFAULT_LAW
@@ -88,6 +89,12 @@ class LawChoice:
     parameters: Any = field(default_factory=SequentialPParameters)
 
 
+@cache
+def _list_at(place: Place) -> tuple[Effect, ...]:
+    """Return the effects that may act at a place."""
+    return tuple(effect for effect in EFFECTS if place in effect.actions)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
     """Everything that determines a run. The defaults are the textbook's: no implementation effects.
@@ -124,12 +131,7 @@ class Scenario:
 
     def has_action(self, *places: Place) -> bool:
         """Whether an effect acts at one of the places."""
-        return any(
-            effect.acts_at(place, self)
-            for effect in EFFECTS
-            for place in places
-            if place in effect.actions
-        )
+        return any(effect.acts_at(place, self) for place in places for effect in _list_at(place))
 
     def __repr__(self) -> str:
         goal = f"goal ({self.goal.x_m:g}, {self.goal.y_m:g}) m"

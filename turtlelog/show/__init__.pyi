@@ -1,4 +1,4 @@
-from .documents import describe_run as describe_run, describe_runs as describe_runs
+from .documents import describe_run as describe_run
 from .figures import (
     FIGURES as FIGURES,
     Page as Page,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from turtlelog.display import join_words
-from turtlelog.explain import Attribution, Share
+from turtlelog.explain import Attribution, Contribution
 from turtlelog.explain.attribution import THIS_SEED
 from turtlelog.show import palette
 from turtlelog.show.palette import Color, choose_mechanism_colors
@@ -82,7 +82,7 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
         None where the shares are withheld: the attribution says why.
     """
     left = found.without_all
-    total = found.as_built if found.as_logged is None else found.as_logged
+    total = found.resimulated if found.as_logged is None else found.as_logged
     if found.withheld or total is None or left is None:
         return ()
     scale = choose_step_scale(found)
@@ -96,7 +96,7 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
             color=palette.MAIN,
         )
     ]
-    steps += _list_shares(found, total, scale)
+    steps += _list_contributions(found, total, scale)
     part = _tell_part(left, total) if len(steps) > 1 else ""
     steps.append(
         AttributionStep(
@@ -113,7 +113,7 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
 
 def choose_step_scale(found: Attribution) -> StepScale:
     """Return the unit and the decimals of an attribution's values: they are those of all of it."""
-    values = (found.as_logged, found.as_built, found.without_all)
+    values = (found.as_logged, found.resimulated, found.without_all)
     largest = max(abs(value) for value in (*values, found.divided, 0.0) if value is not None)
     factor, unit = (1e3, "mm") if found.unit == "m" and largest < 1.0 else (1.0, found.unit)
     digits = _DIGITS - 1 - (math.floor(math.log10(largest * factor)) if largest else 0)
@@ -122,7 +122,9 @@ def choose_step_scale(found: Attribution) -> StepScale:
     )
 
 
-def _list_shares(found: Attribution, total: float, scale: StepScale) -> Iterator[AttributionStep]:
+def _list_contributions(
+    found: Attribution, total: float, scale: StepScale
+) -> Iterator[AttributionStep]:
     """Yield what lies between the logged value and what is left."""
     largest = max(abs(total), abs(found.divided))
     if abs(total - found.divided) > _SAME * largest:
@@ -137,32 +139,32 @@ def _list_shares(found: Attribution, total: float, scale: StepScale) -> Iterator
             color=palette.REFERENCE,
         )
     at = found.divided
-    shares = choose_acting_shares(found)
-    colors = choose_mechanism_colors(found.mechanisms)
+    shares = choose_acting_contributions(found)
+    colors = choose_mechanism_colors(found.causes)
     for share in shares:
-        end = at - (share.share or 0.0)
+        end = at - (share.contribution or 0.0)
         yield AttributionStep(
             kind="share",
-            mechanism=share.mechanism,
+            mechanism=share.cause,
             start=at,
             end=end,
-            name=share.mechanism,
+            name=share.cause,
             text=_describe_share(share, total, scale),
-            color=colors[share.mechanism],
+            color=colors[share.cause],
         )
         at = end
 
 
-def choose_acting_shares(found: Attribution) -> Sequence[Share]:
+def choose_acting_contributions(found: Attribution) -> Sequence[Contribution]:
     """Return the shares that are not 0, the largest first."""
     least = _SAME * max(abs(found.divided), abs(found.without_all or 0.0))
-    acting = [share for share in found.shares if abs(share.share or 0.0) > least]
-    return sorted(acting, key=lambda share: -abs(share.share or 0.0))
+    acting = [share for share in found.contributions if abs(share.contribution or 0.0) > least]
+    return sorted(acting, key=lambda share: -abs(share.contribution or 0.0))
 
 
-def _describe_share(share: Share, total: float, scale: StepScale) -> str:
+def _describe_share(share: Contribution, total: float, scale: StepScale) -> str:
     """Return how taking it out changes the value, and its part of the logged one."""
-    value = share.share or 0.0
+    value = share.contribution or 0.0
     size = scale.format_value(-value, signed=True)
     if share.standard_error is not None:
         size += f" ± {abs(share.standard_error * scale.factor):.2g}"
@@ -178,7 +180,7 @@ def _tell_part(value: float, total: float) -> str:
 
 def _explain_left(found: Attribution) -> str:
     """Return what explains the rest, as far as that is known."""
-    acting = [share.mechanism for share in choose_acting_shares(found)]
+    acting = [share.cause for share in choose_acting_contributions(found)]
     little = _explain_little(found, found.without_all or 0.0)
     if little:
         return little.removeprefix(", ")
@@ -191,6 +193,6 @@ def _explain_little(found: Attribution, value: float) -> str:
     """Return that the tolerances leave as much, of an error at the end that they bound."""
     if found.metric not in {"final.position_error", "final.heading_error"}:
         return ""
-    if abs(value) > found.grain.size or "tolerance" not in found.grain.reason:
+    if abs(value) > found.resolution.size or "tolerance" not in found.resolution.reason:
         return ""
     return ", no more than the tolerances leave"

@@ -41,13 +41,12 @@ def move_plant(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> N
     if now.failure != 0:
         return
     x_m, y_m, heading_rad, speed, turn_rate = parts.read(state.plant)
-    message = message_to_float32(x_m, y_m, heading_rad, speed, turn_rate)
     row = begin_row(rows.ticks, rows.new[0].tick, tick)
+    row.x_m, row.y_m, row.heading_rad, row.speed_m_s, row.turn_rate_rad_s = message_to_float32(
+        x_m, y_m, heading_rad, speed, turn_rate
+    )
     if scene.is_exact:
         row.x_m, row.y_m, row.heading_rad = x_m, y_m, heading_rad
-    else:
-        row.x_m, row.y_m, row.heading_rad = message[0], message[1], message[2]
-    row.speed_m_s, row.turn_rate_rad_s = message[3], message[4]
     now.ticks += 1
     if scene.senses and not sense(settings, state, rows, parts, row, tick):
         return
@@ -144,8 +143,7 @@ def drive(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
             parts.hold(settings, state.plant, rows, since_ns, row.speed_m_s, row.turn_rate_rad_s)
     if scene.is_pushed:
         push(settings, state, rows, parts, tick, since_ns)
-    moves = parts.move(settings, state.plant, rows, time_ns)
-    if not moves:
+    if not parts.move(settings, state.plant, rows, time_ns):
         now.failure = RUNS_AWAY
 
 
@@ -324,12 +322,18 @@ def queue_pose(settings: Any, now: Any, rows: Any, row: Any, tick: int) -> None:
 
 def take_pose(now: Any, rows: Any) -> int:
     """Take the oldest pose of the queue; return its number."""
-    while rows.ticks[now.poses_first].arrival_ns < 0:
-        now.poses_first += 1
     oldest: int = now.poses_first
-    now.poses_first += 1
-    now.poses_count -= 1
+    while rows.ticks[oldest].arrival_ns < 0:
+        oldest += 1
+    now.poses_first, now.poses_count = oldest + 1, now.poses_count - 1
     return oldest
+
+
+def take_newest(now: Any) -> int:
+    """Take the newest pose alone; return its number."""
+    now.poses_count = 0
+    newest: int = now.newest
+    return newest
 
 
 def find_arrival(now: Any, rows: Any) -> int:
@@ -380,49 +384,43 @@ def answer(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
     """
     now, scene = state.now, settings.scene
     delays_poses = scene.delays_poses
-    time_ns = tick * scene.period_ns
-    before_ns = min(time_ns + scene.period_ns, scene.end_ns)
+    time_ns, place = tick * scene.period_ns, tick  # where the loop is: by time or by ticks
     goes_on = True
-    while goes_on and now.stop == 0:
-        goes_on = delays_poses
+    while goes_on:
         if delays_poses:
-            time_ns = find_next(now, rows)
-            if time_ns >= before_ns:
+            time_ns = place = find_next(now, rows)
+            if time_ns >= min((tick + 1) * scene.period_ns, scene.end_ns):
                 return
             deliver(settings, now, rows, time_ns)
-        if now.blocked >= 0:
-            if (time_ns if delays_poses else tick) < now.free_at:
-                continue
+        if now.blocked >= 0 and place >= now.free_at:
             publish(settings, state, rows, parts, tick, now.blocked)
             now.blocked = -1
-        if now.waits_for > 0:
-            continue
-        if scene.timer_ns > 0 and now.is_due:
-            now.poses_count, now.is_due = 1, False
-        while now.poses_count > 0 and now.stop == 0 and now.blocked < 0:
-            if scene.timer_ns > 0:
-                now.poses_count, pose = 0, now.newest
-            else:
-                pose = take_pose(now, rows)
-            blocks = answer_pose(settings, state, rows, parts, time_ns, pose)
-            if now.failure != 0:
-                return
-            if blocks > 0:
-                now.free_at = (time_ns if delays_poses else tick) + blocks * scene.block
-                now.blocked = now.samples - 1
-            else:
-                publish(settings, state, rows, parts, tick, now.samples - 1)
+        if now.waits_for == 0 and now.blocked < 0:
+            if now.is_due:
+                now.poses_count, now.is_due = 1, False
+            while now.poses_count > 0 and now.stop == 0 and now.blocked < 0:
+                pose = take_pose(now, rows) if scene.timer_ns == 0 else take_newest(now)
+                blocks = answer_pose(settings, state, rows, parts, time_ns, pose)
+                if now.failure != 0:
+                    return
+                sample = now.samples - 1
+                if blocks > 0:
+                    now.blocked, now.free_at = sample, place + blocks * scene.block
+                else:
+                    publish(settings, state, rows, parts, tick, sample)
+        goes_on = delays_poses and now.stop == 0
 
 
 def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, number: int) -> int:
     """Make the sample of a pose; return for how many ticks the law blocks."""
     now, scene = state.now, settings.scene
-    read = rows.ticks[number]
-    row = begin_row(rows.samples, rows.new[0].sample, now.samples)
-    row.time_ns, row.sequence, row.pose_sequence = time_ns, now.samples, number
-    pose = read.x_m, read.y_m, read.heading_rad
+    read, sample = rows.ticks[number], now.samples
+    row = begin_row(rows.samples, rows.new[0].sample, sample)
+    row.time_ns, row.sequence, row.pose_sequence = time_ns, sample, number
     if scene.senses:
         pose = read.sensed_x_m, read.sensed_y_m, read.sensed_heading_rad
+    else:
+        pose = read.x_m, read.y_m, read.heading_rad
     speed, turn_rate = parts.decide(settings, state, rows, row, time_ns, pose)
     row.wanted_speed_m_s, row.wanted_turn_rate_rad_s = speed, turn_rate
     # A sum of numbers is finite where all are.
@@ -440,21 +438,20 @@ def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, 
         judge(scene, now, row, speed, turn_rate)
         if now.failure != 0:
             return 0
-    is_finite = parts.record(state.law, rows, now.samples)
-    if not is_finite:
+    if scene.has_states and not parts.record(state.law, rows, sample):
         now.failure = STATES_FAILED
         return 0
     dt_s = scene.first_s if now.last_ns < 0 else (time_ns - now.last_ns) / 1e9
     now.last_ns = time_ns
     command = (speed, turn_rate)
     if scene.shapes:
-        command = parts.shape(settings, state, rows, now.samples, dt_s, command)
+        command = parts.shape(settings, state, rows, sample, dt_s, command)
         row.shaped_speed_m_s, row.shaped_turn_rate_rad_s = command
-    command = parts.limit(settings, state, rows, now.samples, dt_s, command)
+    command = parts.limit(settings, state, rows, sample, dt_s, command)
     row.speed_m_s, row.turn_rate_rad_s = command
-    row.published_ns = time_ns + row.blocks_ticks * scene.tick_ns
-    now.samples += 1
     blocks: int = row.blocks_ticks
+    row.published_ns = time_ns + blocks * scene.tick_ns
+    now.samples = sample + 1
     return blocks
 
 

@@ -53,6 +53,7 @@ class Scene:
         shapes: Whether commands are shaped.
         has_goal: Whether the law has a goal.
         has_reference: Whether every sample has a reference pose.
+        has_states: Whether the law has states of its own.
     """
 
     period_ns: int = 0
@@ -77,6 +78,7 @@ class Scene:
     shapes: bool = False
     has_goal: bool = True
     has_reference: bool = False
+    has_states: bool = False
 
 
 @dataclass(slots=True)

@@ -216,6 +216,7 @@ def build_scene(scenario: Scenario, law: AnyLaw, declaration: Declaration, plant
         shapes=scenario.has_action("shape"),
         has_goal=declaration.uses_goal,
         has_reference=isinstance(law, LawPart) and law.needs_path,
+        has_states=bool(declaration.states),
     )
 
 

@@ -38,7 +38,6 @@ from .recordings import (
 from .result_table import (
     ResultColumn as ResultColumn,
     ResultTable as ResultTable,
-    choose_type as choose_type,
     write_result_table as write_result_table,
 )
 from .sensitivities import (
@@ -51,7 +50,6 @@ from .simulate_rows import (
     RowRecords as RowRecords,
 )
 from .stored_table import (
-    read_result_facts as read_result_facts,
     read_result_table as read_result_table,
 )
 from .sweep_rows import (

@@ -20,7 +20,6 @@ from .declared_loops import (
     LoopTiming as LoopTiming,
     find_timing as find_timing,
     hides_stability as hides_stability,
-    list_neglected as list_neglected,
     read_gains as read_gains,
     read_process as read_process,
 )
@@ -40,8 +39,6 @@ from .pid_loop import (
     compute_open_loop as compute_open_loop,
     compute_pid_locus as compute_pid_locus,
     compute_pid_poles as compute_pid_poles,
-    compute_pid_polynomial as compute_pid_polynomial,
-    expand_transfer_function as expand_transfer_function,
     find_stable_gains as find_stable_gains,
     is_pid_stable as is_pid_stable,
 )

@@ -30,7 +30,7 @@ from turtlelog.errors import TheoryError
 from turtlelog.theory.inputs import require_period, require_times
 from turtlelog.theory.pid_gains import PidGains, build_shape
 from turtlelog.theory.pid_margins import Margins, evaluate_open_loop, find_margins
-from turtlelog.theory.pid_poles import expand_open_loop, expand_polynomial, find_poles
+from turtlelog.theory.pid_poles import find_poles
 from turtlelog.theory.pid_response import measure_pid_step
 from turtlelog.theory.pid_stability import LoopShape, find_stable_intervals, is_stable
 from turtlelog.theory.process import INTEGRATOR, Process, sample_process
@@ -132,21 +132,6 @@ def analyse_pid_loop(
         settling_time_s=settling_time_s,
         margins=find_margins(shape, float(period_s)) if stable else None,
     )
-
-
-def compute_pid_polynomial(
-    gains: PidGains,
-    *,
-    period_s: float,
-    dead_time_ticks: int = 0,
-    process: Process = INTEGRATOR,
-) -> NDArray[np.float64]:
-    """Return the characteristic polynomial in z of a closed PID loop, highest power first.
-
-    Raises:
-        TheoryError: Where a number is not finite or outside its range.
-    """
-    return expand_polynomial(_prepare(gains, period_s, dead_time_ticks, process)[0])
 
 
 def compute_pid_poles(
@@ -268,22 +253,6 @@ def compute_open_loop(
     if not ((angle > 0.0) & (angle <= np.pi * (1.0 + 1e-12))).all():
         raise TheoryError("frequency_rad_s: expected frequencies above 0 and up to pi / T")
     return evaluate_open_loop(shape, angle)
-
-
-def expand_transfer_function(
-    gains: PidGains,
-    *,
-    period_s: float,
-    dead_time_ticks: int = 0,
-    process: Process = INTEGRATOR,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return numerator and denominator in z of the open loop, highest power first.
-
-    Raises:
-        TheoryError: Where a number is not finite or outside its range.
-    """
-    below, above = expand_open_loop(_prepare(gains, period_s, dead_time_ticks, process)[0])
-    return above, below
 
 
 def _prepare(

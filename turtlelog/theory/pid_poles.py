@@ -7,7 +7,7 @@ of a companion matrix take many.
 """
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,25 +28,6 @@ def find_poles(shape: LoopShape) -> NDArray[np.complex128]:
     """Return the poles of a loop, largest magnitude first."""
     found = _solve_quadratic(shape) if shape.degree == 2 else _iterate(shape)
     return found[np.lexsort((-found.imag, -np.abs(found).round(12)))]
-
-
-def expand_polynomial(shape: LoopShape) -> NDArray[np.float64]:
-    """Return the characteristic polynomial of a loop, highest power of z first."""
-    below, above = expand_open_loop(shape)
-    return np.asarray(np.polyadd(below, above), dtype=np.float64)
-
-
-def expand_open_loop(shape: LoopShape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return denominator and numerator of the open loop, highest power of z first."""
-    c0, c1, c2 = shape.numerator
-    below: Any = np.array([1.0, -1.0] if shape.integrators == 1 else [1.0, -2.0, 1.0])
-    if shape.a is not None:
-        below = np.convolve(below, np.array([1.0, -shape.a]))
-    weights = [shape.ahead, 1.0 - shape.ahead - shape.behind, shape.behind][: 2 + shape.lift]
-    above: Any = np.polymul(np.array([c2, c1 - 2.0 * c2, c2 - c1 + c0]), np.array(weights))
-    for gap in shape.gaps:
-        below, above = np.convolve(below, np.array([1.0, gap - 1.0])), above * gap
-    return np.concatenate((below, np.zeros(shape.delay + shape.lift))), above
 
 
 def _solve_quadratic(shape: LoopShape) -> NDArray[np.complex128]:

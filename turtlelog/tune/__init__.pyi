@@ -19,7 +19,6 @@ from .neighbourhood import (
     KeyRange as KeyRange,
     Neighbourhood as Neighbourhood,
     explore_best as explore_best,
-    explore_neighbourhood as explore_neighbourhood,
 )
 from .search import (
     Tuned as Tuned,

@@ -11,12 +11,10 @@ from mcap.records import Metadata
 from mcap.writer import CompressionType, IndexType, Writer
 
 from tests.log.engine.files import CODES, POINT, Row, pack, write_points, write_rows
+from tests.log.engine.raw_records import read_raw
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicColumns, iter_columns, read_columns, read_info
-from turtlelog.log.engine import read_raw
-
-pytestmark = pytest.mark.usefixtures("way")
 
 NUMBERS: dict[str, st.SearchStrategy[Any]] = {
     "bool": st.booleans(),

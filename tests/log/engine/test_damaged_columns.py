@@ -4,6 +4,7 @@ import struct
 import tracemalloc
 import zlib
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -18,8 +19,8 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType
 from tests.log.engine.files import Row, pack, write_points, write_rows
 from turtlelog.errors import LogError
 from turtlelog.log import iter_columns, read_columns, read_info
-
-pytestmark = pytest.mark.usefixtures("way")
+from turtlelog.log.engine.summary import _STEP, Ends, check_data
+from turtlelog.log.error_boundary import DamageError
 
 BUGS = ("TypeError", "AttributeError", "NameError", "AssertionError", "UnboundLocalError")
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -75,14 +76,6 @@ def damage(data: bytes, random: Random) -> bytes:
     return bytes(damaged)
 
 
-@pytest.mark.everyday(
-    "compiled-lz4",
-    "plain-none",
-    "plain-zstd",
-    "compiled-no index",
-    "plain-unchunked",
-    "compiled-one chunk",
-)
 @pytest.mark.parametrize("kind", OPTIONS)
 def test_damage_is_found_or_does_no_harm(kind: str, tmp_path: Path) -> None:
     """Hundreds of flips are read, each in a file of its own."""
@@ -112,6 +105,15 @@ def test_a_file_cut_short_is_one_line(read: Callable[[Path], Any], tmp_path: Pat
         return
     with pytest.raises(LogError, match=rf"^\S+: byte {len(data) - 20}: expected the end of an"):
         read(path)
+
+
+@pytest.mark.parametrize("size", [_STEP - 1, _STEP, 2 * _STEP + 1])
+def test_the_data_of_a_file_are_checked_step_by_step(size: int) -> None:
+    data = Random(size).randbytes(size)
+    ends = Ends(data_end=size, data_crc=zlib.crc32(data), summary_start=size, summary=b"")
+    check_data(BytesIO(data + b"more"), ends)
+    with pytest.raises(DamageError, match="checksum"):
+        check_data(BytesIO(data[:-1] + bytes([data[-1] ^ 1])), ends)
 
 
 def test_a_damaged_summary_is_named(tmp_path: Path) -> None:

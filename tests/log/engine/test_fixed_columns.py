@@ -17,7 +17,6 @@ from turtlelog.log.engine.selection import Selection
 from turtlelog.log.engine.source import count_rows
 from turtlelog.log.engine.topic_columns import _SHARE, _SPARE, _set_aside
 
-pytestmark = pytest.mark.usefixtures("way")
 INDEXED = IndexType.CHUNK | IndexType.MESSAGE
 POINT_RECORD = 31 + 4 + 16  # bytes
 

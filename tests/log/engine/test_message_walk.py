@@ -1,9 +1,9 @@
 import random
+from typing import Any
 
 import pytest
 
-from tests.log.ways import load_kernels, use_kernels
-from turtlelog.log.engine.message_walk import _Foretelling, skip_followed
+from turtlelog.log.engine.message_walk import MessageWalk, skip_followed
 from turtlelog.log.engine.parsing import take_apart
 
 
@@ -39,26 +39,43 @@ def draw_lengths(seed: int) -> list[int]:
 def test_every_message_is_found_where_it_starts(seed: int) -> None:
     lengths = draw_lengths(seed)
     data, starts = join(lengths), list_starts(lengths)
-    with use_kernels(None):
-        found = take_apart(data, is_chunk=True, most_records=len(lengths))
-        assert (found.starts.tolist(), found.fault) == (starts[:-1], None)
-        few = take_apart(data, is_chunk=True, most_records=len(lengths) - 1)
-        assert few.starts.tolist() == starts[:-2]
-        assert few.fault is not None
-    cut = data[: starts[-2] + 40]
-    for way in (None, load_kernels() if seed == 0 else None):
-        with use_kernels(way):
-            assert skip_followed(data) == starts[-2]
-            assert skip_followed(cut) == starts[-2]
-            assert skip_followed(data + bytes(9)) == starts[-2]
-            assert skip_followed(b"\4" + data) == 0
+    found = take_apart(data, is_chunk=True, most_records=len(lengths))
+    assert (found.starts.tolist(), found.fault) == (starts[:-1], None)
+    few = take_apart(data, is_chunk=True, most_records=len(lengths) - 1)
+    assert few.starts.tolist() == starts[:-2]
+    assert few.fault is not None
+    assert skip_followed(data) == starts[-2]
+    assert skip_followed(data[: starts[-2] + 40]) == starts[-2]
+    assert skip_followed(data + bytes(9)) == starts[-2]
+    assert skip_followed(b"\4" + data) == 0
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_damaged_head_stops_the_walk_where_single_steps_do(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng, lengths = random.Random(seed), [30, 50, 22] * 200
+    sound, starts = join(lengths), list_starts(lengths)
+    harmed = []
+    for _ in range(40):
+        data = bytearray(sound)
+        data[rng.choice(starts[100:500]) + rng.randrange(9)] ^= 1 << rng.randrange(8)
+        harmed.append(bytes(data))
+    foretold = list_taken(harmed)
+    monkeypatch.setattr(MessageWalk, "add", lambda *_: None)
+    assert list_taken(harmed) == foretold
+
+
+def list_taken(stretches: list[bytes]) -> list[Any]:
+    found = [take_apart(data, is_chunk=False, most_records=10**6) for data in stretches]
+    return [(one.starts.tolist(), one.others, one.fault, one.records) for one in found]
 
 
 def test_turns_are_foretold_up_to_what_breaks_them() -> None:
     lengths = [30, 50, 22] * 400
     lengths[900] = 70
     data, starts = join(lengths), list_starts(lengths)
-    walk = _Foretelling(data)
+    walk = MessageWalk(data)
     for length in lengths[:16]:
         assert not walk.is_due
         walk.add(9 + length)
@@ -70,7 +87,7 @@ def test_turns_are_foretold_up_to_what_breaks_them() -> None:
 
 def test_no_more_messages_are_foretold_than_asked_for() -> None:
     lengths = [30] * 1000
-    walk = _Foretelling(join(lengths))
+    walk = MessageWalk(join(lengths))
     for length in lengths[:16]:
         walk.add(9 + length)
     found, place = walk.go_on(16 * 39, 500)

@@ -31,7 +31,6 @@ def test_what_threads_spend_at_once_is_all_counted() -> None:
     assert before - allowance.count_left(UNPACKED) == 40
 
 
-@pytest.mark.usefixtures("way")
 def test_the_thread_that_reads_is_the_only_one_that_fills_the_catalogue(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -55,7 +54,6 @@ def test_the_thread_that_reads_is_the_only_one_that_fills_the_catalogue(
     assert [*seen.values()] == [{threading.get_ident()}] * 3
 
 
-@pytest.mark.usefixtures("way")
 def test_what_the_summary_describes_is_not_parsed_again_in_chunks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,8 +9,6 @@ from tests.log.runs import find_shared
 from tests.torture.recordings import COMPRESSIONS, list_records, make_recording, pack_again
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 
-pytestmark = pytest.mark.usefixtures("way")
-
 CHUNK, INDEX, METADATA, DATA_END, HEAD = 6, 7, 12, 15, 9
 KINDS = {1: "Header", 3: "Schema", 4: "Channel", 5: "Message", 9: "Attachment", 12: "Metadata"}
 

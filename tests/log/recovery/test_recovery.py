@@ -14,8 +14,6 @@ from turtlelog.log import read_info, read_recording, read_run
 from turtlelog.log.recording.recovery_note import RECOVERY
 from turtlelog.log.recovery import RecoveryReport, recover_recording
 
-pytestmark = pytest.mark.usefixtures("way")
-
 CHUNK, DATA_END, HEAD = 6, 15, 9
 
 
@@ -301,7 +299,6 @@ def test_channels_without_messages_are_kept(tmp_path: Path) -> None:
     assert topics == [("/heard", "", 1), ("/silent", "std_msgs/msg/String", 0)]
 
 
-@pytest.mark.everyday("plain-conformance", "plain-ros2", "compiled-ros2")
 @pytest.mark.parametrize("folder", ["conformance", "ros2"])
 def test_whole_files_by_others_lose_nothing(folder: str, tmp_path: Path) -> None:
     """All files of MCAP's conformance suite are recovered."""

@@ -10,7 +10,7 @@ from typing import Any, Final
 from mcap_ros2.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from turtlelog.log.engine import read_raw
+from tests.log.engine.raw_records import read_raw
 
 START_NS: Final = 1_700_000_000_123_456_789
 TICK_NS: Final = 16_000_000

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from tests.log.engine.raw_records import read_raw
 from tests.log.ros2.bags import (
     START_NS,
     change,
@@ -29,7 +30,7 @@ from turtlelog.log import (
     read_info,
     read_run,
 )
-from turtlelog.log.engine import read_raw, sqlite_source
+from turtlelog.log.engine import sqlite_source
 from turtlelog.log.ros2.bag import open_bag
 
 MIXED = [

@@ -91,7 +91,9 @@ def test_the_waterfall_has_the_values_of_the_attribution(
     attribution: Figure, explained: Explained
 ) -> None:
     found = explained.found
-    shares = {share.mechanism: share.share for share in found.shares if share.share}
+    shares = {
+        share.cause: share.contribution for share in found.contributions if share.contribution
+    }
     _, bars = attribution.axes
     sizes = [bar.get_width() for bar in list_bars(bars)]
     assert found.as_logged is not None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
-from turtlelog.explain import Attribution, Grain, Share
+from turtlelog.explain import Attribution, Contribution, Resolution
 from turtlelog.loops import Declaration
 from turtlelog.measure import measure_run, read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
@@ -38,15 +38,15 @@ def make_attribution(
         metric=metric,
         unit=measured.unit,
         as_logged=value,
-        as_built=value,
+        resimulated=value,
         without_all=value - sum(shares.values()),
-        mechanisms=tuple(shares),
-        shares=tuple(
-            Share(mechanism=name, share=share, alone=None, meaning="none of it")
+        causes=tuple(shares),
+        contributions=tuple(
+            Contribution(cause=name, contribution=share, alone=None, meaning="none of it")
             for name, share in shares.items()
         ),
         others=(),
-        grain=Grain(size=0.001, reason="one millimetre"),
+        resolution=Resolution(size=0.001, reason="one millimetre"),
     )
 
 

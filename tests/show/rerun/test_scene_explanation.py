@@ -173,7 +173,7 @@ def test_a_bar_begins_where_the_one_above_it_ends(kp10_rrd: Path) -> None:
 def test_the_main_ghost_is_grey_and_the_others_have_their_mechanisms_colours(
     kp10_rrd: Path,
 ) -> None:
-    colors = palette.choose_mechanism_colors(explain("paper-kp10")[0].mechanisms)
+    colors = palette.choose_mechanism_colors(explain("paper-kp10")[0].causes)
     for entity, color in (
         (RECORDED, palette.MAIN),
         (MAIN, palette.GHOST),

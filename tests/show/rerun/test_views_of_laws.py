@@ -263,7 +263,7 @@ def test_an_explanation_is_of_a_metric_that_the_law_has(tmp_path: Path) -> None:
     found = make_attribution(STRANGE, {"hesitation": 0.2}, metric)
     write_explanation_rrd(STRANGE, found, without, path)
     verify(path)
-    assert f"Why {metric} is {found.as_built:.3f} s" in read_layout(path)
+    assert f"Why {metric} is {found.resimulated:.3f} s" in read_layout(path)
     assert "/runs/recorded/lines/pause" in list_entities(path)
 
 

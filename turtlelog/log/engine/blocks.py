@@ -18,8 +18,15 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.chunks import ChunkEntry, open_chunk
 from turtlelog.log.engine.framing import RECORD, check_start
-from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
-from turtlelog.log.engine.load_kernels import KERNELS, WALKED_S
+from turtlelog.log.engine.limits import (
+    DAMAGES,
+    DESCRIPTIONS,
+    LARGEST_CHUNK,
+    NOTES,
+    RECORDS,
+    Allowance,
+    measure_stored,
+)
 from turtlelog.log.engine.parsing import (
     COUNTED_HEAD,
     MESSAGE_HEAD,
@@ -33,7 +40,7 @@ from turtlelog.log.engine.parsing import (
     take_whole,
 )
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.error_boundary import DamageError, LimitError
 
 T = TypeVar("T")
 Offsets = NDArray[np.int64]
@@ -95,9 +102,7 @@ def build_indexed_block(
     body = memoryview(stored)[RECORD.size : entry.length]
     data = open_chunk(entry, body, largest)
     offsets = _parse_indexes(memoryview(stored)[entry.length :], byte + entry.length)
-    places = _follow_indexes(data, offsets, byte)
-    if places is None:
-        places = _check_tiling(data, offsets, byte)
+    places = _check_tiling(data, offsets, byte)
     rest = tuple(
         described.get(take_whole(data, place))
         or parse_record(place, data[place.start : place.end], byte)
@@ -114,23 +119,13 @@ def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk
         DamageError: Where the records do not make sense, or are too many.
     """
     stretch = take_walked(data, byte, allowance, is_chunk=is_chunk)
-    KERNELS.expect(len(stretch.starts), WALKED_S)
     starts, offsets = stretch.starts.astype(np.int64), dict[int, Offsets]()
     if len(starts):
-        numbers = _read_channels(stretch, starts)
+        numbers = np.concatenate([heads["channel"] for _, heads in stretch.iterate_rows()])
         order = np.argsort(numbers, kind="stable")
         present, firsts = np.unique(numbers[order], return_index=True)
         offsets = dict(zip(present.tolist(), np.split(starts[order], firsts[1:]), strict=True))
     return Block(data=data, byte=byte, offsets=offsets, rest=parse_others(stretch, byte))
-
-
-def _read_channels(stretch: RecordStretch, starts: Offsets) -> NDArray[np.uint16]:
-    kernels = KERNELS.find()
-    if kernels is None:
-        return np.concatenate([heads["channel"] for _, heads in stretch.iterate_rows()])
-    channels = np.empty(len(starts), np.uint16)
-    kernels.take_channels(np.frombuffer(stretch.data, np.uint8), starts, channels)
-    return channels
 
 
 def walk_blocks(
@@ -165,6 +160,7 @@ def walk_through(
         DamageError: Where something is damaged and there is no list that takes the damage.
     """
     check_start(stream)
+    allowance = Allowance(measure_stored(stream))
     for section in walk_sections(stream):
         if isinstance(section, Loss):
             if damages is None:
@@ -176,8 +172,13 @@ def walk_through(
         except DamageError as err:
             if damages is None:
                 raise
-            end = section.start + len(section.data)
-            damages.append(Loss(start=section.start, end=end, reason=str(err)))
+            is_last = isinstance(err, LimitError) or not allowance.count_left(DAMAGES)
+            end = stream.seek(0, 2) if is_last else section.start + len(section.data)
+            reason = str(err).removeprefix(f"byte {section.start}: ")
+            damages.append(Loss(start=section.start, end=end, reason=reason))
+            if is_last:
+                return
+            allowance.spend(DAMAGES)
             continue
         yield found
 
@@ -196,7 +197,7 @@ def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool)
         allowance.spend(NOTES, notes)
         allowance.spend(DESCRIPTIONS, len(stretch.others) - notes)
     except LogError as err:
-        raise DamageError(f"byte {byte}: {err}") from err
+        raise LimitError(f"byte {byte}: {err}") from err
     if stretch.fault is not None:
         raise DamageError(f"byte {byte}: {stretch.fault}")
     return stretch
@@ -245,37 +246,6 @@ def _parse_indexes(data: memoryview, byte: int) -> dict[int, Offsets]:
             found_offsets = np.sort(found_offsets)
         offsets[channel] = found_offsets
     return offsets
-
-
-def _follow_indexes(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> list[Place] | None:
-    """Return where the other records of a chunk stand, by the compiled loops; None without them.
-
-    Also where the messages are not just those that the indexes name, one after the other.
-    """
-    kernels = KERNELS.find()
-    if kernels is None:
-        return None
-    counts = np.zeros(max(offsets, default=0) + 1, np.int64)
-    for channel, found in offsets.items():
-        counts[channel] = len(found)
-    ends = np.zeros_like(counts)
-    ends[[*offsets]] = np.cumsum([len(found) for found in offsets.values()])
-    cursors = ends - counts
-    starts = np.concatenate([np.empty(0, np.int64), *offsets.values()])
-    buffer, place, rest = np.frombuffer(data, np.uint8), 0, list[Place]()
-    while place < len(data):
-        after = kernels.follow(buffer, place, starts, cursors, ends)
-        if after == place and data[place] == Opcode.MESSAGE:
-            return None
-        place = after
-        if place == len(data):
-            break
-        other = next(iterate_places(data, place, len(data), byte), None)
-        if other is None or other.opcode == Opcode.MESSAGE:
-            return None
-        rest.append(other)
-        place = other.end
-    return rest if (cursors == ends).all() else None
 
 
 def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> list[Place]:

@@ -20,7 +20,7 @@ from turtlelog.log.engine.message_types import (
     MessageType,
     read_type,
 )
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.error_boundary import DamageError, LimitError
 
 _SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -52,6 +52,7 @@ class TopicPlan:
         reason: Why they cannot be understood; empty where they can.
         fields: Of the type.
         layout: Of the type; None where its messages differ in size.
+        sequence: Dotted name of a sequence of texts or messages in the type, None without one.
         json: What each message holds, where messages are in JSON; None where they are in CDR.
     """
 
@@ -60,6 +61,7 @@ class TopicPlan:
     reason: str = ""
     fields: tuple[Field, ...] = ()
     layout: Layout | None = None
+    sequence: str | None = None
     json: tuple[JsonField, ...] | None = None
 
     def describe_reason(self) -> str:
@@ -184,7 +186,7 @@ class Catalogue:
         try:
             self.allowance.spend_description(record)
         except LogError as err:
-            raise DamageError(f"byte {byte}: {err}") from err
+            raise LimitError(f"byte {byte}: {err}") from err
         if isinstance(record, Schema):
             self.schemas[record.id] = record
         else:
@@ -229,7 +231,12 @@ class Catalogue:
             case str(reason):
                 return {**found, "reason": reason}
             case MessageType() as described:
-                return {**found, "fields": described.fields, "layout": described.layout}
+                return {
+                    **found,
+                    "fields": described.fields,
+                    "layout": described.layout,
+                    "sequence": described.sequence,
+                }
             case fields:
                 return {**found, "json": fields}
 

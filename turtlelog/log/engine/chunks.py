@@ -1,6 +1,7 @@
 """The bytes of a chunk record -> what it holds, unpacked in bounded memory and checked."""
 
 import struct
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import SEEK_END, BytesIO
@@ -9,7 +10,6 @@ from typing import Final
 import zstandard
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.checksum import compute_crc
 from turtlelog.log.engine.limits import LARGEST_CHUNK
 from turtlelog.log.error_boundary import DamageError
 
@@ -98,7 +98,7 @@ def _unpack_checked(
         raise DamageError(f"byte {byte}: chunk: {err}") from err
     if len(data) != size:
         raise DamageError(f"byte {byte}: chunk: expected {size} bytes, found {len(data)}")
-    if crc and crc != (found := compute_crc(data)):
+    if crc and crc != (found := zlib.crc32(data)):
         raise DamageError(f"byte {byte}: chunk: expected checksum {crc:#010x}, found {found:#010x}")
     return data
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 from threading import Lock
 from types import MappingProxyType
 from typing import Any, Final
@@ -20,7 +20,6 @@ from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.json_messages import JsonField, decode_json
 from turtlelog.log.engine.limits import UNPACKED, Allowance
-from turtlelog.log.engine.load_kernels import KERNELS
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
     ENCAPSULATION,
@@ -126,35 +125,15 @@ class FixedColumns:
             return False
         with self._lock:
             self._used = max(self._used, end)
-        if len(starts) and not self._scatter(data, starts, first):
+        if len(starts):
             rows = {name: column[first:end] for name, column in self._columns.items()}
             fill_columns(rows, self._layout, _gather_fixed(self._layout, data, starts))
         return True
-
-    def _scatter(self, data: bytes, starts: Offsets, first: int) -> bool:
-        """Return whether the compiled loops are there and met only usual messages."""
-        kernels, size = KERNELS.find(), self._layout.size
-        if kernels is None or starts.min() < 0 or starts.max() > len(data) - MESSAGE_HEAD - size:
-            return False
-        octets = np.frombuffer(data, np.uint8)
-        done = kernels.scatter(octets, starts, COUNTED_HEAD + size, *self._tables, first)
-        return bool(done == len(starts))
 
     @property
     def has_rows(self) -> bool:
         """Whether any are filled."""
         return self._used > 0
-
-    @cached_property
-    def _tables(self) -> tuple[Offsets, Offsets]:
-        """Offset, size and count of the numbers of each column in a message; where columns are."""
-        numbers = []
-        for name in self._columns:
-            stored, offset = self._layout.little.fields[name][:2]  # type: ignore[index]
-            together = stored.itemsize // stored.base.itemsize
-            numbers.append((offset, stored.base.itemsize, together))
-        addresses = [column.ctypes.data for column in self._columns.values()]
-        return np.array(numbers, np.int64), np.array(addresses, np.int64)
 
     def finish(self) -> Rows:
         """Return the rows that are filled."""

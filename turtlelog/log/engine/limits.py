@@ -24,6 +24,7 @@ CHANNEL_BYTES: Final = "bytes of channels"
 FIELDS: Final = "fields of types"
 NOTES: Final = "metadata records and attachments"
 DAMAGES: Final = "damaged places"
+CHUNKS: Final = "chunks"
 CHUNK_CHANNELS: Final = "channels in chunks"
 COLUMNS: Final = "bytes of columns"
 CHANGES: Final = "channels that change their meaning"
@@ -67,6 +68,9 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
         NOTES: (2**16, 1 / 1000),
         # Each is noted, with the reason.
         DAMAGES: (10_000, 1 / 1000),
+        # One a second for an hour; those with poses of a second and all schemas pack to 1 kB;
+        # each costs 100 us in every pass, and some answers take five.
+        CHUNKS: (2**12, 1 / 1000),
         # Each in every chunk that it has messages in.
         CHUNK_CHANNELS: (2**18, 1 / 32),
         # Files that were joined have one for each channel.

@@ -133,11 +133,13 @@ class MessageType:
         fields: Of the type, nested ones within theirs.
         layout: None where its messages differ in size.
         size: Total size of the fields, counted in numbers, texts and sequences.
+        sequence: Dotted name of a sequence of texts or messages in it, None without one.
     """
 
     fields: tuple[Field, ...]
     layout: Layout | None
     size: int
+    sequence: str | None
 
 
 _KEPT: Final[dict[tuple[str, str], MessageType]] = {}
@@ -153,7 +155,9 @@ def read_type(name: str, definition: str) -> MessageType:
     known = _KEPT.get((name, definition))
     if known is None:
         fields, size = _parse_schema(name, definition)
-        known = MessageType(fields=fields, layout=_lay_out(fields), size=size)
+        known = MessageType(
+            fields=fields, layout=_lay_out(fields), size=size, sequence=_find_sequence(fields)
+        )
         if known.size <= MOST_KEPT_FIELDS and len(definition) <= LONGEST_KEPT:
             with _KEEPING:
                 if len(_KEPT) == _MOST_KEPT:  # the oldest goes
@@ -294,6 +298,17 @@ def _is_fixed(fields: tuple[Field, ...]) -> bool:
         and (field.kind != TEXT if isinstance(field.kind, str) else _is_fixed(field.kind))
         for field in fields
     )
+
+
+def _find_sequence(fields: tuple[Field, ...]) -> str | None:
+    """Return the dotted name of the first sequence of texts or messages."""
+    for part in fields:
+        is_plain = isinstance(part.kind, str) and part.kind != TEXT
+        if not is_plain and (part.is_sequence or (part.length and part.kind == TEXT)):
+            return part.name
+        if not isinstance(part.kind, str) and (found := _find_sequence(part.kind)) is not None:
+            return f"{part.name}.{found}"
+    return None
 
 
 def _place(

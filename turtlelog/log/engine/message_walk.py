@@ -4,19 +4,17 @@ Topics take turns, so the lengths of messages repeat. A turn is taken from the m
 all that it foretells is held against the bytes; where it fails, steps are made one by one again.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.log.engine.framing import LARGEST_RECORD, LEAST_MESSAGE, RECORD
-from turtlelog.log.engine.load_kernels import KERNELS
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _HEAD: Final = np.dtype([("opcode", "u1"), ("length", "<u8")])
 
-_SMALLEST: Final = RECORD.size + LEAST_MESSAGE  # bytes of a message record
 _LONGEST_TURN: Final = 64  # messages; robots have some 20 topics, not all of one rate
 _FIRST: Final = 16  # steps before a turn is looked for; a robot's chunk holds some thousand
 _RAREST: Final = 2**12  # steps between looks where there is none: a look takes as long as 100
@@ -24,36 +22,7 @@ _WORTH: Final = 128  # messages foretold; a look that finds fewer has not paid
 _MOST: Final = 2**14  # messages foretold at a time
 
 
-def start_walk(data: bytes, most: int) -> "_CompiledWalk | _Foretelling":
-    """Return what walks messages many at a time, up to so many: compiled where that is loaded."""
-    kernels = KERNELS.find()
-    return _Foretelling(data) if kernels is None else _CompiledWalk(kernels, data, most)
-
-
-class _CompiledWalk:
-    """Walks messages by the compiled loops.
-
-    Attributes:
-        is_due: Whether it is time to try: not where it just found none.
-    """
-
-    def __init__(self, kernels: Any, data: bytes, most: int) -> None:
-        self.is_due = True
-        self._kernels, self._data = kernels, np.frombuffer(data, np.uint8)
-        self._starts = np.empty(min(most, len(data) // _SMALLEST), np.uint32)
-
-    def add(self, _: int) -> None:
-        """Note that there was a message."""
-        self.is_due = True
-
-    def go_on(self, place: int, most: int) -> tuple[NDArray[np.uint32], int]:
-        """Return where whole messages start from `place` on, up to so many, and what comes next."""
-        place, count = self._kernels.walk(self._data, place, self._starts[:most])
-        self.is_due = count > 0
-        return self._starts[:count], place
-
-
-class _Foretelling:
+class MessageWalk:
     """Foretells where messages start from the steps that were made before.
 
     Attributes:
@@ -92,15 +61,14 @@ class _Foretelling:
         return places[:-1].astype(np.uint32), int(places[-1])
 
     def _foretell(self, place: int, turn: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-        steps = np.resize(turn, most)
+        ends = np.cumsum(turn)
+        firsts = place + ends[-1] * np.arange(-(-most // len(turn)))
         places = np.empty(most + 1, np.int64)
-        places[0] = place
-        np.cumsum(steps, out=places[1:])
-        places[1:] += place
+        places[0], places[1:] = place, (firsts[:, None] + ends).ravel()[:most]
         places = places[: places.searchsorted(self._size, side="right")]
         heads = self._heads[places[:-1]].view(_HEAD)
-        steps = steps[: len(heads)] - RECORD.size
-        fits = (heads["length"] == steps.view(np.uint64)) & (heads["opcode"] == _MESSAGE)
+        lengths = np.diff(places) - RECORD.size
+        fits = (heads["length"] == lengths.view(np.uint64)) & (heads["opcode"] == _MESSAGE)
         return places if fits.all() else places[: int(fits.argmin()) + 1]
 
     def _plan(self, count: int, turn: int) -> None:
@@ -128,10 +96,7 @@ def skip_followed(data: bytes) -> int:
 
     That one may be cut; 0 where there is none.
     """
-    kernels = KERNELS.find()
-    if kernels is not None:
-        return int(kernels.skip_followed(np.frombuffer(data, np.uint8), LARGEST_RECORD))
-    place, last, walk = 0, 0, _Foretelling(data)
+    place, last, walk = 0, 0, MessageWalk(data)
     end, unpack = len(data) - RECORD.size, RECORD.unpack_from
     while place <= end:
         opcode, length = unpack(data, place)

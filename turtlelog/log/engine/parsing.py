@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import LONGEST_DESCRIBED, MOST_DESCRIBED
-from turtlelog.log.engine.message_walk import start_walk
+from turtlelog.log.engine.message_walk import MessageWalk
 from turtlelog.log.error_boundary import DamageError
 
 Rare = TypeVar("Rare")
@@ -57,8 +57,7 @@ HEADING_FIELDS: Final = (
     *(("log_time", "<u8"), ("publish_time", "<u8")),
 )
 HEADING: Final = np.dtype([*HEADING_FIELDS])
-"""The front of a message record, for all that reads or writes one but `kernels`: numba sees no
-change of another file, so the places stand there once more, as numbers."""
+"""The front of a message record."""
 
 MESSAGE_HEAD: Final = HEADING.itemsize
 """Bytes of a message record before its data."""
@@ -95,14 +94,19 @@ class Place(NamedTuple):
         return self.start + self.length
 
 
-class _ExactBytes(BytesIO):
+class _ExactStream(ReadDataStream):
     """Bytes of which more than there are cannot be read: the library would take fewer."""
 
-    def read(self, size: int | None = -1, /) -> bytes:
-        data = super().read(size)
-        if size is not None and len(data) < size:
-            raise EOFError(f"{size} bytes expected, found {len(data)}")
-        return data
+    def __init__(self, body: bytes) -> None:
+        super().__init__(BytesIO())
+        self._body = body
+
+    def read(self, length: int) -> bytes:
+        start, end = self._count, self._count + length
+        if end > len(self._body):
+            raise EOFError(f"{length} bytes expected, found {len(self._body) - start}")
+        self._count = end
+        return self._body[start:end]
 
 
 def iterate_places(data: bytes | memoryview, start: int, end: int, byte: int) -> Iterator[Place]:
@@ -166,7 +170,7 @@ def parse_body(kind: type[Rare], body: bytes) -> tuple[Rare, int]:
         if kind in _FREQUENT:
             parsed: tuple[Rare, int] = _FREQUENT[kind](body)
             return parsed
-        stream = ReadDataStream(_ExactBytes(body))
+        stream = _ExactStream(body)
         record: Rare = kind.read(stream)  # type: ignore[attr-defined]
     except Exception as err:  # the library raises nearly everything
         found = describe_error(err)
@@ -280,7 +284,7 @@ def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStret
     """
     starts, others = array("I"), list[tuple[int, int, int]]()
     known, size, place, left = OF_CHUNKS if is_chunk else _KNOWN, len(data), 0, most_records
-    fault, walk = None, start_walk(data, most_records)
+    fault, walk = None, MessageWalk(data)
     unpack, last = RECORD.unpack_from, size - RECORD.size
     while place < size and left:
         if walk.is_due:

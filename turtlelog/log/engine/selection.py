@@ -7,7 +7,6 @@ from typing import Final
 from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue, TopicPlan
 from turtlelog.log.engine.json_messages import keep_flat
-from turtlelog.log.engine.message_types import TEXT, Field
 
 EVER: Final = 2**64
 """A log time after all others [ns]."""
@@ -70,9 +69,11 @@ class Selection:
         plan = catalogue.find_plan(topic)
         if plan.reason and self.topics is not None and not self.is_lenient:
             raise LogError(plan.describe_reason())
-        if self.is_flat and (name := find_list(plan.fields)) is not None:
+        if self.is_flat and plan.sequence is not None:
             expected = "fields of numbers and texts"
-            raise LogError(f"topic {topic}: expected {expected}, found the sequence {name}")
+            raise LogError(
+                f"topic {topic}: expected {expected}, found the sequence {plan.sequence}"
+            )
         if self.is_flat and plan.json is not None:
             plan = replace(plan, json=keep_flat(plan.json))
         return None if plan.reason else plan
@@ -94,14 +95,3 @@ class Selection:
         missing = (self.topics or frozenset()).difference(catalogue.topics)
         for topic in () if self.is_lenient else sorted(missing):
             raise LogError(f"topic {topic}: expected it in the file, found no such topic")
-
-
-def find_list(fields: tuple[Field, ...]) -> str | None:
-    """Return the name of a sequence of texts or messages."""
-    for part in fields:
-        is_plain = isinstance(part.kind, str) and part.kind != TEXT
-        if not is_plain and (part.is_sequence or (part.length and part.kind == TEXT)):
-            return part.name
-        if not isinstance(part.kind, str) and (found := find_list(part.kind)) is not None:
-            return f"{part.name}.{found}"
-    return None

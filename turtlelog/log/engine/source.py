@@ -31,7 +31,7 @@ from turtlelog.log.engine.decode import (
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import COLUMNS, Allowance, measure_stored
 from turtlelog.log.engine.parsing import gather_heads, read_record
-from turtlelog.log.engine.selection import EVER, Selection, find_list
+from turtlelog.log.engine.selection import EVER, Selection
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.summary import (
     Ends,
@@ -282,7 +282,7 @@ def _measure_rows(plan: TopicPlan, data: bytes, starts: Offsets) -> int:
     """Return about what messages take as columns [bytes]."""
     size = len(starts) * plan.row_size
     if plan.layout is None:
-        share = _LISTS if find_list(plan.fields) is not None else 1
+        share = 1 if plan.sequence is None else _LISTS
         size += share * int(gather_heads(data, starts)["length"].sum())
     return size
 

@@ -5,6 +5,7 @@ The mcap library checks chunks and the data section, but never the summary.
 
 import io
 import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import BinaryIO, Final
@@ -14,10 +15,9 @@ from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.checksum import compute_crc
 from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.framing import MCAP0_MAGIC, RECORD, check_start
-from turtlelog.log.engine.limits import DESCRIPTIONS, NOTES, Allowance, measure_stored
+from turtlelog.log.engine.limits import CHUNKS, DESCRIPTIONS, NOTES, Allowance, measure_stored
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record, take_whole
 from turtlelog.log.error_boundary import DamageError, UnfinishedError
 
@@ -33,6 +33,7 @@ _ALONE: Final = frozenset({Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA})
 """What is read from between the chunks of a file that has an index."""
 
 _KINDS: Final[Mapping[int, str]] = {
+    Opcode.CHUNK_INDEX: CHUNKS,
     Opcode.SCHEMA: DESCRIPTIONS,
     Opcode.CHANNEL: DESCRIPTIONS,
     Opcode.STATISTICS: NOTES,
@@ -161,7 +162,7 @@ def _compute_checksum(stream: BinaryIO, start: int, end: int) -> int:
         count = stream.readinto(buffer[: end - start])  # type: ignore[attr-defined]
         if not count:
             break  # the file became shorter: what is missing is missed in the checksum
-        found = compute_crc(buffer[:count], found)
+        found = zlib.crc32(buffer[:count], found)
         start += count
     return found
 
@@ -185,10 +186,10 @@ def parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
     statistics, named = None, dict[int, tuple[int, str]]()
     described: dict[bytes, Schema | Channel] = {}
     for place in iterate_places(data, 0, len(data), byte):
+        _spend(allowance, place.opcode, byte + place.start)
         if place.opcode == Opcode.CHUNK_INDEX:
             chunks.append(_parse_entry(data, place, byte))
             continue
-        _spend(allowance, place.opcode, byte + place.start)
         found = parse_record(place, data[place.start : place.end], byte + place.start)
         if isinstance(found, Schema | Channel):
             described[take_whole(data, place)] = found

@@ -1,19 +1,16 @@
-"""File -> columns, topic by topic: the one way to read messages. And raw records."""
+"""File -> columns, topic by topic: the one way to read messages."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.escapes import escape_controls
-from turtlelog.log.engine.blocks import Block
 from turtlelog.log.engine.decode import (
     LOG_TIME,
     PUBLISH_TIME,
@@ -23,15 +20,11 @@ from turtlelog.log.engine.decode import (
     make_empty_rows,
     select_rows,
 )
-from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.load_kernels import INDEXED_S, KERNELS
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
-from turtlelog.log.engine.parsing import MESSAGE_HEAD, gather_heads
 from turtlelog.log.engine.selection import EVER, Selection
 from turtlelog.log.engine.source import Piece, Source, count_rows, iterate_pieces
 from turtlelog.log.engine.sqlite_source import SqliteSource
-from turtlelog.log.error_boundary import name_file, open_file
 
 _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
 
@@ -39,8 +32,6 @@ _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
 # believed who promises more. An index has 16 bytes for each message, whose row takes some 50.
 _SHARE: Final = 16
 _SPARE: Final = 2**22  # bytes; of small files
-
-_LONE: Final = (Opcode.HEADER, Opcode.METADATA, Opcode.ATTACHMENT)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -177,8 +168,6 @@ def collect_parts(
 ) -> dict[str, list[Rows]]:
     """Return the rows of topics that have some, in parts; `look` is called with every piece."""
     expected = count_rows(source, selection)
-    if source.is_indexed:  # others are counted as they are walked
-        KERNELS.expect(sum(expected.values()), INDEXED_S)
     wholes = _set_aside(source, selection, expected)
     stores: dict[str, _RowStore] = {}
     for piece in iterate_pieces(source, selection, wholes=wholes):
@@ -299,66 +288,3 @@ class _RowStore:
         """All rows, in one part where their number was right."""
         whole = [select_rows(self._whole, slice(self._used))] if self._used else []
         return [*whole, *self._others]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RawContents:
-    """All records of a file that carry something.
-
-    Attributes:
-        header: Profile and library.
-        schemas: By id.
-        channels: By id.
-        messages: In the order of the file.
-        metadata: In the order of the file.
-        attachments: In the order of the file.
-    """
-
-    header: Header
-    schemas: dict[int, Schema]
-    channels: dict[int, Channel]
-    messages: tuple[Message, ...]
-    metadata: tuple[Metadata, ...]
-    attachments: tuple[Attachment, ...]
-
-
-def read_raw(path: str | Path) -> RawContents:
-    """Return the records of an MCAP file, every checksum checked, through its index if it has one.
-
-    Raises:
-        LogError: One line with the file and the place, where it is no MCAP or is damaged.
-    """
-    with name_file(path, expected="an MCAP file"), open_file(path) as stream:
-        source = Source(stream)
-        source.check_data()
-        messages: list[Message] = []
-        found: list[Any] = list(source.read_lone(_LONE))
-        for block, of_block in source.map_blocks(lambda block: (block, _list_messages(block))):
-            messages += of_block
-            found += block.rest
-    headers = [record for record in found if isinstance(record, Header)]
-    return RawContents(
-        header=headers[0] if headers else Header(profile="", library=""),
-        schemas=dict(source.catalogue.schemas),
-        channels=dict(source.catalogue.channels),
-        messages=tuple(messages),
-        metadata=tuple(record for record in found if isinstance(record, Metadata)),
-        attachments=tuple(record for record in found if isinstance(record, Attachment)),
-    )
-
-
-def _list_messages(block: Block) -> list[Message]:
-    starts = np.sort(np.concatenate([np.empty(0, np.int64), *block.offsets.values()]))
-    heads = gather_heads(block.data, starts).tolist()
-    return [
-        Message(
-            channel_id=channel,
-            sequence=sequence,
-            log_time=log_time,
-            publish_time=publish_time,
-            data=block.data[start + MESSAGE_HEAD : start + RECORD.size + length],
-        )
-        for start, (_, length, channel, sequence, log_time, publish_time) in zip(
-            starts.tolist(), heads, strict=True
-        )
-    ]

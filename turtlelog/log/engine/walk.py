@@ -12,7 +12,6 @@ from typing import BinaryIO, Final
 from mcap.opcode import Opcode
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.checksum import compute_crc
 from turtlelog.log.engine.chunks import CHUNK_HEAD, unpack_chunk
 from turtlelog.log.engine.framing import (
     MCAP0_MAGIC,
@@ -27,7 +26,7 @@ from turtlelog.log.engine.framing import (
     is_record_start,
     measure_record,
 )
-from turtlelog.log.engine.limits import DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
+from turtlelog.log.engine.limits import CHUNKS, DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
 from turtlelog.log.engine.message_walk import skip_followed
 
 _BATCH: Final = 2**20  # bytes of lone records handed on together
@@ -131,9 +130,13 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
         start = place
         try:
             found, place = _read_record(window, place, kind)
-            window.allowance.spend(DAMAGES, sum(isinstance(one, Loss) for one in found))
+            losses = sum(isinstance(one, Loss) for one in found)
+            window.allowance.spend(DAMAGES, losses)
+            window.allowance.spend(
+                CHUNKS, sum(one.is_chunk for one in found if isinstance(one, Section))
+            )
         except LogError as err:
-            if not window.allowance.count_left(DAMAGES):
+            if not all(map(window.allowance.count_left, (CHUNKS, DAMAGES))):
                 yield Loss(start=start, end=window.size, reason=str(err))
                 return
             window.allowance.spend(DAMAGES)
@@ -280,7 +283,7 @@ def _unpack(allowance: Allowance, compression: str, packed: bytes, size: int) ->
 
 
 def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
-    if checksum and (found := compute_crc(data)) != checksum:
+    if checksum and (found := zlib.crc32(data)) != checksum:
         raise LogError(f"expected a chunk with the checksum {checksum:#010x}, found {found:#010x}")
     if not checksum and (len(data) != size or not agree):
         raise LogError(f"expected a chunk of {size} bytes, found {len(data)} and no checksum")
@@ -290,7 +293,7 @@ def _check_data(window: FileWindow, end: Section) -> Iterator[Section | Loss]:
     """Hold the checksum of the data section, where there is one, against the file."""
     expected, found = int.from_bytes(end.data[-4:], "little"), 0
     for place in range(0, end.start if expected else 0, _BATCH):
-        found = compute_crc(window.read(place, min(_BATCH, end.start - place)), found)
+        found = zlib.crc32(window.read(place, min(_BATCH, end.start - place)), found)
     yield replace(end, is_checked=expected != 0 and found == expected)
     if found != expected:
         reason = f"expected data with the checksum {expected:#010x}, found {found:#010x}"

@@ -25,8 +25,8 @@ from turtlelog.log.engine.selection import Selection
 from turtlelog.log.engine.source import read_piece
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
-from turtlelog.log.error_boundary import DamageError, name_file, open_file
-from turtlelog.log.info import survey_file
+from turtlelog.log.error_boundary import DamageError, UnfinishedError, name_file, open_file
+from turtlelog.log.info import Survey, survey_file
 from turtlelog.log.recording.contents import (
     Contents,
     ForeignFileError,
@@ -106,9 +106,12 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
             return _build_whole_run(read_contents(stream, may_be_foreign=may_be_foreign))
         except DamageError as err:
             # Its frames hold what was unpacked: they go before the file is read once more.
-            damage = str(err)
+            damage, is_unfinished = str(err), isinstance(err, UnfinishedError)
         if not allow_partial:
-            raise LogError(f"{damage}: {_advise(stream)}")
+            survey = _survey_rest(stream)
+            if may_be_foreign and is_unfinished and survey is not None and not survey.is_own:
+                raise ForeignFileError(f"{damage}: not a recording by turtlelog")
+            raise LogError(f"{damage}: {_advise(survey)}")
         try:
             contents, dropped = reconcile_contents(salvage_contents(stream))
             run, lost = _build_part(contents), describe_damages(contents.damages) + dropped
@@ -118,13 +121,17 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
     return replace(run, notes={**run.notes, "partial": lost})
 
 
-def _advise(stream: BinaryIO) -> str:
-    """Return what to do about a damaged file: nothing recovers one that holds no message."""
+def _survey_rest(stream: BinaryIO) -> Survey | None:
+    """Return what a damaged file still holds, None where it cannot even be walked."""
     try:
-        counts = survey_file(stream, allow_partial=True).counts
+        return survey_file(stream, allow_partial=True)
     except LogError:
-        return _ADVICE
-    return _ADVICE if any(counts.values()) else NOTHING_LEFT
+        return None
+
+
+def _advise(survey: Survey | None) -> str:
+    """Return what to do about a damaged file: nothing recovers one that holds no message."""
+    return _ADVICE if survey is None or any(survey.counts.values()) else NOTHING_LEFT
 
 
 def _build_whole_run(contents: Contents) -> Run:

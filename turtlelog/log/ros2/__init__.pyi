@@ -4,11 +4,9 @@ from .bag_folder import (
 )
 from .bag_metadata import (
     METADATA_FILE as METADATA_FILE,
-    BagMetadata as BagMetadata,
     BagPart as BagPart,
     BagTopic as BagTopic,
     format_bag_metadata as format_bag_metadata,
-    parse_bag_metadata as parse_bag_metadata,
 )
 from .bag_reader import (
     read_bag as read_bag,

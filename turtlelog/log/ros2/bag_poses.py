@@ -18,6 +18,7 @@ from turtlelog.log.ros2.bag_topics import (
     Pick,
     choose_pose_topic,
     list_by_fields,
+    list_names,
 )
 from turtlelog.log.ros2.bag_transforms import (
     TRANSFORM,
@@ -86,7 +87,7 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
 
 def note_pick(name: str, pick: Pick, more: str = "") -> dict[str, str]:
     """Return notes on a topic that was chosen, and on those that could have been meant."""
-    others = {f"other_{name}s": ", ".join(pick.others)} if pick.others else {}
+    others = {f"other_{name}s": list_names(pick.others)} if pick.others else {}
     return {name: pick.describe() + more, **others}
 
 
@@ -183,7 +184,7 @@ def _trace_poses(
 def _note_frames(chosen: FrameChoice, held: Sequence[str], dropped: int) -> dict[str, str]:
     notes = {}
     if chosen.others:
-        notes["other_frames"] = ", ".join(chosen.others)
+        notes["other_frames"] = list_names(chosen.others)
     if held:
         notes["held_transforms"] = f"{', '.join(held)}: the newest that was recorded counts"
     if dropped:

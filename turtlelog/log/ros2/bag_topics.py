@@ -79,6 +79,17 @@ class NoPosesError(LogError):
     """No topic is of a type of poses, or none of these can be read."""
 
 
+_MOST_LISTED: Final = 100
+"""Names in one note; a file of 400 kB can have 65,000 topics."""
+
+
+def list_names(names: Sequence[str]) -> str:
+    """Return names for a note; of very many the first, and how many more there are."""
+    few = ", ".join(names[:_MOST_LISTED])
+    more = len(names) - _MOST_LISTED
+    return f"{few} and {more:,} more" if more > 0 else few
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pick:
     """A topic that was chosen.

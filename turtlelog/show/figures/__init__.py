@@ -14,11 +14,10 @@ from turtlelog.show.figures.page import Page
 from turtlelog.show.figures.prediction_figure import write_prediction_figure
 from turtlelog.show.figures.robot_figure import write_robot_figure
 from turtlelog.show.figures.sweep_figures import write_map_figure
-from turtlelog.show.figures.writing import FIGURE_FORMATS, draw_figure, write_figures, write_tables
+from turtlelog.show.figures.writing import draw_figure, write_figures, write_tables
 
 __all__ = [
     "FIGURES",
-    "FIGURE_FORMATS",
     "FigureKind",
     "Page",
     "draw_figure",

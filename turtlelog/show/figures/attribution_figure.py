@@ -27,7 +27,7 @@ from turtlelog.loops import SIGNAL_WORDS
 from turtlelog.run import Run
 from turtlelog.show.attribution_steps import (
     AttributionStep,
-    choose_acting_shares,
+    choose_acting_contributions,
     choose_step_scale,
     list_attribution_steps,
 )
@@ -48,7 +48,7 @@ _BAR: Final = 0.62
 """Height of a bar, of the room of its line."""
 
 _NEAR: Final = 0.1
-"""Share of the step within which overshoot and settling are seen."""
+"""Contribution of the step within which overshoot and settling are seen."""
 
 _GOAL_MM: Final = 1.6
 """Half of the size of the goal's cross in print [mm]."""
@@ -126,7 +126,7 @@ def _tell(found: Attribution) -> str:
         return found.withheld
     if found.without_value:
         case = found.without_value[0]
-        return f"with {' and '.join(case.mechanisms)} it has no value: {case.reason}"
+        return f"with {' and '.join(case.causes)} it has no value: {case.reason}"
     return found.reason or "it has no value without the effects"
 
 
@@ -192,7 +192,7 @@ def _draw_waterfall(
     words = found.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
     unit = f" [{scale.unit}]" if scale.unit else ""
     # Of one mechanism the share is just what its removal changes.
-    is_average = len(choose_acting_shares(found)) > 1
+    is_average = len(choose_acting_contributions(found)) > 1
     notes = ["bars: averages over the orders of removal"] if is_average else []
     if found.seeds is not None:
         notes.append(f"shares: means over {found.seeds.used} seeds")

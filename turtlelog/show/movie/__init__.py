@@ -4,7 +4,6 @@ from turtlelog.libraries import load_library
 
 load_library("matplotlib")
 
-from turtlelog.show.movie.encoding import MOVIE_FORMATS
 from turtlelog.show.movie.movie_file import write_movie
 
-__all__ = ["MOVIE_FORMATS", "write_movie"]
+__all__ = ["write_movie"]

@@ -5,7 +5,7 @@ from typing import Final
 
 from turtlelog.compare import judge_runs, summarise_run
 from turtlelog.display import describe_count, join_words
-from turtlelog.explain import Attribution, write_sentences
+from turtlelog.explain import Attribution, choose_named
 from turtlelog.measure import Metric, is_lawless
 from turtlelog.run import CUT_SHORT, Run
 from turtlelog.show.close_up import format_length
@@ -86,7 +86,8 @@ def conclude_cause(name: str, found: Attribution) -> str:
     """Return what causes the value of a run, in the words of `turtlelog explain`; empty if none."""
     if found.withheld or found.without_value or not found.acting:
         return ""
-    return f"Of {name}: {' '.join(write_sentences(found)[:2])}"
+    told = found.sentences[: 3 if choose_named(found) else 2]
+    return f"{name}: {' '.join(told)}"
 
 
 def _compare(found: Mapping[int, float], names: Sequence[str], *, of: int) -> str:

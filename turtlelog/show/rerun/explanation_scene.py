@@ -15,7 +15,7 @@ from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
 from turtlelog.show import palette
 from turtlelog.show.attribution_steps import (
-    choose_acting_shares,
+    choose_acting_contributions,
     choose_step_scale,
     list_attribution_steps,
 )
@@ -101,7 +101,7 @@ def write_explanation_rrd(
     scene = _build_scene(recorded, found, what_ifs)
     if found.withheld and not scene.ghosts:
         raise ShowError(f"{path}: expected shares or a ghost, found none: {found.withheld}")
-    texts = {"Shares": _describe_shares(found), **(documents or {})}
+    texts = {"Shares": _describe_contributions(found), **(documents or {})}
     texts = {**add_thinning(texts, scene.runs)}
     metrics = [measure_run(run) for run in scene.runs]
     dead_times = list_dead_times(recorded, metrics[0])
@@ -186,7 +186,7 @@ class _Scene:
 
 
 def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run]) -> _Scene:
-    colors = choose_mechanism_colors(found.mechanisms)
+    colors = choose_mechanism_colors(found.causes)
     ghosts = [
         Ghost(
             name=f"without {lacks}",
@@ -217,7 +217,7 @@ def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run])
 
 def _name_briefly(lacks: str, found: Attribution) -> str:
     """Return a name for the close-up: the key of the plane has the whole one."""
-    if lacks in found.mechanisms:
+    if lacks in found.causes:
         return f"no {lacks}"
     return "neither" if lacks.count(" and ") == 1 and "," not in lacks else "none of these"
 
@@ -289,7 +289,7 @@ def _draw_apart(stream: rr.RecordingStream, scene: _Scene, content: Content) -> 
 
 def _name_steps(found: Attribution) -> str:
     """Return what the view of the steps shows."""
-    value = found.as_built if found.as_logged is None else found.as_logged
+    value = found.resimulated if found.as_logged is None else found.as_logged
     if value is None:
         return f"Why {found.metric} has no value"
     if found.withheld:
@@ -306,7 +306,7 @@ def _explain_bars(
         found: The attribution.
         ghosts: Metrics of the what-ifs that are drawn, by what each lacks.
     """
-    acting = [share.mechanism for share in choose_acting_shares(found)]
+    acting = [share.cause for share in choose_acting_contributions(found)]
     if len(acting) < 2:
         return ()
     lines, scale = ["Bars: averages over the orders of removal"], choose_step_scale(found)
@@ -321,19 +321,19 @@ def _explain_bars(
     return (*lines, f"Ghosts: {', '.join(told)}") if told else tuple(lines)
 
 
-def _describe_shares(found: Attribution) -> str:
+def _describe_contributions(found: Attribution) -> str:
     """Return a Markdown table of each mechanism's share, and what it comes to in sentences."""
     table = Table(
         title=_name_steps(found),
         columns=(
-            Column(title="mechanism"),
-            Column(title="share", unit=found.unit),
+            Column(title="cause"),
+            Column(title="contribution", unit=found.unit),
             Column(title="without it alone", unit=found.unit),
             Column(title="without it means"),
         ),
         rows=tuple(
-            (share.mechanism, share.share, share.alone, share.ending or share.meaning)
-            for share in (*found.shares, *found.others)
+            (share.cause, share.contribution, share.alone, share.ending or share.meaning)
+            for share in (*found.contributions, *found.others)
         ),
     )
     sentences = "\n\n".join(escape_markdown(text) for text in write_sentences(found))

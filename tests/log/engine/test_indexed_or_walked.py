@@ -1,8 +1,6 @@
-"""Compiled loops give the same columns, bit for bit, and the same errors as reading without."""
+"""Files with an index give the same columns as those that are walked."""
 
 import random
-from collections.abc import Callable
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +8,10 @@ import pytest
 from mcap.writer import CompressionType, IndexType, Writer
 
 from tests.log.engine.files import CODES, pack
-from tests.log.runs import SHARED
-from tests.log.ways import load_kernels, use_kernels
-from turtlelog.errors import LogError
 from turtlelog.log import TopicColumns, read_columns
-from turtlelog.log.engine import read_raw
-from turtlelog.log.engine.parsing import take_apart
-from turtlelog.log.engine.walk import walk_sections
 
 ALL = IndexType.CHUNK | IndexType.MESSAGE
-WAYS = [
+WAYS: list[tuple[CompressionType, dict[str, Any]]] = [
     (CompressionType.ZSTD, {}),
     (CompressionType.LZ4, {}),
     (CompressionType.NONE, {}),
@@ -27,11 +19,6 @@ WAYS = [
     (CompressionType.NONE, {"index_types": IndexType.NONE}),
     (CompressionType.NONE, {"use_chunking": False}),
 ]
-
-
-@pytest.fixture(scope="module")
-def kernels() -> Any:
-    return load_kernels()
 
 
 def write_file(path: Path, seed: int, compression: CompressionType, **options: Any) -> Path:
@@ -104,75 +91,12 @@ def list_bits(columns: TopicColumns) -> list[Any]:
     ]
 
 
-def read_bits(path: Path) -> Any:
-    try:
-        return {topic: list_bits(columns) for topic, columns in read_columns(path).items()}
-    except LogError as err:
-        return str(err)
-
-
-def read_both(path: Path, kernels: Any, read: Callable[[Path], Any]) -> tuple[Any, Any]:
-    answers = []
-    for way in (None, kernels):
-        with use_kernels(way):
-            answers.append(read(path))
-    return answers[0], answers[1]
-
-
-@pytest.mark.parametrize(("compression", "options"), WAYS)
-def test_both_ways_give_the_same_columns(
-    compression: CompressionType, options: Any, tmp_path: Path, kernels: Any
-) -> None:
-    for seed in range(12):
-        path = write_file(tmp_path / "a.mcap", seed, compression, **options)
-        plain, fast = read_both(path, kernels, read_bits)
-        assert isinstance(plain, dict), plain
-        assert fast == plain
-
-
-@pytest.mark.parametrize(("compression", "options"), WAYS)
-def test_both_ways_refuse_damage_in_the_same_words(
-    compression: CompressionType, options: Any, tmp_path: Path, kernels: Any
-) -> None:
-    rng, refused = random.Random(0), 0
-    path = write_file(tmp_path / "a.mcap", 3, compression, enable_crcs=False, **options)
-    sound = path.read_bytes()
-    for _ in range(60):
-        data = bytearray(sound)
-        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
-        path.write_bytes(data)
-        plain, fast = read_both(path, kernels, read_bits)
-        assert fast == plain
-        refused += isinstance(plain, str)
-    assert refused
-
-
-@pytest.mark.parametrize("path", sorted(SHARED.glob("conformance/*/*.mcap")), ids=lambda p: p.stem)
-def test_both_ways_read_the_conformance_suite(path: Path, kernels: Any) -> None:
-    plain, fast = read_both(path, kernels, read_raw)
-    assert fast == plain
-
-
-@pytest.mark.parametrize("path", sorted(SHARED.glob("ro*/*.mcap")), ids=lambda path: path.stem)
-def test_both_ways_read_other_peoples_files(path: Path, kernels: Any) -> None:
-    plain, fast = read_both(path, kernels, read_bits)
-    assert fast == plain
-
-
-def test_damaged_stretches_are_walked_to_the_same_place(kernels: Any, tmp_path: Path) -> None:
-    path = write_file(tmp_path / "a.mcap", 5, CompressionType.NONE, use_chunking=False)
-    rng, sound = random.Random(1), path.read_bytes()
-    for most in [10**6] * 60 + [0, 1, 20, 300]:
-        data = bytearray(sound)
-        for _ in range(most == 10**6):
-            data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
-        harmed = bytes(data)
-        answers = []
-        for way in (None, kernels):
-            with use_kernels(way):
-                found = take_apart(harmed[8:], is_chunk=False, most_records=most)
-                walked = [*walk_sections(BytesIO(harmed))]
-            answers.append(
-                (found.starts.tolist(), found.others, found.fault, found.records, walked)
-            )
-        assert answers[0] == answers[1]
+@pytest.mark.parametrize("seed", range(24))
+def test_columns_are_the_same_with_an_index_and_without(seed: int, tmp_path: Path) -> None:
+    indexed, *others = [
+        read_columns(write_file(tmp_path / "a.mcap", seed, compression, **options))
+        for compression, options in WAYS
+    ]
+    expected = {topic: list_bits(columns) for topic, columns in indexed.items()}
+    for found in others:
+        assert {topic: list_bits(columns) for topic, columns in found.items()} == expected
