@@ -379,40 +379,13 @@ def _tabulate_runs(summaries: "Sequence[RunSummary]") -> "tuple[Table, list[str]
     """Return a row for each run, as many metrics as a line has room for, and their ids."""
     chosen = _choose_columns(summaries)
     table = tl.tabulate_runs(summaries, only=chosen)
-    rows = tuple(tuple(map(_round, row)) for row in table.rows)
-    first = len(table.columns) - len(chosen)
-    widths = [
-        _GAP
-        + max(
-            map(
-                len,
-                (
-                    *column.lines,
-                    f"[{column.unit}]",
-                    *(tl.compare.format_cell(cell, column) for cell in cells),
-                ),
-            )
-        )
-        for column, *cells in zip(table.columns, *rows, strict=True)
-    ]
-    room = find_width() + _GAP - sum(widths[:first])
-    kept: list[int] = []
-    for place in sorted(range(len(chosen)), key=lambda place: _rank(chosen[place], summaries)):
-        room -= widths[first + place]
-        if room < 0:
-            break
-        kept.append(place)
-    places = [*range(first), *(first + place for place in sorted(kept))]
-    narrow = tl.compare.Table(
-        title="",
-        columns=tuple(table.columns[place] for place in places),
-        rows=tuple(tuple(row[place] for place in places) for row in rows),
-    )
-    return narrow, [chosen[place] for place in sorted(kept)]
-
-
-_GAP: Final = 2
-"""Blanks between columns."""
+    table = replace(table, rows=tuple(tuple(map(_round, row)) for row in table.rows), marks={})
+    order = sorted(chosen, key=lambda name: _rank(name, summaries))
+    titles = [column.title for column in table.columns]
+    ranks = [order.index(title) if title in order else None for title in titles]
+    narrow = tl.compare.narrow_table(table, find_width(), ranks)
+    kept = {column.title for column in narrow.columns}
+    return narrow, [name for name in chosen if name in kept]
 
 
 def _round(cell: "Cell") -> "Cell":
@@ -436,7 +409,8 @@ def _choose_columns(summaries: "Sequence[RunSummary]") -> tuple[str, ...]:
     kept = [name for name in of_run if _is_of_run(name) and name in names]
     declarations = [found.declaration for found in summaries]
     ids = tl.compare.order_ids([*of_loops, *kept], declarations)
-    return tl.compare.drop_absent(summaries, ids)
+    chosen: tuple[str, ...] = tl.compare.drop_absent(summaries, ids)
+    return chosen
 
 
 def _describe_ends(summaries: "Sequence[RunSummary]") -> str:

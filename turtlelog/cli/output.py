@@ -189,6 +189,18 @@ def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
     )
 
 
+def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return lines of cells below each other, indented, as many of the columns as a line holds."""
+    while rows:
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        padded = [map(str.ljust, map(escape_controls, row), widths) for row in rows]
+        lines = [f"  {'   '.join(row)}".rstrip() for row in padded]
+        if len(widths) == 1 or max(map(len, lines)) <= find_width():
+            return lines
+        rows = [row[:-1] for row in rows]
+    return []
+
+
 def format_table(table: "Table", *, indent: int = 0) -> str:
     """Return a table that fits the terminal; as wide as it needs where a file or program reads."""
     room = shutil.get_terminal_size().columns - indent if sys.stdout.isatty() else None

@@ -74,5 +74,6 @@ from .table import (
     Mark as Mark,
     Table as Table,
     format_cell as format_cell,
+    narrow_table as narrow_table,
 )
 from .tube import Tolerance as Tolerance
