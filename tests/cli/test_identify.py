@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from tests.identify.robots import Log, Truth, make_run, write_bag
 from tests.log.ros2.bags import make_poses, write_mcap
 from tests.log.runs import find_shared
 from tests.show.rerun.rrds import read_blueprint_parts
-from turtlelog.identify import Estimate
+from turtlelog.identify import AxisModel, Estimate
 
 LOG = Log(
     speed=Truth(gain=0.9, dead_time_s=0.08, lag_s=0.12),
@@ -48,23 +49,65 @@ def test_identify_finds_a_robot_of_known_truth(call: Call, bag: Path) -> None:
         assert axis["outliers"] == 0
 
 
-def test_the_text_gives_a_line_per_axis_and_what_to_paste_into_nav2(call: Call, bag: Path) -> None:
+def test_the_first_line_is_how_late_the_robot_follows(call: Call, bag: Path) -> None:
     text = call("identify", bag).out
-    assert "robot: values and intervals of 95 %" in text
-    assert "turn rate  0.95" in text
-    assert "commands and motion correlate best at" in " ".join(text.split())
-    vx, wz = text.splitlines()[-2:]
-    name, delay_s = vx.split()
-    assert (name, round(float(delay_s), 2)) == ("model_delay_vx:", 0.2)
-    name, delay_s = wz.split()
-    assert (name, round(float(delay_s), 2)) == ("model_delay_wz:", 0.16)
+    lines = text.splitlines()
+    first = (
+        r"robot\.mcap: speed follows its commands after ([\d.]+) ms \(.*\), turn rate after (\d+)"
+    )
+    found = re.match(first, " ".join(lines[:2]))
+    assert found is not None
+    assert (round(float(found[1]), -1), round(float(found[2]), -1)) == (200, 160)
+    assert lines[3].split("  ")[0] == "axis"
+    words = " ".join(text.split())
+    assert re.search(
+        r"The robot drives at 90(\.\d)? % of the commanded speed and turns at 9", words
+    )
+    assert "correlate" not in text
+    detailed = " ".join(call("identify", bag, "--details").out.split())
+    assert "commands and motion correlate best at" in detailed
+    assert f"identify {bag} --scenario robot.toml" in words
+    assert lines[-1] == "A second opinion on the delays: --details"
+    assert len(lines) <= 40
+    assert max(map(len, [line for line in lines if str(bag) not in line])) <= 80
+
+
+def test_the_text_has_what_to_paste_into_nav2(call: Call, bag: Path) -> None:
+    lines = call("identify", bag).out.splitlines()
+    delays = dict(line.split() for line in lines if line.startswith("  model_delay"))
+    assert round(float(delays["model_delay_vx:"]), 2) == 0.2
+    assert round(float(delays["model_delay_wz:"]), 2) == 0.16
+
+
+@pytest.mark.parametrize(
+    ("gain", "low", "high", "words"),
+    [
+        (1.0, 1.0, 1.0, "turns at the commanded rate"),
+        (1.0004, 0.9999, 1.0009, "turns at the commanded rate"),
+        (1.0005, 0.999, 1.0011, "turns at the commanded rate to within 0.11 %"),
+        (1.015, 0.969, 1.062, "turns at the commanded rate to within 6.2 %"),
+        (0.9, 0.88, 0.92, "turns at 90 % of the commanded rate"),
+        (0.972, 0.96, 0.99, "turns at 97.2 % of the commanded rate"),
+    ],
+)
+def test_what_the_robot_does_is_as_exact_as_its_interval(
+    gain: float, low: float, high: float, words: str
+) -> None:
+    from turtlelog.cli.identify_answer import describe_gain
+
+    estimate = Estimate(value=gain, low=low, high=high, unit="1")
+    assert describe_gain(AxisModel(axis="turn_rate", status="ok", gain=estimate)) == words
 
 
 def test_an_axis_without_a_value_has_a_reason_and_what_to_drive(call: Call, tmp_path: Path) -> None:
     run = make_run(LOG, 6)
     still = replace(run.commands, speed_m_s=np.zeros(len(run.commands)))
     bag = write_bag(replace(run, commands=still), tmp_path / "turns.mcap")
-    text = " ".join(call("identify", bag).out.split())
+    answer = call("identify", bag)
+    text = " ".join(answer.out.split())
+    assert answer.code == 0
+    assert text.startswith("turns.mcap: turn rate follows its commands after ")
+    assert "The speed could not be identified." in text
     assert (
         "Speed: not identifiable: the speed is never commanded. To know it, step the speed ten"
         " times for 2 s."
@@ -75,10 +118,14 @@ def test_an_axis_without_a_value_has_a_reason_and_what_to_drive(call: Call, tmp_
     assert {speed[name] for name in ("gain", "dead_time_s", "lag_s", "total_delay_s")} == {None}
 
 
-def test_a_bag_without_commands_is_an_answer(call: Call, tmp_path: Path) -> None:
-    answer = call("identify", write_mcap(tmp_path / "poses.mcap", make_poses()))
-    assert answer.code == 0
+@pytest.mark.parametrize("options", [[], ["--json"]], ids=["text", "json"])
+def test_without_any_axis_the_answer_is_no(call: Call, tmp_path: Path, options: list[str]) -> None:
+    answer = call("identify", write_mcap(tmp_path / "poses.mcap", make_poses()), *options)
+    assert answer.code == 1
     assert "no commands were recorded" in answer.out
+    if not options:
+        assert answer.out.startswith("poses.mcap: no axis could be identified.\n")
+        assert "\n\n" not in answer.out
 
 
 def test_several_bags_are_one_robot(call: Call, bag: Path, tmp_path: Path) -> None:
@@ -91,7 +138,7 @@ def test_several_bags_are_one_robot(call: Call, bag: Path, tmp_path: Path) -> No
         for found in (answer, alone)
     )
     assert all(together < one for together, one in zip(width, width_alone, strict=True))
-    assert "2 runs of one robot: values" in call("identify", bag, other).out
+    assert call("identify", bag, other).out.startswith("2 runs of one robot: speed follows its")
 
 
 def test_a_figure_of_one_robot_is_drawn(call: Call, bag: Path, tmp_path: Path) -> None:
@@ -134,7 +181,11 @@ def test_turtlesim_tells_its_dead_time_in_ticks(call: Call, kp10: Path) -> None:
     answer = call("identify", kp10, "--json").json
     delays = answer["tick_delays"]
     assert (delays["least_s"], delays["median_s"], delays["largest_s"]) == (0.016, 0.112, 0.112)
-    assert "least 16.0 ms, median 112.0 ms, largest 112.0 ms" in call("identify", kp10).out
+    text = call("identify", kp10).out
+    assert text.startswith("kp10.mcap: speed follows its commands after 112 ms (16 to 112), turn")
+    assert "In brackets: the least and the largest.\n" in text
+    assert "least 16.0 ms, median 112.0 ms, largest 112.0 ms" in text
+    assert text.splitlines()[-1] == f"Why? turtlelog explain {kp10}"
 
 
 def test_without_files_and_with_none_that_can_be_read_it_says_so(call: Call) -> None:
@@ -147,7 +198,7 @@ def test_without_files_and_with_none_that_can_be_read_it_says_so(call: Call) -> 
 
 
 def test_a_value_prints_as_many_digits_as_its_interval_tells() -> None:
-    from turtlelog.cli.identify import format_value
+    from turtlelog.cli.identify_answer import format_value
 
     wide = Estimate(value=0.0804, low=0.0751, high=0.0857)
     narrow = Estimate(value=0.0804, low=0.0801, high=0.0807)

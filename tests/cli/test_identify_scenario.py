@@ -27,8 +27,11 @@ def test_a_robot_becomes_a_scenario_that_every_command_reads(
     call: Call, bag: Path, tmp_path: Path
 ) -> None:
     target = tmp_path / "robot.toml"
-    text = " ".join(call("identify", bag, "--scenario", target).out.split())
-    assert "The scenario: - Gains, dead times and lags are those that" in text
+    out = call("identify", bag, "--scenario", target).out
+    assert f"Comments in {target} give the source of each number." in " ".join(out.split())
+    assert f"Next: turtlelog theory {target}" in out
+    text = " ".join(call("identify", bag, "--scenario", target, "--details").out.split())
+    assert f"The scenario {target}: - Gains, dead times and time constants are those that" in text
     assert "The robot never stands for long with commands of 0" in text
     plant = tl.load_scenario(target).plant
     assert plant.speed_dead_time_s == pytest.approx(0.08, abs=0.01)

@@ -1,6 +1,7 @@
 """At which delays commands and motion correlate best: a range that holds, or a reason."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ import pytest
 import turtlelog as tl
 from tests.identify.robots import Log, Truth, Values, make_run
 from tests.known import known
-from turtlelog.cli.identify import describe_robot, format_robot
+from turtlelog.cli.identify import build_answer
+from turtlelog.cli.identify_answer import format_robot
 from turtlelog.identify import correlation
 from turtlelog.identify.axis_motion import AxisMotion, read_axis_motion
 from turtlelog.identify.correlation import find_correlation_delay
@@ -105,7 +107,8 @@ def test_the_range_stands_in_the_text_and_in_json() -> None:
     model = tl.identify_robot(make_run(NOISY, 1))
     delay_s = known(model.turn_rate.correlation_delay_s)
     told = f"correlate best at a delay of {1e3 * delay_s.low:.0f} to {1e3 * delay_s.high:.0f} ms."
-    assert told in " ".join(format_robot(model).split())
-    axis = describe_robot([], model)["axes"][1]
-    assert axis["correlation_delay_s"]["low"] == delay_s.low
-    assert axis["correlation_reason"] is None
+    text = format_robot(model, [Path("robot")], shows_details=True)
+    assert told in " ".join(text.split())
+    axis = build_answer([], model).axes[1]
+    assert known(axis.correlation_delay_s).low == delay_s.low
+    assert axis.correlation_reason is None

@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import turtlelog as tl
 from tests.identify.robots import Log, Truth, Values, build_run, make_run
 from tests.known import known
 from tests.log.runs import find_shared
-from turtlelog.cli.identify import format_robot
+from turtlelog.cli.identify_answer import format_robot
 from turtlelog.compare import compare_robot
 from turtlelog.errors import TurtlelogError
 from turtlelog.identify import build_robot_scenario
@@ -125,7 +126,7 @@ def draw_run(draw: st.DrawFn) -> tl.Run:
 @given(run=draw_run())
 def test_whatever_a_log_holds_gets_an_answer_or_a_known_error(run: tl.Run) -> None:
     model = tl.identify_robot(run)
-    assert "nan" not in format_robot(model)
+    assert "nan" not in format_robot(model, [Path("robot")])
     assert all(axis.is_known or axis.reason for axis in model.axes)
     for ask in (
         lambda: build_robot_scenario(model, run),

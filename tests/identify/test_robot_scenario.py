@@ -314,7 +314,9 @@ def test_an_axis_that_is_never_commanded_follows_at_once() -> None:
     plant = robot.scenario.plant
     assert (plant.turn_gain, plant.turn_dead_time_s, plant.turn_lag_s) == (1.0, 0.0, 0.0)
     assert plant.speed_gain == pytest.approx(0.9, rel=0.02)
-    assert "The turn rate is never commanded, so nothing is known of it" in " ".join(robot.notes)
+    assert "The turn rate is never commanded, and so its dynamics are unknown" in " ".join(
+        robot.notes
+    )
 
 
 def test_an_axis_that_is_not_known_is_refused_with_its_reason() -> None:

@@ -5,7 +5,7 @@ from typing import Literal, SupportsFloat
 
 from turtlelog.display import format_html
 from turtlelog.escapes import escape_controls
-from turtlelog.identify.axis_motion import UNITS, Axis
+from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
 from turtlelog.run import Clock
 
 
@@ -121,6 +121,11 @@ class AxisModel:
     def is_known(self) -> bool:
         """Whether gain, dead time and lag have values."""
         return self.status == "ok"
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether it is never commanded, so that nothing is asked of it."""
+        return self.reason == f"the {NAMES[self.axis]} is never commanded"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ from turtlelog.display import describe_count
 from turtlelog.errors import IdentifyError, ScenarioError
 from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS, Axis, get_commands
-from turtlelog.identify.robot_model import AxisModel, RobotModel
+from turtlelog.identify.robot_model import RobotModel
 from turtlelog.identify.robot_noise import Noise, measure_rate_noise, measure_sensing_noise
 from turtlelog.loops import LIMIT_KEYS, PLANT_KEYS
 from turtlelog.plants import LAGGED
@@ -119,8 +119,8 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
     values |= keys
     notes += sentences
     notes.append(
-        "The law and its gains are not those of the log: sequential-p with gains of 1, to begin"
-        " with. `turtlelog theory` recommends gains for this file."
+        "The law and its gains are not those of the log: they are sequential-p and 1."
+        " `turtlelog theory` recommends gains for this file."
     )
     # The plant first: its world has no walls.
     base = replace(get_preset(LAGGED), name=LAGGED)
@@ -142,17 +142,13 @@ def _require_robot(model: RobotModel) -> None:
             " explain FILE --scenario X.toml` writes the scenario of such a log"
         )
     unknown = [axis for axis in model.axes if not axis.is_known]
-    commanded = [axis for axis in unknown if not _is_idle(axis)]
+    commanded = [axis for axis in unknown if not axis.is_idle]
     for axis in commanded or unknown:
         if commanded or len(unknown) == len(model.axes):
             raise IdentifyError(
                 f"{model.files[0]}: {NAMES[axis.axis]}: not identifiable: {axis.reason}; to know"
                 f" it, {axis.advice}"
             )
-
-
-def _is_idle(axis: AxisModel) -> bool:
-    return axis.reason == f"the {NAMES[axis.axis]} is never commanded"
 
 
 def _list_plant(model: RobotModel) -> Part:
@@ -172,9 +168,9 @@ def _list_plant(model: RobotModel) -> Part:
         if not axis.is_known:
             values |= {f"{key}gain": 1.0, f"{key}dead_time_s": 0.0, f"{key}lag_s": 0.0}
             notes.append(
-                f"The {name} is never commanded, so nothing is known of it: it is taken to follow"
-                f" at once with a gain of 1. Gains of a loop that acts on it mean nothing until it"
-                f" is driven."
+                f"The {name} is never commanded, and so its dynamics are unknown. The scenario"
+                f" lets it follow at once with a gain of 1: recommended gains for its loop mean"
+                f" nothing until it is driven."
             )
             continue
         values |= {
@@ -183,12 +179,13 @@ def _list_plant(model: RobotModel) -> Part:
         }
         if axis.model == "second_order":
             notes.append(
-                f"The {name} is of second order, the plant of first: its lag is the sum of both."
+                f"The {name} is of second order, the plant of first: its time constant is the sum"
+                f" of both."
             )
     notes.insert(
         0,
-        "Gains, dead times and lags are those that `turtlelog identify` finds. The transport of"
-        " commands is 0, for the dead times hold it.",
+        "Gains, dead times and time constants are those that `turtlelog identify` finds. The"
+        " transport delay is 0, because the dead times already include it.",
     )
     return values, notes
 

@@ -1,0 +1,298 @@
+"""What `turtlelog identify` prints: how late a robot follows, its values, how far to trust them."""
+
+import math
+import shlex
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import turtlelog as tl
+from turtlelog.cli.output import fill_lines, find_width
+from turtlelog.display import describe_count, join_words
+
+if TYPE_CHECKING:
+    from turtlelog import RobotModel
+    from turtlelog.identify import AxisModel, Estimate, RobotScenario
+
+_NAMES: Final = {"speed": "speed", "turn_rate": "turn rate"}
+_DOES: Final = {"speed": "drives at {} speed", "turn_rate": "turns at {} rate"}
+_NAV2: Final = {"speed": "model_delay_vx", "turn_rate": "model_delay_wz"}
+"""What Nav2's MPPI controller calls the delay of each axis [s]."""
+
+_VALUES: Final = ("gain", "dead_time_s", "lag_s")
+_MOST_EVENTS: Final = 5
+_RARE: Final = 0.01
+"""Share of the steps; where more are off, it is not by single faults, such as a jump."""
+
+_WHOLE_MS: Final = 10.0
+"""Width of an interval above which tenths of a millisecond tell nothing [ms]."""
+
+_CURVE: Final = 0.5
+"""Whiteness below which the residual is a curve: neighbours share half of what they are off."""
+
+_LITTLE: Final = 0.5
+"""Explained share below which most of the motion's changes are not those of the commands."""
+
+_AS_COMMANDED: Final = 1e-3
+"""Largest deviation of a gain from 1 that is not worth a word [1]."""
+
+_NEAR: Final = 0.05
+"""Deviation of a gain from 1 below which whole percents are too coarse [1]."""
+
+
+def format_robot(
+    model: "RobotModel",
+    files: Sequence[Path],
+    *,
+    robot: "RobotScenario | None" = None,
+    scenario: Path | None = None,
+    shows_details: bool = False,
+) -> str:
+    """Return how late the robot follows its commands, its values, and how far to trust them.
+
+    Args:
+        model: Of the robot.
+        files: That it was identified from.
+        robot: The scenario that is written.
+        scenario: Where to.
+        shows_details: Give a second opinion on delays, and where the scenario's numbers come from.
+    """
+    known = [axis for axis in model.axes if axis.is_known]
+    parts = [fill_lines([_describe_delays(model, files)])]
+    if known:
+        brackets = "intervals of 95 %" if model.tick_delays is None else "the least and the largest"
+        parts += [f"{_format_values(known)}\nIn brackets: {brackets}.\n"]
+        parts += [fill_lines([_describe_motion(known)])]
+    trust = [*_list_trust(model), *_list_unknown(model)]
+    trust += _list_details(model) if shows_details else []
+    parts += [fill_lines(trust, indent=2)] if trust else []
+    parts += _list_nav2(known)
+    if robot is not None:
+        parts += ["", _describe_scenario(robot, scenario, shows_notes=shows_details)]
+    return "\n".join([*parts, "", *_list_next(model, files, scenario, shows_details=shows_details)])
+
+
+def _describe_scenario(robot: "RobotScenario", path: Path | None, *, shows_notes: bool) -> str:
+    """Return where the numbers of a scenario come from, or where that is written."""
+    if not shows_notes:
+        return fill_lines([f"Comments in {path} give the source of each number."])
+    notes = [f"- {note}" for note in robot.notes]
+    return f"The scenario {path}:\n{fill_lines(notes, indent=2)}"
+
+
+def _describe_delays(model: "RobotModel", files: Sequence[Path]) -> str:
+    """Return how late each axis follows its commands, with the interval."""
+    one = tl.compare.name_file(files[0]) if files else "no file"
+    name = one if len(files) == 1 else f"{len(files)} runs of one robot"
+    said = [
+        f"{_NAMES[axis.axis]} {{}}after {_show_delay(axis.total_delay_s)}"
+        for axis in model.axes
+        if axis.total_delay_s is not None
+    ]
+    unknown = [_NAMES[axis.axis] for axis in model.axes if not axis.is_known]
+    if not said:
+        return f"{name}: no axis could be identified."
+    rest = f" The {unknown[0]} could not be identified." if unknown else ""
+    words = ", ".join(
+        [said[0].format("follows its commands "), *(one.format("") for one in said[1:])]
+    )
+    return f"{name}: {words}.{rest}"
+
+
+def _show_delay(found: "Estimate") -> str:
+    value, _, interval = format_value(found, "total_delay_s").partition(" ")
+    return f"{value} ms {interval}"
+
+
+def _format_values(known: "Sequence[AxisModel]") -> str:
+    """Return gain, dead time and time constant of each axis."""
+    heads = ("axis", "gain [1]", "dead time [ms]", "time constant [ms]")
+    table = tl.compare.Table(
+        title="",
+        columns=tuple(tl.compare.Column(title=title) for title in heads),
+        rows=tuple(
+            (
+                _NAMES[axis.axis],
+                *(format_value(getattr(axis, name), name) for name in _VALUES),
+            )
+            for axis in known
+        ),
+    )
+    return "\n" + tl.show.format_table(table, width=find_width()).strip("\n")
+
+
+def format_value(found: "Estimate | None", name: str) -> str:
+    """Return a value with its interval, delays in ms; `-` for none."""
+    if found is None:
+        return "-"
+    if name == "gain":
+        return f"{found.value:.3f} ({found.low:.3f} to {found.high:.3f})"
+    value, low, high = (1e3 * number for number in (found.value, found.low, found.high))
+    digits = 0 if high - low > _WHOLE_MS else 1
+    return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+
+
+def _describe_motion(known: "Sequence[AxisModel]") -> str:
+    """Return what the robot does with its commands in the end."""
+    return f"The robot {join_words([describe_gain(axis) for axis in known])}."
+
+
+def describe_gain(axis: "AxisModel") -> str:
+    """Return what an axis does with its commands, in as many digits as the interval has."""
+    gain, does = axis.gain, _DOES[axis.axis]
+    if gain is None:
+        return does.format("an unknown")
+    off = max(abs(gain.low - 1.0), abs(gain.high - 1.0))
+    if off < _AS_COMMANDED:
+        return does.format("the commanded")
+    if gain.low <= 1.0 <= gain.high:
+        return f"{does.format('the commanded')} to within {100.0 * off:.2g} %"
+    percent = 100.0 * gain.value
+    return does.format(
+        f"{percent:.1f} % of the commanded" if off < 0.05 else f"{percent:.0f} % of the commanded"
+    )
+
+
+def _list_trust(model: "RobotModel") -> Iterator[str]:
+    """Yield how far to trust the values, and what else the motion shows."""
+    for axis in model.axes:
+        yield from _describe_axis(axis)
+    if model.tick_delays is not None:
+        delays = model.tick_delays
+        yield (
+            f"Dead time of {delays.shown} commands: least {1e3 * delays.least_s:.1f} ms, median"
+            f" {1e3 * delays.median_s:.1f} ms, largest {1e3 * delays.largest_s:.1f} ms."
+        )
+    yield from model.notes
+    yield from _list_events(model)
+    clock = model.clock
+    if clock is None or not any(axis.is_known for axis in model.axes):
+        return
+    if clock.used == "log":
+        yield "Poses are timed by the recorder's clock: the delays include their transport."
+    else:
+        yield (
+            "Poses are timed by their stamps: the delays include the transport of the fastest"
+            " message, which is unknown."
+        )
+
+
+def _describe_axis(axis: "AxisModel") -> Iterator[str]:
+    if not axis.is_known or axis.explained is None:
+        return
+    name = _NAMES[axis.axis].capitalize()
+    yield (
+        f"{name}: the model explains {100.0 * axis.explained:.0f} % of the variance of"
+        f" {axis.steps} steps between poses.{_describe_residual(axis)}"
+    )
+    yield from _describe_second_order(axis)
+    if axis.rate_limit is not None:
+        limit = axis.rate_limit
+        yield (
+            f"{name} changes by at most {limit.value:.3g} {limit.unit} ({limit.low:.3g} to"
+            f" {limit.high:.3g})."
+        )
+
+
+def _describe_residual(axis: "AxisModel") -> str:
+    said = []
+    if axis.explained is not None and axis.explained < _LITTLE:
+        said.append(" Most changes of the motion do not follow from the commands.")
+    if axis.whiteness is not None and axis.whiteness < _CURVE:
+        said.append(" The rest is a curve, not noise: the model lacks something.")
+    return "".join(said)
+
+
+def _describe_second_order(axis: "AxisModel") -> Iterator[str]:
+    """Yield what a second order is like: two lags, or an oscillation where it surely is one."""
+    product, lag, name = axis.lag_product_s2, axis.lag_s, _NAMES[axis.axis].capitalize()
+    if product is None or lag is None:
+        return
+    equal = 0.25 * lag.value**2
+    if product.low > equal:
+        damping = math.sqrt(equal / product.value)
+        yield f"{name} is of second order and oscillates: its damping ratio is {damping:.2f}."
+    elif product.high > equal:
+        half_ms = 500.0 * lag.value
+        yield f"{name} is of second order, with two time constants of about {half_ms:.0f} ms."
+    else:
+        yield (
+            f"{name} is of second order: the time constant is the sum of two, whose product is"
+            f" {product.value:.3g} s^2 ({product.low:.3g} to {product.high:.3g})."
+        )
+
+
+def _list_unknown(model: "RobotModel") -> Iterator[str]:
+    """Yield why axes are not identified, and what to drive."""
+    for axis in model.axes:
+        if not axis.is_known:
+            end = "" if axis.reason.endswith("?") else "."
+            name = _NAMES[axis.axis].capitalize()
+            yield f"{name}: not identifiable: {axis.reason}{end} To know it, {axis.advice}."
+
+
+def _list_details(model: "RobotModel") -> Iterator[str]:
+    """Yield a second opinion on delays: where commands and motion correlate best."""
+    for axis in model.axes:
+        name, delay = _NAMES[axis.axis].capitalize(), axis.correlation_delay_s
+        if not axis.is_known or axis.explained is None:
+            continue
+        if delay is None:
+            yield f"{name}: {axis.correlation_reason}."
+        else:
+            low, high = (f"{1e3 * end:.0f}" for end in (delay.low, delay.high))
+            yield f"{name}: commands and motion correlate best at a delay of {low} to {high} ms."
+
+
+def _list_events(model: "RobotModel") -> list[str]:
+    """Return the outliers one by one, those of an axis that has many in one sentence."""
+    said, often = [], []
+    for axis in model.axes:
+        found = [event for event in model.events if event.axis == axis.axis]
+        if len(found) > _RARE * axis.steps:
+            often.append(axis.axis)
+            worst = max(found, key=lambda event: abs(event.size))
+            said.append(
+                f"{_NAMES[axis.axis].capitalize()}: {len(found)} of {axis.steps} steps are off by"
+                f" far more than is usual and do not count; the largest: {worst.text}."
+            )
+    rare = [event for event in model.events if event.axis not in often]
+    said += [f"Outlier: {event.text}." for event in rare[:_MOST_EVENTS]]
+    if len(rare) > _MOST_EVENTS:
+        said.append(f"And {describe_count(len(rare) - _MOST_EVENTS, 'outlier')} more, in --json.")
+    return said
+
+
+def _list_nav2(known: "Sequence[AxisModel]") -> list[str]:
+    """Return what to paste into Nav2; its model is a pure delay, so the lag counts as delay."""
+    lines = [
+        f"  {_NAV2[axis.axis]}: {axis.total_delay_s.value:.3f}"
+        for axis in known
+        if axis.total_delay_s is not None
+    ]
+    head = "For Nav2's MPPI controller, dead time and time constant as one delay [s]:"
+    return ["", head, *lines] if lines else []
+
+
+def _list_next(
+    model: "RobotModel", files: Sequence[Path], scenario: Path | None, *, shows_details: bool
+) -> Iterator[str]:
+    """Yield what to type next."""
+    words = " ".join(shlex.quote(str(file)) for file in files)
+    if scenario is not None:
+        target = shlex.quote(str(scenario))
+        yield f"Next: turtlelog theory {target}, turtlelog compare {words} {target}"
+    elif model.tick_delays is not None:
+        yield f"Why? turtlelog explain {words}"
+    elif _is_scenario(model):
+        yield f"Simulate it and find gains: turtlelog identify {words} --scenario robot.toml"
+    if not shows_details and any(axis.is_known and axis.explained for axis in model.axes):
+        more = "" if scenario is None else ", and the source of each number"
+        yield f"A second opinion on the delays{more}: --details"
+
+
+def _is_scenario(model: "RobotModel") -> bool:
+    """Return whether the robot can become a scenario: every axis that is commanded is known."""
+    return any(axis.is_known for axis in model.axes) and all(
+        axis.is_known or axis.is_idle for axis in model.axes
+    )
