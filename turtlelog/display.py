@@ -31,6 +31,21 @@ def format_number(number: float | None, unit: str = "") -> str:
     return f"{number:.5g}" + (f" {unit}" if unit not in {"", "1"} else "")
 
 
+def format_short(number: float, unit: str = "") -> str:
+    """Return a number with its unit in three digits, lengths below a centimetre in mm."""
+    number, unit = show_angle(number, unit)
+    if unit == "m" and 0.0 < abs(number) < _SHORT_M:
+        number, unit = 1e3 * number, "mm"
+    text = f"{number:.0f}" if _WHOLE <= abs(number) < _LONG else f"{number:.3g}"
+    return text + (f" {unit}" if unit not in {"", "1"} else "")
+
+
+_SHORT_M: Final = 0.01
+_WHOLE: Final = 1e3
+_LONG: Final = 1e6
+"""Where `.3g` writes a power of ten, whole numbers are read more easily up to here."""
+
+
 def show_angle(value: float, unit: str) -> tuple[float, str]:
     """Return a value and its unit as they are printed: angles in degrees, all else as it is.
 

@@ -9,16 +9,39 @@ from tests.cli.conftest import Call
 from tests.sequential import METRICS
 
 
-def test_runs_stand_beside_each_other_with_the_best_marked(
+def test_the_first_line_is_the_answer_and_the_best_are_named_below(
     call: Call, kp4: Path, kp10: Path
 ) -> None:
     answer = call("compare", kp4, kp10, "--sort", "-run.duration")
     assert answer.code == 0
-    assert answer.out.startswith("2 runs, Kp = 10, 4: no run is best at everything\n")
-    assert answer.out.index("paper-kp10") < answer.out.index("paper-kp4")
+    lines = answer.out.splitlines()
+    assert lines[0] == "2 runs, Kp = 10, 4: no run is best at everything."
+    said = [" ".join(line.split()) for line in lines[1:5]]
+    assert said == [
+        "most accurate paper-kp4 8.52 mm worst: paper-kp10, 0.107 m",
+        "shortest paper-kp4 11.2 s worst: paper-kp10, 12.6 s",
+        "settles first (rotate) paper-kp10 2.21 s worst: paper-kp4, 2.28 s",
+        "least overshoot (rotate) paper-kp4 0.0667 % worst: paper-kp10, 1.01 %",
+    ]
+    assert answer.out.index("\npaper-kp10") < answer.out.index("\npaper-kp4")
     assert "11.184*" in answer.out
     assert "12.608!" in answer.out
-    assert max(map(len, answer.out.splitlines())) <= 100
+    assert "More parameters that differ: law.pause_ticks, loop.start_backlog." in lines
+    assert f"Why is paper-kp10 worse? turtlelog explain {kp10}" in " ".join(lines)
+    assert len(lines) <= 40
+    assert max(map(len, [line for line in lines if str(kp10) not in line])) <= 80
+
+
+def test_equal_runs_are_called_equal(call: Call, kp4: Path) -> None:
+    first = call("compare", kp4, kp4).out.splitlines()[0]
+    assert first == "2 runs: all metrics shown are equal."
+    first = call("compare", kp4, kp4, "--only", "run.rest_share").out.splitlines()[0]
+    assert first == "2 runs: all metrics shown are equal."
+
+
+def test_a_metric_of_which_neither_is_better_has_no_best(call: Call, kp4: Path, kp10: Path) -> None:
+    first = call("compare", kp4, kp10, "--only", "run.rest_share").out.splitlines()[0]
+    assert first == "2 runs, Kp = 4, 10: no metric shown has a best value."
 
 
 def test_runs_stand_in_rising_gain_where_no_order_is_asked_for(
@@ -47,8 +70,12 @@ def test_runs_under_other_conditions_are_not_ranked(call: Call, kp4: Path, tmp_p
     slow = tmp_path / "slow.mcap"
     call("run", "paper-kp4", "--set", "limits.speed_m_s=0.5", "--set", "name=slow", "-o", slow)
     answer = call("compare", kp4, slow)
-    assert answer.out.startswith("2 runs: limits differ, so nothing is called best\n")
-    assert "limits.speed_m_s: 1 of paper-kp4, 0.5 of slow." in answer.out
+    lines = answer.out.splitlines()
+    assert lines[:2] == [
+        "2 runs: limits differ, so nothing is called best.",
+        "limits.speed_m_s: 1 of paper-kp4, 0.5 of slow.",
+    ]
+    assert "Varied on purpose? --varied limits.speed_m_s" in lines
     assert "* best" not in answer.out
     ranking = call("compare", kp4, slow, "--json").json["ranking"]
     assert (ranking["is_fair"], ranking["varied"], ranking["unknown"]) == (False, [], [])
@@ -66,7 +93,7 @@ def test_a_limit_that_was_varied_on_purpose_is_named_first(
     slow = tmp_path / "slow.mcap"
     call("run", "paper-kp4", "--set", "limits.speed_m_s=0.5", "--set", "name=slow", "-o", slow)
     words = ("compare", kp4, slow, "--varied", "limits.speed_m_s", "--only", "run.duration")
-    first = "2 runs, limits.speed_m_s = 1, 0.5: paper-kp4 is best at run.duration"
+    first = "2 runs, limits.speed_m_s = 1, 0.5: paper-kp4 is best at run.duration."
     assert call(*words).out.splitlines()[0] == first
     ranking = call(*words, "--json").json["ranking"]
     assert (ranking["is_fair"], ranking["varied"]) == (True, ["limits.speed_m_s"])
@@ -100,15 +127,30 @@ def test_differences_are_printed_and_drawn(
     call: Call, kp4: Path, kp10: Path, tmp_path: Path
 ) -> None:
     answer = call("compare", kp10, "--reference", kp4, "--rrd", tmp_path / "both.rrd")
-    assert "Largest differences from paper-kp4, from the first samples on" in answer.out
-    assert "Compared over paper-kp10: 0.00 to 11.18 s." in answer.out
+    lines = answer.out.splitlines()
+    first = "paper-kp10 departs from the path of paper-kp4 by at most 0.1278 m, at 8.78 s."
+    assert lines[0] == first
+    assert "Largest differences from paper-kp4, from the first samples on" in lines
+    assert "Compared over paper-kp10: 0.00 to 11.18 s." in lines
+    assert len(lines) <= 40
+    assert max(map(len, [line for line in lines if str(kp4) not in line])) <= 80
     assert (tmp_path / "both.rrd").exists()
 
 
-def test_differences_of_many_runs_stand_below_each_other(call: Call, kp4: Path) -> None:
-    answer = call("compare", *[kp4] * 9, "--reference", kp4)
-    assert answer.out.count("Largest differences from") == 3
-    assert max(map(len, answer.out.splitlines())) <= 100
+def test_a_run_beside_itself_stays_on_its_path(call: Call, kp4: Path) -> None:
+    lines = call("compare", kp4, "--reference", kp4).out.splitlines()
+    assert lines[0] == "kp4.mcap (2) stays on the path of kp4.mcap (1), within 1e-9 m."
+
+
+def test_signals_of_many_runs_stand_behind_an_option(call: Call, kp4: Path) -> None:
+    words = ("compare", *[kp4] * 9, "--reference", kp4)
+    answer = call(*words)
+    assert answer.out.startswith("9 runs beside kp4.mcap (1): all stay on its path, within 1e-9 m.")
+    assert "The largest difference of every signal: --details" in answer.out
+    assert "along_track" not in answer.out
+    detailed = call(*words, "--details").out
+    assert detailed.count("\nalong_track") >= 2
+    assert max(map(len, [line for line in detailed.splitlines() if str(kp4) not in line])) <= 80
     assert "kp4.mcap (10)" in answer.out
 
 

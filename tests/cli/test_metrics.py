@@ -17,21 +17,74 @@ from tests.sequential import ESSENTIAL_METRICS, METRICS
 from turtlelog import processes
 
 
-def test_a_newcomer_sees_the_essential_metrics_and_where_the_others_are(
-    call: Call, kp4: Path
+def write_textbook(file: Path, changes: dict[str, Any]) -> None:
+    scenario = tl.override_scenario(tl.load_scenario("textbook"), changes)
+    tl.write_recording(tl.simulate_run(scenario), file)
+
+
+def test_a_newcomer_sees_the_end_first_and_then_the_loops_side_by_side(
+    call: Call, kp10: Path
 ) -> None:
-    out = call("metrics", kp4).out
-    shown = [line.split()[0] for line in out.splitlines() if re.match(r"[a-z]+\.[a-z]", line)]
-    assert tuple(shown) == tuple(name for name in METRICS if name in ESSENTIAL_METRICS)
-    assert f"{len(shown)} of {len(METRICS)} metrics: --all shows every one" in out
-    assert max(map(len, out.splitlines())) <= 100
+    lines = call("metrics", kp10).out.splitlines()
+    assert lines[:3] == [
+        "kp10.mcap: ends 0.107 m from the goal, heading error 1.07 deg, after 12.6 s.",
+        "Both loops saturate: rotate 87 %, translate 59 % of their samples.",
+        "Longest silence of the controller: 0.528 s.",
+    ]
+    assert lines[4].split() == ["rotate", "translate"]
+    rows = {line[:18].strip(): line[18:].split("  ") for line in lines[6:14]}
+    assert [cell.strip() for cell in rows["settling time"] if cell] == ["2.21 s", "5.58 s"]
+    assert [cell.strip() for cell in rows["overshoot"] if cell] == ["1.01 %", "0.945 %"]
+    assert [cell.strip() for cell in rows["dead time"] if cell] == ["0.064 s", "0.096 s"]
+    assert lines[-2] == f"Why? turtlelog explain {kp10}"
+    assert lines[-1] == f"All {len(METRICS)} metrics with their ids: --all"
+    assert len(lines) <= 40
+    assert max(map(len, [line for line in lines if str(kp10) not in line])) <= 80
+
+
+def test_a_loop_that_never_settles_is_said_before_the_table(call: Call, tmp_path: Path) -> None:
+    file = tmp_path / "swinging.mcap"
+    changes = {
+        "law.kp_angular": 60.0,
+        "law.kp_linear": 60.0,
+        "loop.transport_delay_ticks": 6,
+        "max_duration_s": 5.0,
+    }
+    write_textbook(file, changes)
+    head, *table = call("metrics", file).out.split("\n\n")
+    assert head.startswith("swinging.mcap: ends 5.69 m from the goal, heading error ")
+    words = head.splitlines()
+    assert "The oscillation does not die out: rotate." in words
+    assert "rotate does not settle: the phase ends outside the 2 % band." in words
+    assert "translate has no values: the run has no phase translate." in words
+    assert table[0].split()[:1] == ["rotate"]
+
+
+@pytest.mark.parametrize(
+    ("law", "first"),
+    [
+        ("posture", "ends 1.27 mm from the goal, heading error 0.00429 deg, after 12.4 s."),
+        ("open-loop", "the path is 0 m long and takes 2.4 s."),
+    ],
+)
+def test_the_first_line_holds_for_other_laws(
+    call: Call, tmp_path: Path, law: str, first: str
+) -> None:
+    file = tmp_path / "other.mcap"
+    write_textbook(file, {"law.kind": law})
+    lines = call("metrics", file).out.splitlines()
+    assert " ".join(lines).startswith(f"other.mcap: {first} ")
+    assert len(lines) <= 40
+    assert max(map(len, [line for line in lines if str(file) not in line])) <= 80
 
 
 def test_all_shows_every_metric_and_why_values_are_missing(call: Call, kp4: Path) -> None:
     out = call("metrics", kp4, "--all").out
+    assert out.startswith("kp4.mcap: ends 8.52 mm from the goal, heading error 0.0857 deg, after")
     assert all(re.search(rf"^{re.escape(name)} ", out, re.M) for name in METRICS)
     assert "not_reached: the response does not overshoot twice." in out
     assert "--all" not in out
+    assert max(map(len, out.splitlines())) <= 80
 
 
 def test_only_takes_ids_and_patterns(call: Call, kp4: Path) -> None:
@@ -91,6 +144,7 @@ def test_tables_for_texts_hold_the_same(call: Call, kp4: Path, option: str, line
 def test_more_than_six_runs_have_a_row_each(call: Call, kp4: Path, tmp_path: Path) -> None:
     files = [Path(shutil.copy(kp4, tmp_path / f"{number}.mcap")) for number in range(7)]
     out = call("metrics", *files, "--only", "run.duration").out
+    assert out.startswith("7 runs: run.duration 11.2 s (all).\n")
     rows = [line.split() for line in out.splitlines() if ".mcap" in line]
     assert len(rows) == 7
     assert all(row[-1] == "11.184" for row in rows)
@@ -104,11 +158,28 @@ def test_seven_runs_show_the_same_metrics_as_six(call: Call, kp4: Path, tmp_path
     assert shown == [name for name in METRICS if name in ESSENTIAL_METRICS]
 
 
-def test_runs_stand_in_order_of_their_gains(call: Call, kp4: Path, kp10: Path) -> None:
-    out = call("metrics", kp10, kp4).out
-    assert out.index("paper-kp4") < out.index("paper-kp10")
+def test_runs_have_a_row_each_in_order_of_their_gains(call: Call, kp4: Path, kp10: Path) -> None:
+    lines = call("metrics", kp10, kp4).out.splitlines()
+    assert lines[0].startswith("2 runs: they end 8.52 mm (paper-kp4) to 0.107 m (paper-kp10) from")
+    assert "after 11.2 s (paper-kp4) to 12.6 s (paper-kp10)." in " ".join(lines[:2])
+    rows = [line.split() for line in lines if line.startswith("paper-")]
+    assert [row[0] for row in rows] == ["paper-kp4", "paper-kp10"]
+    assert rows[1][1:] == ["10", "1.01", "2.21", "0.945", "5.58", "0.107", "12.6"]
+    assert max(map(len, lines)) <= 80
     listed = call("metrics", kp10, kp4, "--json").json
     assert [found["name"] for found in listed] == ["paper-kp10", "paper-kp4"]
+
+
+def test_thirty_runs_with_long_names_fit_a_page(call: Call, tmp_path: Path) -> None:
+    first = tmp_path / "a_recording_with_a_long_name_00.mcap"
+    write_textbook(first, {"max_duration_s": 1.0})
+    others = [first.with_name(f"{first.stem[:-2]}{number:02}.mcap") for number in range(1, 30)]
+    files = [first, *(Path(shutil.copy(first, other)) for other in others)]
+    lines = call("metrics", *files).out.splitlines()
+    rows = [line.split()[0] for line in lines if line.startswith("a_record")]
+    assert rows == [f"a_record..._name_{number:02}.mcap" for number in range(30)]
+    assert len(lines) <= 50
+    assert max(map(len, lines)) <= 80
 
 
 @pytest.mark.parametrize("command", ["metrics", "compare"])

@@ -57,25 +57,35 @@ def test_the_table_of_a_bag_shows_what_it_has_and_what_would_add_more(
     call: Call, robot: Path
 ) -> None:
     answer = call("metrics", robot)
+    lines = answer.out.splitlines()
     assert answer.code == 0
+    assert lines[0] == "robot.mcap: the path is 0.4 m long and takes 4.95 s."
     assert "absent" not in answer.out
-    for name in ("run.path_length", "run.speed_lag", "run.speed_rise_time", "run.rest_share"):
-        assert name in answer.out
-    assert "Measured rates are those that the robot reports." in answer.out
-    assert "No goal: --goal X,Y adds final.position_error and run.time_to_goal." in answer.out
+    for name in ("path length", "speed lag", "speed rise time", "share of the time at rest"):
+        assert f"\n{name} " in answer.out
+    assert "Measured rates are those that the robot reports." in lines
+    assert "No goal: --goal X,Y adds final.position_error and run.time_to_goal." in lines
     assert "No samples of a controller" in answer.out
     assert "No commands" not in answer.out
+    assert f"Dead time and time constants: turtlelog identify {robot}" in lines
+    assert len(lines) <= 40
+    assert max(map(len, [line for line in lines if str(robot) not in line])) <= 80
 
 
 def test_the_table_of_a_bag_without_commands_says_what_would_add_them(
     call: Call, silent: Path
 ) -> None:
-    answer = call("metrics", silent)
-    assert "run.speed_lag" not in answer.out
-    assert (
-        "No commands: a recorded Twist or TwistStamped (--command-topic TOPIC) adds" in answer.out
-    )
+    words = " ".join(call("metrics", silent).out.split())
+    assert "speed lag" not in words
+    assert "No commands: a recorded Twist or TwistStamped (--command-topic TOPIC) adds" in words
+    assert "turtlelog identify" not in words
     assert "absent" in call("metrics", silent, "--all").out
+
+
+def test_a_bag_with_a_goal_ends_that_far_from_it(call: Call, robot: Path) -> None:
+    assert call("metrics", robot, "--goal", "1,0").out.startswith(
+        "robot.mcap: ends 0.6 m from the goal after 4.95 s.\n"
+    )
 
 
 def test_json_and_csv_hold_every_metric_of_a_bag(call: Call, robot: Path) -> None:
@@ -90,8 +100,8 @@ def test_json_and_csv_hold_every_metric_of_a_bag(call: Call, robot: Path) -> Non
 def test_a_bag_beside_a_recording_has_the_rows_of_both(call: Call, robot: Path, kp4: Path) -> None:
     rows = {
         words[0]: words[2:]
-        for line in call("metrics", robot, kp4).out.splitlines()
-        if (words := line.split()) and "." in words[0]
+        for line in call("metrics", robot, kp4, "--markdown").out.splitlines()
+        if (words := line.strip("| ").split(" | ")) and "." in words[0]
     }
     assert set(rows["run.path_length"]).isdisjoint({"-", "absent"})
     assert set(rows["run.speed_lag"]).isdisjoint({"-", "absent"})
@@ -101,19 +111,20 @@ def test_a_bag_beside_a_recording_has_the_rows_of_both(call: Call, robot: Path, 
 
 
 def test_the_table_of_a_recording_alone_is_that_of_its_law(call: Call, kp4: Path) -> None:
-    rows = [line.split()[0] for line in call("metrics", kp4).out.splitlines() if "." in line[:20]]
-    essential = tl.measure.list_essential_metrics(tl.read_run(kp4).declaration)
-    assert [
-        name for name in rows if name in tl.measure.list_metrics(tl.read_run(kp4).declaration)
-    ] == [*essential]
+    out = call("metrics", kp4, "--markdown").out
+    rows = [line.strip("| ").split(" | ")[0] for line in out.splitlines() if "." in line[:20]]
+    assert rows == [*tl.measure.list_essential_metrics(tl.read_run(kp4).declaration)]
 
 
 def test_bags_are_compared_by_what_they_have(
     call: Call, robot: Path, silent: Path, kp4: Path
 ) -> None:
     out = call("compare", robot, silent).out
+    assert out.startswith("2 runs: goal is not known of every run, so nothing is called best.\n")
     assert "position" not in out.split("No goal")[0]
     assert "measured" in out
+    assert len(out.splitlines()) <= 40
+    assert max(map(len, out.splitlines())) <= 80
     mixed = call("compare", robot, kp4).out
     assert "rotate" in mixed
     assert "measured" in mixed
@@ -126,8 +137,8 @@ def test_a_bag_against_a_reference_is_told_how_far_off_its_path_it_is(
     answer = call("compare", "--reference", robot, slower)
     told = " ".join(answer.out.split())
     # It stays on the line that the reference drove, and falls back by half of 0.4 m.
-    assert "slower: up to 0 m from the path of robot" in told
-    assert "at equal times up to 0.2 m apart" in told
+    assert told.startswith("slower stays on the path of robot, within 1e-9 m.")
+    assert "slower: at equal times up to 0.2 m apart" in told
     found = call("compare", "--reference", robot, slower, "--json").json["runs"][0]["path_error"]
     assert found["largest_m"] == pytest.approx(0.0, abs=1e-12)
     assert found["largest_apart_m"] == pytest.approx(0.2, abs=1e-4)
@@ -137,7 +148,7 @@ def test_a_bag_against_a_reference_is_told_how_far_off_its_path_it_is(
 def test_a_recording_against_a_bag_has_values_of_both(call: Call, robot: Path, kp4: Path) -> None:
     for pair in ((robot, kp4), (kp4, robot)):
         table = call("compare", "--reference", *pair).out.split("Largest differences")[0]
-        (row,) = (line for line in table.splitlines() if line.startswith("paper-kp4"))
+        (row,) = (line for line in table.splitlines() if line.startswith("paper-kp4  "))
         assert row.split().count("-") == 0
 
 
@@ -171,7 +182,8 @@ def test_what_names_more_than_commands_is_judged_from_the_first_one(
 
 
 def test_several_formulas_are_checked_without_a_file(call: Call, robot: Path) -> None:
-    answer = call("check", robot, "--expect", "run.path_length <= 0.1", "--expect", "always(x < 1)")
+    formulas = ("--expect", "run.path_length <= 0.1", "--expect", "always(x < 1)")
+    answer = call("check", robot, *formulas, "--all")
     assert answer.code == 1
     assert "PASS  always(x < 1)" in answer.out
     assert "FAIL  run.path_length <= 0.1" in answer.out

@@ -43,3 +43,26 @@ def test_numbers_in_names_may_be_of_any_length() -> None:
 def test_runs_of_one_name_stay_as_they_were() -> None:
     runs = [dataclasses.replace(make_run(name="x"), source=source) for source in "bca"]
     assert [run.source for run in tl.compare.order_by_gain(runs)] == ["b", "c", "a"]
+
+
+def shorten(*runs: tuple[str, str]) -> tuple[list[str], list[str]]:
+    summaries = [
+        tl.summarise_run(make_run(name=name), file=file, metrics={}) for name, file in runs
+    ]
+    found, notes = tl.compare.shorten_names(summaries)
+    return [one.name for one in found], notes
+
+
+def test_a_name_of_24_characters_stays_and_a_longer_one_is_that_of_the_file() -> None:
+    assert shorten(("a" * 24, "x/a.mcap"), ("b" * 25, "x/b.mcap")) == (["a" * 24, "b.mcap"], [])
+    assert shorten(("b" * 25, "x/" + "0123456789" * 3)) == (["01234567...7890123456789"], [])
+    same = [("b" * 25, ""), ("b" * 25, "")]
+    assert shorten(*same)[0] == [f"bbbbbbbb...bbbbbbbbb ({number})" for number in (1, 2)]
+
+
+def test_what_long_names_changed_stands_once_below() -> None:
+    long = "textbook kp=60 loop.transport_delay_ticks=6"
+    assert shorten((long, "a.mcap")) == (["a.mcap"], [f"a.mcap: {long}"])
+    many = [(long.replace("=6", f"={number}"), f"{number}.mcap") for number in range(5)]
+    _, notes = shorten(*many)
+    assert notes == ["Keys that these runs changed: kp, loop.transport_delay_ticks."]

@@ -1,6 +1,6 @@
 """`turtlelog compare`: runs beside each other, or against a reference."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.compare_reference import compare_with_reference, describe_metric
+from turtlelog.cli.compare_answer import format_across
+from turtlelog.cli.compare_reference import (
+    Manner,
+    MetricBeside,
+    compare_with_reference,
+    take_metric,
+)
 from turtlelog.cli.compare_robot import compare_with_robot, list_scenario_files
 from turtlelog.cli.folders import Recursive, describe_unread, list_files
 from turtlelog.cli.list_names import complete_metrics
@@ -31,6 +37,7 @@ from turtlelog.cli.output import (
     print_json,
     print_note,
     print_tables,
+    print_text,
 )
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -38,7 +45,8 @@ from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Run
-    from turtlelog.compare import Ranking, RunSummary
+    from turtlelog.compare import Mark, Ranking, RunSummary
+    from turtlelog.run import Parameter as ScenarioValue
 
 
 @Parameter(name="*")
@@ -53,6 +61,7 @@ class ReferenceOptions:
         recursive: Take every recording below the folders given, but for the reference.
         jobs: Processes to read and measure in; as many as cores where that is quicker. With
             --rrd or the scenario of a robot it is one.
+        details: Beside a reference: show the signals of several runs, too.
     """
 
     reference: Place | None = None
@@ -60,6 +69,7 @@ class ReferenceOptions:
     align: Annotated[str | None, Parameter(metavar="HOW")] = None
     recursive: Recursive = False
     jobs: Jobs = None
+    details: bool = False
 
 
 @Parameter(name="*")
@@ -161,7 +171,8 @@ def compare(
     require_new_target(rrd, paths, suffix=".rrd")
     held = None if rrd is None else _draw(paths, rrd, topics)
     if against.reference is not None:
-        compare_with_reference(paths, held, kind, align=against.align, topics=topics, jobs=jobs)
+        manner = Manner(against.align, topics, jobs, shows_signals=against.details)
+        compare_with_reference(paths, held, kind, manner)
         return EXIT_FINE
     only = _choose_needed(choice, kind)
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
@@ -274,7 +285,10 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
     only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--only")
     ranking = tl.compare.judge_runs(summaries, varied=choice.list_varied(), source="--varied")
     if kind == "json":
-        print_json(_describe_across(summaries, only=only, notes=notes, ranking=ranking))
+        print_json(_build_answer(summaries, only=only, notes=notes, ranking=ranking))
+        return
+    if kind == "txt":
+        print_text(format_across(summaries, ranking, only=only, title=title, notes=notes))
         return
     table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes, ranking=ranking)
     print_tables([table], kind)
@@ -284,57 +298,99 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
             print_note(note)
 
 
-def _describe_across(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _MarkedMetric(MetricBeside):
+    mark: "Mark | None"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _RunBeside:
+    """A run beside others: no reference, so no signals."""
+
+    file: str
+    name: str
+    overlap_s: None = None
+    parameters: "Mapping[str, ScenarioValue]"
+    signals: tuple[()] = ()
+    metrics: list[_MarkedMetric]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Difference:
+    condition: str
+    key: str
+    values: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Unknown:
+    condition: str
+    runs: list[str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _RankingAnswer:
+    """Whether a run may be called the best, what was varied, what differs and is unknown."""
+
+    is_fair: bool
+    reason: str | None
+    varied: tuple[str, ...]
+    differences: list[_Difference]
+    unknown: list[_Unknown]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _AcrossAnswer:
+    """Runs beside each other, with marks on their metrics."""
+
+    reference: None = None
+    alignment: None = None
+    notes: tuple[str, ...]
+    ranking: _RankingAnswer
+    runs: list[_RunBeside]
+
+
+def _build_answer(
     summaries: "Sequence[RunSummary]",
     *,
     only: Sequence[str],
-    notes: Sequence[str],
+    notes: tuple[str, ...],
     ranking: "Ranking",
-) -> dict[str, Any]:
-    """Return runs beside each other: no reference, no signals, marks on the metrics."""
-    names = list(tl.measure.list_metrics(*(found.declaration for found in summaries)))
+) -> _AcrossAnswer:
+    ids = list(tl.measure.list_metrics(*(found.declaration for found in summaries)))
     if only:
         chosen = tl.compare.choose_columns(summaries, only)
-        names = [name for name in chosen if any(found.find_metric(name) for found in summaries)]
-    marks = {name: tl.compare.mark_metric(summaries, name, ranking=ranking) for name in names}
+        ids = [name for name in chosen if any(found.find_metric(name) for found in summaries)]
+    marks = {name: tl.compare.mark_metric(summaries, name, ranking=ranking) for name in ids}
     parameters = tl.compare.order_parameters(summaries, ranking)
-    return {
-        "reference": None,
-        "alignment": None,
-        "notes": list(notes),
-        "ranking": _describe_ranking(ranking, tl.compare.name_runs(summaries)),
-        "runs": [
-            {
-                "file": summary.file,
-                "name": name,
-                "overlap_s": None,
-                "parameters": parameters[row],
-                "signals": [],
-                "metrics": [
-                    {**describe_metric(metric), "mark": marks[metric.id].get(row)}
-                    for metric in map(summary.find_metric, names)
-                    if metric is not None
-                ],
-            }
-            for row, (name, summary) in enumerate(
-                zip(tl.compare.name_runs(summaries), summaries, strict=True)
-            )
-        ],
-    }
+    names = tl.compare.name_runs(summaries)
+    runs = [
+        _RunBeside(
+            file=summary.file,
+            name=name,
+            parameters=parameters[row],
+            metrics=[
+                _MarkedMetric(**take_metric(metric), mark=marks[metric.id].get(row))
+                for metric in map(summary.find_metric, ids)
+                if metric is not None
+            ],
+        )
+        for row, (name, summary) in enumerate(zip(names, summaries, strict=True))
+    ]
+    return _AcrossAnswer(notes=notes, ranking=_build_ranking(ranking, names), runs=runs)
 
 
-def _describe_ranking(ranking: "Ranking", names: Sequence[str]) -> dict[str, Any]:
-    """Return whether a run may be called the best, what was varied, what differs and is unknown."""
-    return {
-        "is_fair": ranking.is_fair,
-        "reason": ranking.describe() or None,
-        "varied": list(ranking.varied),
-        "differences": [
-            {"condition": found.condition, "key": found.key, "values": list(found.values)}
+def _build_ranking(ranking: "Ranking", names: Sequence[str]) -> _RankingAnswer:
+    return _RankingAnswer(
+        is_fair=ranking.is_fair,
+        reason=ranking.describe() or None,
+        varied=ranking.varied,
+        differences=[
+            _Difference(condition=found.condition, key=found.key, values=found.values)
             for found in ranking.differences
         ],
-        "unknown": [
-            {"condition": condition, "runs": [names[row] for row in rows]}
+        unknown=[
+            _Unknown(condition=condition, runs=[names[row] for row in rows])
             for condition, rows in ranking.unknown.items()
         ],
-    }
+    )

@@ -1,16 +1,16 @@
 """`turtlelog compare --reference`: how far each run is from one."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import turtlelog as tl
+from turtlelog.cli.compare_answer import format_reference, list_errors
 from turtlelog.cli.options import ReadingOptions, watch_files
-from turtlelog.cli.output import print_json, print_run_notes, print_tables
+from turtlelog.cli.output import print_json, print_run_notes, print_tables, print_text
 from turtlelog.compare.difference import compare_measured
-from turtlelog.display import format_number
 from turtlelog.processes import map_in_processes
 
 if TYPE_CHECKING:
@@ -18,16 +18,12 @@ if TYPE_CHECKING:
 
     from turtlelog import Metric, Run
     from turtlelog.compare import (
-        MetricDifference,
         PathError,
         RunComparison,
         RunSummary,
-        SignalDifference,
         Table,
     )
     from turtlelog.log import ReadChoice
-
-_RUNS_ABREAST: Final = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,14 +66,24 @@ class _Comparer:
         )
 
 
+class Manner(NamedTuple):
+    """How runs are compared with a reference.
+
+    Attributes:
+        align: What to bring together; None for the first samples.
+        topics: What to read.
+        jobs: Processes to read and compare in.
+        shows_signals: Whether text shows the signals of however many runs.
+    """
+
+    align: str | None
+    topics: ReadingOptions | None
+    jobs: int
+    shows_signals: bool
+
+
 def compare_with_reference(
-    paths: Sequence[Path],
-    held: "Sequence[Run] | None",
-    kind: str,
-    *,
-    align: str | None,
-    topics: ReadingOptions | None,
-    jobs: int,
+    paths: Sequence[Path], held: "Sequence[Run] | None", kind: str, manner: Manner
 ) -> None:
     """Print how far runs are from the first.
 
@@ -85,20 +91,18 @@ def compare_with_reference(
         paths: Of the reference, and of the others.
         held: The runs, where they are read already; then they are compared in this process.
         kind: How to print.
-        align: What to bring together; None for the first samples.
-        topics: What to read.
-        jobs: Processes to read and compare in.
+        manner: How they are compared.
     """
-    alignment = align or "first_sample"
+    alignment = manner.align or "first_sample"
     if alignment == "first-sample":
         alignment = "first_sample"
-    choice = (topics or ReadingOptions()).build_choice()
+    choice = (manner.topics or ReadingOptions()).build_choice()
     reference = tl.log.read_as_chosen(paths[0], choice) if held is None else held[0]
     comparer = _Comparer(reference=reference, alignment=alignment, choice=choice)
     others = paths[1:]
     if held is None:
         print_run_notes(paths[0], reference.notes)
-        found: Iterable[_Compared] = map_in_processes(comparer, others, jobs)
+        found: Iterable[_Compared] = map_in_processes(comparer, others, manner.jobs)
     else:
         found = map(comparer.compare, others, held[1:])
     compared: list[_Compared] = []
@@ -107,10 +111,15 @@ def compare_with_reference(
         if held is None:
             print_run_notes(one.summary.file, one.summary.notes)
     if kind == "json":
-        print_json(_describe(paths, compared, alignment))
+        runs = [_build_run(*pair) for pair in zip(paths[1:], compared, strict=True)]
+        print_json(_ReferenceAnswer(reference=str(paths[0]), alignment=alignment, runs=runs))
     else:
         first = _summarise_reference(reference, paths[0], [one.summary for one in compared])
-        print_tables(_tabulate(first, compared, kind), kind)
+        if kind != "txt":
+            print_tables(_tabulate(first, compared, kind), kind)
+            return
+        told = [(one.summary, one.comparison, one.path_error) for one in compared]
+        print_text(format_reference(first, told, shows_signals=manner.shows_signals))
 
 
 def _summarise_reference(
@@ -130,95 +139,106 @@ def _measure_known(run: "Run", names: Sequence[str]) -> "Mapping[str, Metric]":
     return tl.measure_run(run, only=[name for name in names if name in known])
 
 
-def _tell_path(name: str, reference: str, error: "PathError") -> str:
-    def show(value_m: float) -> str:
-        return format_number(round(value_m, 9), "m")  # less is rounding
-
-    return (
-        f"{name}: up to {show(error.largest_m)} from the path of {reference} at"
-        f" {error.largest_at_s:.2f} s, RMS {show(error.rms_m)}; at equal times up to"
-        f" {show(error.largest_apart_m)} apart, RMS {show(error.rms_apart_m)}."
-    )
-
-
 def _tabulate(first: "RunSummary", compared: "Sequence[_Compared]", kind: str) -> "list[Table]":
     summaries = [first, *(one.summary for one in compared)]
     comparisons = [one.comparison for one in compared]
     reference, *names = tl.compare.name_runs(summaries)
-    # As many runs as a terminal has room for; a file has room for all.
-    step = _RUNS_ABREAST if kind == "txt" else len(names)
-    differences = [
-        tl.compare.tabulate_differences(
-            comparisons[first : first + step],
-            names=names[first : first + step],
-            reference=reference,
-        )
-        for first in range(0, len(names), step)
-    ]
+    differences = tl.compare.tabulate_differences(comparisons, names=names, reference=reference)
     if kind == "csv":
-        return differences
-    told = [
-        _tell_path(name, reference, one.path_error)
-        for name, one in zip(names, compared, strict=True)
-    ]
-    last = replace(differences[-1], notes=(*differences[-1].notes, *told))
-    return [tl.tabulate_runs(summaries), *differences[:-1], last]
+        return [differences]
+    errors = {name: one.path_error for name, one in zip(names, compared, strict=True)}
+    told = tuple(list_errors(errors, reference))
+    return [tl.tabulate_runs(summaries), replace(differences, notes=(*differences.notes, *told))]
 
 
-def _describe(
-    paths: Sequence[Path],
-    compared: "Sequence[_Compared]",
-    alignment: str,
-) -> dict[str, Any]:
-    """Return runs against the reference, which is the first path."""
-    return {
-        "reference": str(paths[0]),
-        "alignment": alignment,
-        "runs": [
-            {
-                "file": str(path),
-                "name": one.comparison.name,
-                "overlap_s": one.comparison.overlap_s,
-                "overlap_from_s": one.comparison.overlap_from_s,
-                "notes": list(one.comparison.notes),
-                "signals": [_describe_signal(signal) for signal in one.comparison.signals],
-                "metrics": [_describe_difference(metric) for metric in one.comparison.metrics],
-                "path_error": asdict(one.path_error),
-            }
-            for path, one in zip(paths[1:], compared, strict=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MetricBeside:
+    """A metric of a run.
+
+    Attributes:
+        id: Of the metric.
+        value: In `unit`; None where `status` is not `ok`.
+        unit: Of both values.
+        status: Whether there is a value.
+        reference: The value of the reference; None without one.
+        better: `lower`, `higher`, or None if neither is better.
+    """
+
+    id: str
+    value: float | None
+    unit: str
+    status: str
+    reference: float | None
+    better: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _HeldMetric(MetricBeside):
+    reference_status: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _HeldSignal:
+    signal: str
+    unit: str
+    largest: float
+    at_s: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _HeldRun:
+    """What differs between a run and the reference."""
+
+    file: str
+    name: str
+    overlap_s: float
+    overlap_from_s: float
+    notes: tuple[str, ...]
+    signals: list[_HeldSignal]
+    metrics: list[_HeldMetric]
+    path_error: "PathError"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _ReferenceAnswer:
+    """Runs beside the reference, which is a file."""
+
+    reference: str
+    alignment: str
+    runs: list[_HeldRun]
+
+
+def _build_run(path: Path, compared: _Compared) -> _HeldRun:
+    found = compared.comparison
+    return _HeldRun(
+        file=str(path),
+        name=found.name,
+        overlap_s=found.overlap_s,
+        overlap_from_s=found.overlap_from_s,
+        notes=found.notes,
+        signals=[
+            _HeldSignal(signal=one.signal, unit=one.unit, largest=one.largest, at_s=one.at_s)
+            for one in found.signals
         ],
-    }
+        metrics=[
+            _HeldMetric(
+                **take_metric(one.metric, one.reference.value),
+                reference_status=one.reference.status.value,
+            )
+            for one in found.metrics
+        ],
+        path_error=compared.path_error,
+    )
 
 
-def describe_metric(metric: "Metric") -> dict[str, Any]:
-    """Return a metric as an entry of JSON answers; a reference is beside it where there is one."""
+def take_metric(metric: "Metric", reference: float | None = None) -> dict[str, Any]:
+    """Return the fields of `MetricBeside`."""
+    kind = tl.measure.find_metric_kind(metric.id)
     return {
         "id": metric.id,
         "value": metric.value,
         "unit": metric.unit,
         "status": metric.status.value,
-        "reference": None,
-        "better": _find_better(metric.id),
-    }
-
-
-def _describe_signal(found: "SignalDifference") -> dict[str, Any]:
-    return {
-        "signal": found.signal,
-        "unit": found.unit,
-        "largest": found.largest,
-        "at_s": found.at_s,
-    }
-
-
-def _find_better(name: str) -> str | None:
-    kind = tl.measure.find_metric_kind(name)
-    return None if kind is None else kind.better
-
-
-def _describe_difference(found: "MetricDifference") -> dict[str, Any]:
-    return {
-        **describe_metric(found.metric),
-        "reference": found.reference.value,
-        "reference_status": found.reference.status.value,
+        "reference": reference,
+        "better": None if kind is None else kind.better,
     }

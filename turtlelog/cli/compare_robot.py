@@ -1,11 +1,12 @@
 """`turtlelog compare BAG... robot.toml`: recorded robots beside a simulated one."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import turtlelog as tl
+from turtlelog.cli.compare_answer import format_robots
 from turtlelog.cli.options import ReadingOptions, read_runs
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
@@ -14,6 +15,7 @@ from turtlelog.cli.output import (
     print_json,
     print_note,
     print_tables,
+    print_text,
 )
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_pictures
@@ -22,6 +24,7 @@ from turtlelog.errors import TurtlelogError, UsageError
 if TYPE_CHECKING:
     from turtlelog import Scenario
     from turtlelog.compare import ErrorBand, RobotComparison
+    from turtlelog.run import Clock
 
 
 def list_scenario_files(files: Sequence[Path]) -> list[Path]:
@@ -83,47 +86,86 @@ def _load(file: Path) -> "Scenario":
 
 def _print(found: "Sequence[tuple[Path, RobotComparison]]", scenario: Path, kind: str) -> None:
     if kind == "json":
-        print_json(
-            {
-                "reference": str(scenario),
-                "alignment": "anchored",
-                "seeds": found[0][1].seeds,
-                "runs": [_describe(file, one) for file, one in found],
-            }
-        )
+        seeds = found[0][1].seeds
+        runs = [_build_run(file, one) for file, one in found]
+        print_json(_RobotAnswer(reference=str(scenario), seeds=seeds, runs=runs))
         return
-    print_tables([tl.compare.tabulate_robots([one for _, one in found])], kind)
+    robots = [one for _, one in found]
+    if kind == "txt":
+        print_text(format_robots(robots, [str(file) for file, _ in found]))
+    else:
+        print_tables([tl.compare.tabulate_robots(robots)], kind)
 
 
-def _describe(file: Path, found: "RobotComparison") -> dict[str, Any]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _BandAnswer:
+    """Errors of a quantity after a time, in `unit`; fields as in `ErrorBand`."""
+
+    quantity: str
+    unit: str
+    horizon_s: float
+    pieces: int
+    median: float
+    largest: float
+    largest_at_s: float
+    simulated_median: float | None
+    within_share: float | None
+    above: int | None
+    below: int | None
+    verdict: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _RobotRun:
+    """A recorded robot beside the simulated one."""
+
+    file: str
+    name: str
+    overlap_s: float
+    signals: tuple[()] = ()
+    metrics: tuple[()] = ()
+    errors: list[_BandAnswer]
+    clock: "Clock | None"
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _RobotAnswer:
+    """Recorded robots beside that of a scenario, which is a file."""
+
+    reference: str
+    alignment: str = "anchored"
+    seeds: int
+    runs: list[_RobotRun]
+
+
+def _build_run(file: Path, found: "RobotComparison") -> _RobotRun:
     time_ns = found.recorded.time_ns
-    return {
-        "file": str(file),
-        "name": found.name,
-        "overlap_s": int(time_ns[-1] - time_ns[0]) / 1e9,
-        "signals": [],
-        "metrics": [],
-        "errors": [_describe_band(band) for band in found.bands],
-        "clock": None if found.clock is None else asdict(found.clock),
-        "notes": list(found.notes),
-    }
+    return _RobotRun(
+        file=str(file),
+        name=found.name,
+        overlap_s=int(time_ns[-1] - time_ns[0]) / 1e9,
+        errors=[_build_band(band) for band in found.bands],
+        clock=found.clock,
+        notes=found.notes,
+    )
 
 
-def _describe_band(band: "ErrorBand") -> dict[str, Any]:
-    return {
-        "quantity": band.quantity,
-        "unit": "m" if band.quantity == "position" else "rad",
-        "horizon_s": band.horizon_s,
-        "pieces": len(band.recorded),
-        "median": band.median,
-        "largest": band.largest,
-        "largest_at_s": band.largest_at_s,
-        "simulated_median": band.simulated_median,
-        "within_share": band.within_share,
-        "above": band.above,
-        "below": band.below,
-        "verdict": band.verdict,
-    }
+def _build_band(band: "ErrorBand") -> _BandAnswer:
+    return _BandAnswer(
+        quantity=band.quantity,
+        unit="m" if band.quantity == "position" else "rad",
+        horizon_s=band.horizon_s,
+        pieces=len(band.recorded),
+        median=band.median,
+        largest=band.largest,
+        largest_at_s=band.largest_at_s,
+        simulated_median=band.simulated_median,
+        within_share=band.within_share,
+        above=band.above,
+        below=band.below,
+        verdict=band.verdict,
+    )
 
 
 def _draw(found: "RobotComparison", plot: Path | None, rrd: Path | None) -> None:

@@ -1,9 +1,10 @@
 """`turtlelog metrics`: measure recordings."""
 
 from array import array
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from cyclopts import Parameter
 
@@ -16,6 +17,11 @@ from turtlelog.cli.folders import (
     tabulate,
 )
 from turtlelog.cli.list_names import complete_metrics
+from turtlelog.cli.metrics_answer import (
+    list_needed,
+    print_chosen,
+    print_essential,
+)
 from turtlelog.cli.options import (
     Files,
     Place,
@@ -35,16 +41,13 @@ from turtlelog.cli.output import (
     print_json,
     print_json_list,
     print_lines,
-    print_tables,
 )
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Declaration, MeasureSettings, Run
+    from turtlelog import Declaration, MeasureSettings
     from turtlelog.compare import RunSummary
     from turtlelog.sweep import TabulatedFiles
-
-_MOST_COLUMNS: Final = 6
 
 
 @Parameter(name="*")
@@ -92,6 +95,27 @@ class MeasureOptions:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredFile:
+    """The answer for one file, as JSON has it.
+
+    Attributes:
+        file: As it was given.
+        name: Of the run.
+        metrics: Those that were asked for, or all.
+    """
+
+    file: str
+    name: str
+    metrics: list[dict[str, Any]]
+
+
+def _build_answer(summary: "RunSummary") -> MeasuredFile:
+    """Return the answer for one file."""
+    metrics = describe_metrics(summary.metrics)
+    return MeasuredFile(file=summary.file, name=summary.name, metrics=metrics)
+
+
 def metrics(
     files: Files,
     /,
@@ -102,13 +126,13 @@ def metrics(
     formats: FormatOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> int:
-    """Measure recordings: the essential metrics as a table, a status where there is no value.
+    """Measure recordings: where each ends, and how its loops answer.
 
-    Up to six runs stand side by side; of more, each has a row. Runs stand in
-    order of their gains, and are called by their files where names are alike.
-    JSON and CSV hold every metric, file by file in the order given. A file that
-    cannot be read is reported on stderr; the others are measured, and the exit
-    code is 2.
+    Of one run the loops stand side by side; of several each run has a row, in order of the gains.
+    A cell without a value shows a status, and the reason is below the table. With --all or --only
+    metrics have their ids, and up to six runs stand side by side. JSON and CSV have every metric,
+    file by file in the order given. A file that cannot be read is reported on stderr; the others
+    are measured, and the exit code is 2.
 
     Example: turtlelog metrics kp1.mcap kp4.mcap
 
@@ -137,7 +161,7 @@ def metrics(
     files = folders.list_files(files)
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
     settings = measuring.build_settings()
-    essential = _list_with_path if measuring.reference_path else tl.measure.list_essential_metrics
+    essential = partial(list_needed, has_path=measuring.reference_path is not None)
     errors: list[TurtlelogError] = []
     with folders.find_place(files) as place:
         summarised = tl.compare.summarise_files(
@@ -150,9 +174,9 @@ def metrics(
         )
         summaries = watch_summaries(summarised, len(files), errors)
         if kind == "json":
-            print_json_list(map(_describe, summaries))
+            print_json_list(map(_build_answer, summaries))
         elif kind == "csv":
-            _print_csv(summaries, patterns)
+            _print_rows(summaries, patterns)
         else:
             held = list(summaries)
             if not any(found.metrics for found in held):
@@ -160,9 +184,9 @@ def metrics(
             if is_short:
                 choice = topics.build_choice()
                 held = list(tl.compare.complete_summaries(held, settings, topics=choice))
-                _print_tables(held, kind, is_short=True)
+                print_essential(held, kind)
             else:
-                _print_tables(held, kind, is_short=False)
+                print_chosen(held, kind)
     for err in errors:
         print_error(describe_unread(err, is_recursive=folders.recursive))
     return EXIT_BAD_INPUT if errors else EXIT_FINE
@@ -182,12 +206,6 @@ def _tell(done: "TabulatedFiles", kind: str) -> int:
     return EXIT_BAD_INPUT if done.failed else EXIT_FINE
 
 
-def _list_with_path(run: "Run") -> tuple[str, ...]:
-    """Return the essential metrics, and how far from the path that was given, goal or none."""
-    essential = tl.measure.list_essential_metrics(run)
-    return tuple(dict.fromkeys([*essential, "run.cross_track_max"]))
-
-
 def _refuse_patterns(
     patterns: Sequence[str] | None, declarations: "Collection[Declaration]"
 ) -> None:
@@ -199,45 +217,8 @@ def _refuse_patterns(
     raise UsageError(f"metric {patterns[0]!r}: expected {near}")
 
 
-def _print_tables(summaries: "Sequence[RunSummary]", kind: str, *, is_short: bool) -> None:
-    if not summaries:
-        return
-    declarations = [found.declaration for found in summaries]
-    ids = (name for found in summaries for name in found.metrics)
-    chosen = tl.compare.order_ids(ids, declarations)
-    if is_short:
-        chosen = tl.compare.drop_absent(summaries, chosen)
-    summaries = tl.compare.order_by_gain(summaries)
-    if len(summaries) > _MOST_COLUMNS:
-        table = tl.tabulate_runs(summaries, only=chosen)
-    else:
-        names = tl.compare.name_runs(summaries)
-        measured = [
-            {name: found for name, found in summary.metrics.items() if name in chosen}
-            for summary in summaries
-        ]
-        table = tl.compare.tabulate_measured(names, measured, declarations=declarations)
-    if is_short and kind == "txt":
-        count = len(tl.measure.list_metrics(*(found.declaration for found in summaries)))
-        more = f"{len(chosen)} of {count} metrics: --all shows every one, --only chooses."
-        unlocks = tl.compare.list_unlocks(summaries)
-        table = replace(table, notes=(more, *_tell_rates(summaries), *table.notes, *unlocks))
-    print_tables([table], kind)
-
-
-def _tell_rates(summaries: "Sequence[RunSummary]") -> "Iterator[str]":
-    """Yield where the measured rates of bags come from."""
-    lawless = [found for found in summaries if found.is_lawless]
-    reporting = sum("rates" not in found.lacks for found in lawless)
-    if reporting and reporting == len(lawless):
-        yield "Measured rates are those that the robot reports."
-    elif lawless:
-        which = "" if not reporting else " where the robot reports none"
-        yield f"Measured rates are differences of poses{which}."
-
-
-def _print_csv(summaries: "Iterable[RunSummary]", patterns: Sequence[str] | None) -> None:
-    """Print a row for every run, in the order given; a cell is empty without such a loop."""
+def _print_rows(summaries: "Iterable[RunSummary]", patterns: Sequence[str] | None) -> None:
+    """Print CSV, a row for every run, in the order given; a cell is empty without such a loop."""
     rows = _CsvRows()
     for summary in summaries:
         rows.add(summary)
@@ -297,14 +278,6 @@ class _CsvRows:
             name: row.reasons.get(place, row.values[place]) for place, name in enumerate(row.ids)
         }
         return [row.file, row.name, *(cells.get(name) for name in chosen)]
-
-
-def _describe(summary: "RunSummary") -> dict[str, Any]:
-    return {
-        "file": summary.file,
-        "name": summary.name,
-        "metrics": describe_metrics(summary.metrics),
-    }
 
 
 Value = float | str

@@ -165,6 +165,41 @@ def _drop(stream: TextIO) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
+_LINE: Final = 80
+"""Characters of a line of sentences; of any line where there is no terminal."""
+
+
+def find_width() -> int:
+    """Return the characters of a line: those of the terminal, else 80."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else _LINE
+
+
+def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
+    """Return sentences as lines that fit a page; words, commands and formulas stay whole."""
+    return "\n".join(
+        textwrap.fill(
+            escape_controls(hide_secrets(line)),
+            min(find_width(), _LINE),
+            subsequent_indent=" " * indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        for line in lines
+    )
+
+
+def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return lines of cells below each other, indented, as many of the columns as a line holds."""
+    while rows:
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        padded = [map(str.ljust, map(escape_controls, row), widths) for row in rows]
+        lines = [f"  {'   '.join(row)}".rstrip() for row in padded]
+        if len(widths) == 1 or max(map(len, lines)) <= find_width():
+            return lines
+        rows = [row[:-1] for row in rows]
+    return []
+
+
 def format_table(table: "Table", *, indent: int = 0) -> str:
     """Return a table that fits the terminal; as wide as it needs where a file or program reads."""
     room = shutil.get_terminal_size().columns - indent if sys.stdout.isatty() else None

@@ -37,8 +37,10 @@ from .robot_prediction import (
     compare_robot as compare_robot,
 )
 from .run_names import (
+    name_file as name_file,
     name_runs as name_runs,
     order_by_gain as order_by_gain,
+    shorten_names as shorten_names,
 )
 from .run_summary import (
     RunSummary as RunSummary,
@@ -53,6 +55,7 @@ from .run_summary import (
 from .run_table import (
     UNLOCKS as UNLOCKS,
     drop_absent as drop_absent,
+    list_reasons as list_reasons,
     list_units as list_units,
     list_unlocks as list_unlocks,
     mark_metric as mark_metric,
@@ -71,5 +74,6 @@ from .table import (
     Mark as Mark,
     Table as Table,
     format_cell as format_cell,
+    narrow_table as narrow_table,
 )
 from .tube import Tolerance as Tolerance

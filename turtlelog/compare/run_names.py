@@ -4,14 +4,25 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Final, TypeVar
 
 from turtlelog.compare.run_summary import RunSummary, complete_parameters
+from turtlelog.log import split_topic
 from turtlelog.run import Parameter, Run
 
 _MOST_PARAMETERS: Final = 2
+
+_LONGEST: Final = 24
+"""Of a name in a table of text [characters]."""
+
+_TAIL: Final = 13
+"""Of a longer file's name [characters]: dates and numbers are at its end."""
+
+_MOST_TOLD: Final = 4
+"""Long names that are given in full; of more the keys alone."""
 
 
 def name_runs(runs: Sequence[Run | RunSummary]) -> tuple[str, ...]:
@@ -29,6 +40,50 @@ def name_runs(runs: Sequence[Run | RunSummary]) -> tuple[str, ...]:
         for row, name in zip(rows, _tell_apart([runs[row] for row in rows]), strict=True):
             names[row] = name
     return _number(names)
+
+
+def name_file(file: str | Path) -> str:
+    """Return the name of a file without its folders; with the topic, of FILE:TOPIC."""
+    path, topic = split_topic(file)
+    name = path.name or str(file)
+    return name if topic is None else f"{name}:{topic}"
+
+
+def shorten_names(runs: Sequence[RunSummary]) -> tuple[tuple[RunSummary, ...], list[str]]:
+    """Return runs whose names have at most 24 characters, and what the long names were.
+
+    A run with a longer name is called by its file, whose middle is left out where it is longer.
+    """
+    names = name_runs(runs)
+    long = [len(name) > _LONGEST for name in names]
+    short = _number(
+        [
+            _cut(name_file(run.file) if run.file else name) if is_long else name
+            for run, name, is_long in zip(runs, names, long, strict=True)
+        ]
+    )
+    generated = {
+        name: run.name
+        for name, run, is_long in zip(short, runs, long, strict=True)
+        if is_long and "=" in run.name
+    }
+    renamed = tuple(replace(run, name=name) for run, name in zip(runs, short, strict=True))
+    return renamed, _describe_changes(generated)
+
+
+def _cut(name: str) -> str:
+    if len(name) <= _LONGEST:
+        return name
+    return f"{name[: _LONGEST - _TAIL - 3]}...{name[-_TAIL:]}"
+
+
+def _describe_changes(generated: Mapping[str, str]) -> list[str]:
+    """Return which keys runs changed, by what is left of their names."""
+    if len(generated) <= _MOST_TOLD:
+        return [f"{name}: {full}" for name, full in generated.items()]
+    words = (word for full in generated.values() for word in full.split())
+    keys = dict.fromkeys(word.partition("=")[0] for word in words if "=" in word)
+    return [f"Keys that these runs changed: {', '.join(keys)}."]
 
 
 def _tell_apart(runs: Sequence[Run | RunSummary]) -> list[str]:

@@ -1,7 +1,7 @@
 """Tables of metrics: of many runs as rows, of few as columns."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
 from types import MappingProxyType
@@ -31,6 +31,12 @@ from turtlelog.measure import (
 )
 from turtlelog.run import Parameter, Run
 
+_MOST_DIFFERING: Final = 2
+"""Columns of parameters in which runs differ."""
+
+_MOST_HIDDEN: Final = 8
+"""More of them that are named below a table."""
+
 
 def tabulate_runs(
     summaries: Sequence[RunSummary],
@@ -39,6 +45,7 @@ def tabulate_runs(
     title: str = "",
     notes: Sequence[str] = (),
     ranking: Ranking | None = None,
+    differing: int = _MOST_DIFFERING,
 ) -> Table:
     """Return a row for every run: its gains, and metrics with the best and the worst marked.
 
@@ -51,6 +58,7 @@ def tabulate_runs(
         title: Instead of how many runs there are.
         notes: Sentences to stand below.
         ranking: Whether a run may be called the best; None: as `judge_runs` judges it.
+        differing: Columns of other parameters in which runs differ; the rest is named below.
 
     Raises:
         CompareError: Where `only` names what there is not.
@@ -60,8 +68,8 @@ def tabulate_runs(
     chosen = choose_columns(summaries, only or _list_usual(summaries))
     if not only:
         summaries = [_leave_out_goal(summary) for summary in summaries]
-    differing = [] if only else _find_differing(summaries, ranking)
-    shown = [*differing[:_MOST_DIFFERING], *chosen]
+    others = [] if only else _find_differing(summaries, ranking)
+    shown = [*others[:differing], *chosen]
     units = {name: _list_units(summaries, name) for name in shown}
     names = name_runs(summaries)
     rows = tuple(
@@ -77,8 +85,8 @@ def tabulate_runs(
         *gains,
         *(_head_column(name, units[name]) for name in shown),
     )
-    hidden = differing[_MOST_DIFFERING:]
-    told = [f"More parameters that differ: {', '.join(hidden)}."] if hidden else []
+    hidden = others[differing:]
+    told = [f"More parameters that differ: {_list_first(hidden)}."] if hidden else []
     told += [
         f"{name} is not compared: loops of that name control signals of other units."
         for name in shown
@@ -104,6 +112,11 @@ def tabulate_runs(
             }
         ),
     )
+
+
+def _list_first(keys: Sequence[str]) -> str:
+    more = len(keys) - _MOST_HIDDEN
+    return ", ".join(keys[:_MOST_HIDDEN]) + (f" and {more} more" if more > 0 else "")
 
 
 _MOST_GAINS: Final = 6
@@ -264,7 +277,6 @@ UNLOCKS: Final = MappingProxyType(
 )
 """What a bag may lack, by `HOLDINGS`, and what would add the metrics that need it."""
 
-_MOST_DIFFERING: Final = 2
 _AT_GOAL: Final = ("final.heading_error", "final.position_error")
 _COMMAND_WORDS: Final = MappingProxyType({"turn_rate": "turn", "speed": "drive"})
 
@@ -419,7 +431,7 @@ def tabulate_measured(
             *(Column(title=name) for name in names),
         ),
         rows=tuple(_build_row(name, [metrics.get(name) for metrics in measured]) for name in ids),
-        notes=(*notes, *_list_reasons(measured)),
+        notes=(*notes, *list_reasons(measured)),
         breaks=tuple(accumulate(map(len, groups[:-1]))),
     )
 
@@ -430,7 +442,7 @@ def _build_row(name: str, found: Sequence[Metric | None]) -> tuple[Cell, ...]:
     return (name, " or ".join(units), *(get_cell(metric, has_one_unit=has_one) for metric in found))
 
 
-def _list_reasons(measured: Sequence[Mapping[str, Metric]]) -> tuple[str, ...]:
+def list_reasons(measured: Iterable[Mapping[str, Metric]]) -> tuple[str, ...]:
     """Return why values are missing, each reason once."""
     missing = [metric for metrics in measured for metric in metrics.values() if metric.reason]
     reasons = dict.fromkeys(f"{metric.status.value}: {metric.reason}." for metric in missing)

@@ -1,9 +1,9 @@
 """Tables as values: what a command prints and a file holds, before it is text."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Literal
+from typing import Final, Literal
 
 from turtlelog.display import describe_count, format_html, format_number
 from turtlelog.escapes import escape_controls
@@ -70,3 +70,42 @@ def format_cell(cell: Cell, column: Column) -> str:
     if isinstance(cell, float) and column.digits is not None:
         return f"{cell:.{column.digits}f}"
     return format_number(cell) if isinstance(cell, float) else str(cell)
+
+
+def narrow_table(table: Table, width: int, ranks: Sequence[int | None]) -> Table:
+    """Return a table with as many columns as a line of text has room for.
+
+    Args:
+        table: With marks, which take a character each.
+        width: Characters of a line.
+        ranks: Of each column; those with None stay, the others in rising order while there is room.
+    """
+    cells = [
+        [format_cell(row[place], column) for row in table.rows]
+        for place, column in enumerate(table.columns)
+    ]
+    marked = {column for _, column in table.marks}
+    room = width + _GAP
+    kept = []
+    for place in sorted(
+        range(len(ranks)), key=lambda place: (ranks[place] is not None, ranks[place] or 0)
+    ):
+        column = table.columns[place]
+        heads = (*(column.lines or (column.title,)), f"[{column.unit}]" if column.unit else "")
+        room -= _GAP + max(map(len, (*heads, *cells[place]))) + (place in marked)
+        if ranks[place] is not None and room < 0:
+            break
+        kept.append(place)
+    kept.sort()
+    return replace(
+        table,
+        columns=tuple(table.columns[place] for place in kept),
+        rows=tuple(tuple(row[place] for place in kept) for row in table.rows),
+        marks=MappingProxyType(
+            {(row, kept.index(at)): mark for (row, at), mark in table.marks.items() if at in kept}
+        ),
+    )
+
+
+_GAP: Final = 2
+"""Blanks between columns."""

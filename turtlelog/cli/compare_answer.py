@@ -1,0 +1,324 @@
+"""What `turtlelog compare` prints: which run is best at what, or how far each is from another."""
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import turtlelog as tl
+from turtlelog.cli.output import align_rows, fill_lines, find_width
+from turtlelog.display import describe_count, format_number, format_short, join_words
+
+if TYPE_CHECKING:
+    from turtlelog.compare import (
+        PathError,
+        Ranking,
+        RobotComparison,
+        RunComparison,
+        RunSummary,
+        Table,
+    )
+
+_LABELS: Final = {
+    "final.position_error": "most accurate",
+    "run.duration": "shortest",
+    "settling_time": "settles first",
+    "overshoot": "least overshoot",
+    "final.heading_error": "best heading",
+}
+"""What the best run of a metric is, in the order in which it is said."""
+
+_MOST_SAID: Final = 4
+"""Metrics whose best runs stand above the table."""
+
+_MOST_NOTES: Final = 6
+"""Notes on what differs between runs; of more the rest is in JSON."""
+
+_LONGEST: Final = 24
+"""Of the name of a recorded robot [characters]; one with a longer name is called by its file."""
+
+_MOST_RUNS: Final = 1
+"""Runs whose signals are shown beside a reference unless all are asked for."""
+
+
+def format_across(
+    summaries: "Sequence[RunSummary]",
+    ranking: "Ranking",
+    *,
+    only: Sequence[str],
+    title: str,
+    notes: Sequence[str],
+) -> str:
+    """Return which run is best at what, then a row for every run.
+
+    Args:
+        summaries: In the order of the rows.
+        ranking: Whether one may be called the best.
+        only: Columns that are asked for; none: the usual ones that a line has room for.
+        title: Instead of how many runs there are.
+        notes: On runs that were left out.
+    """
+    summaries, changes = tl.compare.shorten_names(summaries)
+    names = tl.compare.name_runs(summaries)
+    keys = {key for one in summaries for key in one.parameters}
+    keys -= {key for one in summaries for key in one.declaration.list_gains()}
+    table = tl.tabulate_runs(
+        summaries,
+        only=only,
+        title=title,
+        ranking=ranking,
+        differing=sum(key in keys for key in ranking.keys),
+    )
+    conditions = ranking.list_notes(names)
+    told = [one for one in table.notes if one not in conditions]
+    more = len(conditions) - _MOST_NOTES
+    if more > 0:
+        conditions = [*conditions[:_MOST_NOTES], f"{describe_count(more, 'more note')}: --json."]
+    left_out: list[str] = []
+    if not only:
+        table, left_out = _narrow(table, summaries)
+    table = replace(table, notes=(*_list_reasons(table, summaries), *changes, *told))
+    above = [*notes, *conditions]
+    return "\n".join(
+        [
+            fill_lines([f"{table.title}{_describe_alike(table, summaries, ranking)}."]),
+            *_list_best(table),
+            *([fill_lines(above, indent=2)] if above else []),
+            _format(table),
+            "",
+            fill_lines(
+                [
+                    *([f"More metrics (--only IDS): {', '.join(left_out)}."] if left_out else []),
+                    *_list_next(summaries, names, table, ranking),
+                ]
+            ),
+        ]
+    )
+
+
+def _describe_alike(table: "Table", summaries: "Sequence[RunSummary]", ranking: "Ranking") -> str:
+    """Return why no run is best though they may be ranked; empty where the title has the answer."""
+    if table.marks or not ranking.is_fair or len(table.rows) < 2:
+        return ""
+    ids = {name for one in summaries for name in one.metrics}
+    columns = zip(table.columns, *table.rows, strict=True)
+    is_alike = all(len({*cells}) == 1 for column, *cells in columns if column.title in ids)
+    return f": {'all metrics shown are equal' if is_alike else 'no metric shown has a best value'}"
+
+
+def _format(table: "Table") -> str:
+    """Return a table without its title: the first line stands above it."""
+    return "\n" + tl.show.format_table(replace(table, title=""), width=find_width()).strip("\n")
+
+
+def _list_reasons(table: "Table", summaries: "Sequence[RunSummary]") -> list[str]:
+    """Return why cells have a status and no value."""
+    titles = [column.title for column in table.columns]
+    shown = [
+        {
+            name: summary.metrics[name]
+            for name, cell in zip(titles, row, strict=True)
+            if name in summary.metrics and summary.metrics[name].status == cell
+        }
+        for summary, row in zip(summaries, table.rows, strict=True)
+    ]
+    return [*tl.compare.list_reasons(shown)]
+
+
+def _narrow(table: "Table", summaries: "Sequence[RunSummary]") -> "tuple[Table, list[str]]":
+    """Return a table with as many metrics as a line has room for, and the ids of the others."""
+    ids = {name for one in summaries for name in one.metrics}
+    titles = [column.title for column in table.columns]
+    ranks = [_rank(title) if title in ids else None for title in titles]
+    narrow = tl.compare.narrow_table(table, find_width(), ranks)
+    kept = {column.title for column in narrow.columns}
+    return narrow, [title for title in titles if title not in kept]
+
+
+def _rank(name: str) -> int:
+    """Return the place of a metric among those that say which run is best."""
+    keys = (name, name.rpartition(".")[2])
+    return next((place for place, key in enumerate(_LABELS) if key in keys), len(_LABELS))
+
+
+def _list_best(table: "Table") -> list[str]:
+    """Return which runs are best and worst at the metrics that count most, a line for each."""
+    marked = [
+        place
+        for place, _ in enumerate(table.columns)
+        if any(place == column for _, column in table.marks)
+    ]
+    marked.sort(key=lambda place: _rank(table.columns[place].title))
+    rows = [_describe_best(table, place) for place in marked[:_MOST_SAID]]
+    with_ids = [(label, who, f"{name} {value}", worst) for label, who, name, value, worst in rows]
+    lines = align_rows(with_ids)
+    if not rows or rows[0][-1] in lines[0]:
+        return lines
+    return align_rows(
+        [(label + _name_loop(name), who, value, worst) for label, who, name, value, worst in rows]
+    )
+
+
+def _name_loop(name: str) -> str:
+    loop = name.partition(".")[0]
+    return "" if loop in {"final", "run"} else f" ({loop})"
+
+
+def _describe_best(table: "Table", place: int) -> tuple[str, str, str, str, str]:
+    """Return what is best, who, the metric, the value, and who is worst."""
+    name, unit = table.columns[place].title, table.columns[place].unit
+    (best, least), (worst, most) = (_find_end(table, place, mark) for mark in ("best", "worst"))
+    keys = (name, name.rpartition(".")[2])
+    other = f"best {keys[1].replace('_', ' ')}"
+    label = next((words for key, words in _LABELS.items() if key in keys), other)
+    values = format_short(least, unit), format_short(most, unit)
+    return label, best, name, values[0], f"worst: {worst}, {values[1]}"
+
+
+def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:
+    """Return who has the best or the worst value of a column, and that value."""
+    rows = [row for (row, column), found in table.marks.items() if (column, found) == (place, mark)]
+    return _name(table, rows), float(table.rows[rows[0]][place] or 0.0)
+
+
+def _name(table: "Table", rows: Sequence[int]) -> str:
+    names = [str(table.rows[row][0]) for row in rows]
+    return join_words(names) if len(names) <= 2 else describe_count(len(names), "run")
+
+
+def _list_next(
+    summaries: "Sequence[RunSummary]",
+    names: Sequence[str],
+    table: "Table",
+    ranking: "Ranking",
+) -> Iterator[str]:
+    """Yield what to type next."""
+    known = [one.key for one in ranking.differences if not one.is_unknown]
+    if known:
+        yield f"Varied on purpose? --varied {','.join(known[:_MOST_SAID])}"
+    worst = {
+        table.columns[column].title: row
+        for (row, column), mark in table.marks.items()
+        if mark == "worst"
+    }
+    if worst:
+        metric = min(worst, key=_rank)
+        row = worst[metric]
+        option = "" if metric == "final.position_error" else f" --metric {metric}"
+        file = shlex.quote(summaries[row].file)
+        yield f"Why is {names[row]} worse? turtlelog explain {file}{option}"
+    yield "Other columns: --only IDS. Every metric: --json, or turtlelog metrics."
+
+
+def format_reference(
+    first: "RunSummary",
+    found: "Sequence[tuple[RunSummary, RunComparison, PathError]]",
+    *,
+    shows_signals: bool,
+) -> str:
+    """Return how far runs are from the path of a reference, then metrics and signals.
+
+    Args:
+        first: The reference.
+        found: Each run in short, what differs, and how far it is from the path.
+        shows_signals: Show the signals of however many runs.
+    """
+    summaries, changes = tl.compare.shorten_names([first, *(one for one, _, _ in found)])
+    reference, *names = tl.compare.name_runs(summaries)
+    errors = dict(zip(names, (error for _, _, error in found), strict=True))
+    ranking = tl.compare.judge_runs(summaries)
+    across, _ = _narrow(tl.tabulate_runs(summaries, ranking=ranking, differing=0), summaries)
+    told = [f"{ranking.describe().capitalize()}."] if ranking.differences else []
+    reasons = _list_reasons(across, summaries)
+    across = replace(across, notes=(*reasons, *changes, *told))
+    comparisons = [one for _, one, _ in found]
+    signals = tl.compare.tabulate_differences(comparisons, names=names, reference=reference)
+    parts = [_format(across)]
+    if shows_signals or len(found) <= _MOST_RUNS:
+        parts.append(f"\n{signals.title}\n" + _format(replace(signals, notes=())))
+    else:
+        parts.append("\nThe largest difference of every signal: --details")
+    return "\n".join(
+        [
+            fill_lines(list_errors(errors, reference)),
+            *parts,
+            "",
+            fill_lines(signals.notes),
+            f"Verdicts with tolerances: turtlelog check --init {shlex.quote(first.file)}",
+        ]
+    )
+
+
+def _show(value_m: float) -> str:
+    return format_number(round(value_m, 9), "m")  # less is rounding
+
+
+def list_errors(errors: "Mapping[str, PathError]", reference: str) -> Iterator[str]:
+    """Yield which run is furthest from the path of the reference, then how far each is."""
+    name, worst = max(errors.items(), key=lambda one: one[1].largest_m)
+    at = f"by at most {_show(worst.largest_m)}, at {worst.largest_at_s:.2f} s"
+    is_on = round(worst.largest_m, 9) == 0.0
+    if len(errors) == 1:
+        yield (
+            f"{name} stays on the path of {reference}, within 1e-9 m."
+            if is_on
+            else f"{name} departs from the path of {reference} {at}."
+        )
+    else:
+        head = f"{len(errors)} runs beside {reference}"
+        yield (
+            f"{head}: all stay on its path, within 1e-9 m."
+            if is_on
+            else f"{head}: {name} departs most from its path, {at}."
+        )
+    for name, error in errors.items():
+        if not round(error.largest_apart_m, 9):
+            continue
+        path = f"up to {_show(error.largest_m)} from the path, RMS {_show(error.rms_m)}; "
+        apart = f"at equal times up to {_show(error.largest_apart_m)} apart"
+        yield f"{name}: {path if len(errors) > 1 else ''}{apart}, RMS {_show(error.rms_apart_m)}."
+
+
+def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str]) -> str:
+    """Return how far recorded robots are from a simulated one, what that means, and the table."""
+    found = [
+        one if len(one.name) <= _LONGEST else replace(one, name=tl.compare.name_file(file))
+        for one, file in zip(found, files, strict=True)
+    ]
+    table = tl.compare.tabulate_robots(found)
+    heads = [_describe_robot(one) for one in found]
+    if len(found) > 1:
+        heads.insert(0, f"{len(found)} recorded robots beside the scenario {found[0].scenario}:")
+    # The sentences have how many errors are outside of the band.
+    ranks = [0 if column.title in {"above", "below"} else None for column in table.columns]
+    seeds = found[0].seeds
+    means = (
+        f"Each motion is simulated with {seeds} seeds." if seeds else "The scenario has no noise."
+    )
+    return "\n".join(
+        [
+            fill_lines([*heads, *table.notes], indent=2),
+            _format(replace(tl.compare.narrow_table(table, find_width(), ranks), notes=())),
+            "",
+            fill_lines(
+                [
+                    f"The simulated robot is driven with the recorded commands. {means}",
+                    f"Curves: turtlelog compare {shlex.quote(files[0])} SCENARIO --plot FILE.pdf",
+                ]
+            ),
+        ]
+    )
+
+
+def _describe_robot(found: "RobotComparison") -> str:
+    """Return the median errors of the position, beside those of the simulated robot."""
+    said = []
+    for band in found.bands:
+        if band.quantity == "position":
+            simulated = band.simulated_median
+            beside = "" if simulated is None else f" (simulated {format_short(simulated, 'm')})"
+            said.append(f"{format_short(band.median, 'm')}{beside} after {band.horizon_s:g} s")
+    return (
+        f"{found.name} beside the scenario {found.scenario}: median position error"
+        f" {join_words(said)}."
+    )

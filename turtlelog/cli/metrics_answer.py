@@ -1,0 +1,425 @@
+"""What `turtlelog metrics` prints: the end of a run first, then its loops side by side."""
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import turtlelog as tl
+from turtlelog.cli.output import (
+    fill_lines,
+    find_width,
+    print_tables,
+    print_text,
+)
+from turtlelog.display import describe_count, format_short, join_words
+
+if TYPE_CHECKING:
+    from turtlelog import Metric, Run
+    from turtlelog.compare import Cell, RunSummary, Table
+
+_MOST_COLUMNS: Final = 6
+"""Runs, or metrics, beside each other; of more runs each has a row."""
+
+_MOST_SAID: Final = 3
+"""Metrics whose values the first line has."""
+
+_SILENT: Final = 1.5
+"""Of the usual time between samples: a longer one is a silence."""
+
+_OF_WORDS: Final = ("stable", "sample_period_p50")
+"""Metrics that only sentences use."""
+
+_ORDER: Final = (
+    *("settling_time", "overshoot", "rise_time", "rms_error", "largest_error", "final_error"),
+    *("lag", "corner_overshoot", "dead_time", "saturated_share", "iae", "duration"),
+)
+_IDLE: Final = ("dead_time", "saturated_share")
+"""Rows that are left out where all values are 0."""
+
+_WORDS: Final = {
+    "iae": "IAE",
+    "rms_error": "RMS error",
+    "saturated_share": "saturated samples",
+    "cross_track_max": "largest cross-track error",
+    "cross_track_rms": "RMS cross-track error",
+    "measured_speed_max": "largest measured speed",
+    "measured_turn_rate_max": "largest measured turn rate",
+    "speed_tracking_rms": "RMS error of the speed",
+    "turn_rate_tracking_rms": "RMS error of the turn rate",
+    "rest_share": "share of the time at rest",
+    "largest_gap": "longest time without a command",
+    "largest_pose_gap": "longest time without a pose",
+    "lag": "time lag",
+}
+
+
+def list_needed(run: "Run", *, has_path: bool) -> tuple[str, ...]:
+    """Return the ids that the short answer for a run is made of."""
+    known = tl.measure.list_metrics(run.declaration)
+    essential = tl.measure.list_essential_metrics(run)
+    extra = [name for name in known if name.rpartition(".")[2] in _OF_WORDS]
+    path = ["run.cross_track_max"] if has_path else []
+    return tuple(dict.fromkeys([*essential, *path, *extra]))
+
+
+def print_essential(summaries: "Sequence[RunSummary]", kind: str) -> None:
+    """Print the essential metrics: of one run in sentences, of several a row for each."""
+    if kind != "txt":
+        print_chosen([_drop_words(one) for one in summaries], kind, is_essential=True)
+    elif len(summaries) == 1:
+        print_text(_format_run(summaries[0]))
+    elif summaries:
+        print_text(_format_runs(summaries))
+
+
+def _drop_words(summary: "RunSummary") -> "RunSummary":
+    metrics = {
+        name: found
+        for name, found in summary.metrics.items()
+        if name.rpartition(".")[2] not in _OF_WORDS
+    }
+    return replace(summary, metrics=metrics)
+
+
+def print_chosen(
+    summaries: "Sequence[RunSummary]", kind: str, *, is_essential: bool = False
+) -> None:
+    """Print the metrics of runs as a table, by their ids; of text the first line is the answer."""
+    if not summaries:
+        return
+    declarations = [found.declaration for found in summaries]
+    ids = (name for found in summaries for name in found.metrics)
+    chosen = tl.compare.order_ids(ids, declarations)
+    if is_essential:
+        chosen = tl.compare.drop_absent(summaries, chosen)
+    summaries = tl.compare.order_by_gain(summaries)
+    notes: list[str] = []
+    if kind == "txt":
+        summaries, notes = tl.compare.shorten_names(summaries)
+    is_wide = len(summaries) > _MOST_COLUMNS
+    if is_wide or (kind == "txt" and len(summaries) > 1 and len(chosen) <= _MOST_COLUMNS):
+        table = tl.tabulate_runs(summaries, only=chosen)
+        if kind == "txt":
+            reasons = tl.compare.list_reasons(found.metrics for found in summaries)
+            table = replace(table, marks={}, notes=reasons)
+    else:
+        names = tl.compare.name_runs(summaries)
+        measured = [
+            {name: found for name, found in summary.metrics.items() if name in chosen}
+            for summary in summaries
+        ]
+        table = tl.compare.tabulate_measured(names, measured, declarations=declarations)
+    if kind != "txt":
+        print_tables([table], kind)
+        return
+    head = _describe_chosen(summaries, chosen)
+    print_text(f"{head}\n{_format(replace(table, notes=(*table.notes, *notes)))}")
+
+
+def _format(table: "Table") -> str:
+    """Return a table without its title: the first line stands above it."""
+    text = tl.show.format_table(replace(table, title=""), width=find_width())
+    return "\n" + text.strip("\n")
+
+
+def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -> str:
+    """Return the values of few metrics; of more the end of the run, or how many there are."""
+    who = (
+        tl.compare.name_file(summaries[0].file)
+        if len(summaries) == 1
+        else describe_count(len(summaries), "run")
+    )
+    if len(chosen) <= _MOST_SAID:
+        said = [f"{name} {_describe_range(summaries, name)}" for name in chosen]
+        return fill_lines([f"{who}: {', '.join(said)}."])
+    count = describe_count(len(chosen), "metric")
+    if len(summaries) == 1:
+        if {"final.position_error", "run.duration"} <= {*chosen}:
+            return fill_lines([f"{who}: {_describe_end(summaries[0])}."])
+        known = sum(_find_value(summaries[0], name) is not None for name in chosen)
+        return f"{who}: {count}, {known} with a value."
+    first = next((name for name in _FIRST if name in chosen), chosen[0])
+    return fill_lines([f"{who}, {count}: {first} {_describe_range(summaries, first)}."])
+
+
+_FIRST: Final = ("final.position_error", "run.duration")
+"""Of many metrics of several runs the first of these is in the first line."""
+
+
+def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
+    """Return the value of one run, or the least and the largest of several, with their names."""
+    found = {one.name: one.metrics[name] for one in summaries if name in one.metrics}
+    values = [(metric.value, who) for who, metric in found.items() if metric.value is not None]
+    if not values:
+        return f"has no value ({', '.join(dict.fromkeys(one.status for one in found.values()))})"
+    units = tl.compare.list_units([*found.values()])
+    if len(units) > 1:
+        return f"is in {join_words(units)}"
+    (low, lowest), (high, highest) = min(values), max(values)
+    lacking = len(found) - len(values)
+    rest = f" ({lacking} without a value)" if lacking else ""
+    least, most = format_short(low, units[0]), format_short(high, units[0])
+    if low == high:
+        return f"{least} (all){rest}" if len(found) > 1 and not lacking else f"{least}{rest}"
+    return f"{least} ({lowest}) to {most} ({highest}){rest}"
+
+
+def _find_value(summary: "RunSummary", name: str) -> float | None:
+    metric = summary.metrics.get(name)
+    return None if metric is None else metric.value
+
+
+def _describe_end(summary: "RunSummary") -> str:
+    """Return where a run ends and after what time; without a goal how long its path is."""
+
+    def show(name: str) -> str | None:
+        metric = summary.metrics.get(name)
+        if metric is None or metric.value is None:
+            return None
+        return format_short(metric.value, metric.unit)
+
+    length, off = show("run.path_length"), show("run.cross_track_max")
+    position, heading = show("final.position_error"), show("final.heading_error")
+    duration = show("run.duration")
+    if position is not None and not _ignores_goal(summary):
+        turned = "" if heading is None else f", heading error {heading},"
+        return f"ends {position} from the goal{turned} after {duration}"
+    if off is not None and not summary.is_lawless:
+        return f"largest cross-track error {off} on a path of {length}, in {duration}"
+    if length is None:
+        return f"lasts {duration}"
+    return f"the path is {length} long and takes {duration}"
+
+
+def _ignores_goal(summary: "RunSummary") -> bool:
+    return not summary.is_lawless and not summary.declaration.uses_goal
+
+
+def _format_run(summary: "RunSummary") -> str:
+    """Return the end of a run, what is remarkable, and its loops side by side."""
+    essential = _drop_words(summary).metrics
+    head = [f"{tl.compare.name_file(summary.file)}: {_describe_end(summary)}."]
+    loops = [loop.name for loop in summary.declaration.loops]
+    shown = [loop for loop in loops if _has_value(summary, loop)]
+    remarks = [*_list_remarks(summary, shown), *_list_missing(summary, loops, shown)]
+    count = len(tl.measure.list_metrics(summary.declaration))
+    if shown:
+        table, said = _tabulate_loops(summary, shown), _describe_rest(summary)
+    else:
+        said = []
+        table = _tabulate_rest(summary, essential)
+    notes = [*said, *_list_rates([summary]), *tl.compare.list_unlocks([summary])]
+    return "\n".join(
+        [
+            fill_lines([*head, *remarks]),
+            _format(table),
+            "",
+            *([fill_lines(notes, indent=2)] if notes else []),
+            *_list_next(summary, count),
+        ]
+    )
+
+
+def _has_value(summary: "RunSummary", loop: str) -> bool:
+    return any(
+        one.value is not None
+        for name, one in summary.metrics.items()
+        if name.startswith(f"{loop}.") and name.rpartition(".")[2] in _ORDER
+    )
+
+
+def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
+    """Yield what is out of the ordinary: clipping, oscillation, loops that do not settle."""
+    clipped = {loop: _find_value(summary, f"{loop}.saturated_share") or 0.0 for loop in loops}
+    said = [f"{loop} {100.0 * share:.0f} %" for loop, share in clipped.items() if share >= _SEEN]
+    if said:
+        who = "Both loops saturate" if len(said) == 2 == len(loops) else "Saturation"
+        yield f"{who}: {', '.join(said)} of {'its' if len(said) == 1 else 'their'} samples."
+    restless = [loop for loop in loops if _find_value(summary, f"{loop}.stable") == 0.0]
+    if restless:
+        yield f"The oscillation does not die out: {join_words(restless)}."
+    for loop in loops:
+        metric = summary.metrics.get(f"{loop}.settling_time")
+        if metric is not None and metric.status is tl.measure.Status.NOT_REACHED:
+            yield f"{loop} does not settle: {metric.reason}."
+    gap, usual = (_find_value(summary, f"run.{one}") for one in ("largest_gap", _OF_WORDS[1]))
+    if gap is not None and usual and gap > _SILENT * usual and not summary.is_lawless:
+        yield f"Longest silence of the controller: {format_short(gap, 's')}."
+
+
+_SEEN: Final = 0.005
+"""Share of the samples that is not 0 % when it is printed [1]."""
+
+
+def _list_missing(
+    summary: "RunSummary", loops: Sequence[str], shown: Sequence[str]
+) -> Iterator[str]:
+    """Yield why loops have no values at all."""
+    for loop in loops:
+        if loop in shown:
+            continue
+        reasons = [
+            one.reason for name, one in summary.metrics.items() if name.startswith(f"{loop}.")
+        ]
+        if reasons:
+            yield f"{loop} has no values: {reasons[0]}."
+
+
+def _name_metric(name: str) -> str:
+    word = name.rpartition(".")[2]
+    return _WORDS.get(word, word.replace("_", " "))
+
+
+def _show(metric: "Metric | None") -> str:
+    if metric is None:
+        return "-"
+    if metric.value is None:
+        return metric.status.value
+    if metric.id.endswith("_share"):
+        return f"{100.0 * metric.value:.0f} %"
+    return format_short(metric.value, metric.unit)
+
+
+def _tabulate_loops(summary: "RunSummary", loops: Sequence[str]) -> "Table":
+    found = {word: [summary.metrics.get(f"{loop}.{word}") for loop in loops] for word in _ORDER}
+    rows = {
+        word: metrics
+        for word, metrics in found.items()
+        if any(metrics)
+        and not (word in _IDLE and all(one is None or one.value == 0.0 for one in metrics))
+    }
+    return tl.compare.Table(
+        title="",
+        columns=tuple(tl.compare.Column(title=title) for title in ("", *loops)),
+        rows=tuple((_name_metric(word), *map(_show, metrics)) for word, metrics in rows.items()),
+        notes=tl.compare.list_reasons(
+            [{one.id: one for metrics in rows.values() for one in metrics if one is not None}]
+        ),
+    )
+
+
+def _describe_rest(summary: "RunSummary") -> list[str]:
+    """Return what the first line has not said of the run."""
+    names = ("run.path_length", "run.cross_track_max", "run.speed_effort", "run.turn_rate_effort")
+    said = [
+        f"{_name_metric(name)} {_show(summary.metrics[name])}"
+        for name in names
+        if _find_value(summary, name) is not None
+    ]
+    return [f"{', '.join(said).capitalize()}."] if said else []
+
+
+def _tabulate_rest(summary: "RunSummary", metrics: "Mapping[str, Metric]") -> "Table":
+    """Return the metrics of a run without loops, one below the other."""
+    names = tl.compare.drop_absent([summary], [name for name in metrics if _is_of_run(name)])
+    found = {name: metrics[name] for name in names}
+    return tl.compare.Table(
+        title="",
+        columns=(tl.compare.Column(title="metric"), tl.compare.Column(title="value")),
+        rows=tuple((_name_metric(name), _show(metric)) for name, metric in found.items()),
+        notes=tl.compare.list_reasons([found]),
+    )
+
+
+def _is_of_run(name: str) -> bool:
+    return name.partition(".")[0] in {"final", "run"}
+
+
+def _list_next(summary: "RunSummary", count: int) -> list[str]:
+    """Return what to type next."""
+    file = shlex.quote(summary.file)
+    more = f"All {count} metrics with their ids: --all"
+    if not summary.is_lawless:
+        first = f"Why? turtlelog explain {file}"
+    elif "commands" not in summary.lacks:
+        first = f"Dead time and time constants: turtlelog identify {file}"
+    else:
+        return [more]
+    line = f"{first}      {more}"
+    return [line] if len(line) <= find_width() else [first, more]
+
+
+def _list_rates(summaries: "Sequence[RunSummary]") -> Iterator[str]:
+    """Yield where the measured rates of bags come from."""
+    lawless = [found for found in summaries if found.is_lawless]
+    reporting = sum("rates" not in found.lacks for found in lawless)
+    if reporting and reporting == len(lawless):
+        yield "Measured rates are those that the robot reports."
+    elif lawless:
+        which = "" if not reporting else " where the robot reports none"
+        yield f"Measured rates are differences of poses{which}."
+
+
+def _format_runs(summaries: "Sequence[RunSummary]") -> str:
+    """Return between what values the runs end, and a row for each."""
+    summaries, notes = tl.compare.shorten_names(tl.compare.order_by_gain(summaries))
+    table, shown = _tabulate_runs(summaries)
+    reasons = tl.compare.list_reasons(
+        {name: one.metrics[name] for name in shown if name in one.metrics} for one in summaries
+    )
+    told = (*reasons, *notes, *_list_rates(summaries), *tl.compare.list_unlocks(summaries))
+    table = replace(table, notes=told)
+    count = len(tl.measure.list_metrics(*(found.declaration for found in summaries)))
+    return "\n".join(
+        [
+            fill_lines([f"{describe_count(len(summaries), 'run')}: {_describe_ends(summaries)}."]),
+            _format(table),
+            "",
+            "Which is best? turtlelog compare, with the same files",
+            f"All {count} metrics with their ids: --all, or --only IDS",
+        ]
+    )
+
+
+_OF_ROW: Final = ("settling_time", "overshoot", "rms_error")
+
+
+def _tabulate_runs(summaries: "Sequence[RunSummary]") -> "tuple[Table, list[str]]":
+    """Return a row for each run, as many metrics as a line has room for, and their ids."""
+    chosen = _choose_columns(summaries)
+    table = tl.tabulate_runs(summaries, only=chosen)
+    table = replace(table, rows=tuple(tuple(map(_round, row)) for row in table.rows), marks={})
+    order = sorted(chosen, key=lambda name: _rank(name, summaries))
+    titles = [column.title for column in table.columns]
+    ranks = [order.index(title) if title in order else None for title in titles]
+    narrow = tl.compare.narrow_table(table, find_width(), ranks)
+    kept = {column.title for column in narrow.columns}
+    return narrow, [name for name in chosen if name in kept]
+
+
+def _round(cell: "Cell") -> "Cell":
+    return float(f"{cell:.3g}") if isinstance(cell, float) else cell
+
+
+def _rank(name: str, summaries: "Sequence[RunSummary]") -> tuple[bool, int, bool]:
+    """Return what comes first where there is no room for all: the end, then what most runs have."""
+    lacking = sum(_find_value(one, name) is None for one in summaries)
+    is_end = name in {"final.position_error", "run.duration"}
+    return not is_end, lacking, not name.endswith("time")
+
+
+def _choose_columns(summaries: "Sequence[RunSummary]") -> tuple[str, ...]:
+    """Return what a row may show: how loops answer, where runs end and when."""
+    names = dict.fromkeys(name for found in summaries for name in found.metrics)
+    of_loops = [
+        name for name in names if name.rpartition(".")[2] in _OF_ROW and not _is_of_run(name)
+    ]
+    of_run = [name for one in summaries for name in tl.compare.list_usual_of_run(one)]
+    kept = [name for name in of_run if _is_of_run(name) and name in names]
+    declarations = [found.declaration for found in summaries]
+    ids = tl.compare.order_ids([*of_loops, *kept], declarations)
+    chosen: tuple[str, ...] = tl.compare.drop_absent(summaries, ids)
+    return chosen
+
+
+def _describe_ends(summaries: "Sequence[RunSummary]") -> str:
+    """Return how far from the goal the runs end, and how long they last."""
+    aiming = [one for one in summaries if not _ignores_goal(one)]
+    lasting = f"after {_describe_range(summaries, 'run.duration')}"
+    if len(aiming) == len(summaries) and all(
+        _find_value(one, "final.position_error") is not None for one in summaries
+    ):
+        far = _describe_range(summaries, "final.position_error")
+        return f"they end {far} from the goal, {lasting}"
+    return f"they last {_describe_range(summaries, 'run.duration')}"
