@@ -59,6 +59,7 @@ def test_calls_take_turns_and_the_least_time_counts(monkeypatch: pytest.MonkeyPa
 
 
 def test_reading_is_timed_in_a_fresh_process(tmp_path: Path) -> None:
+    """A process starts and loads the readers."""
     bench_engine.write_file(tmp_path / "some.mcap", 100)
     said = table.run_apart(bench_engine.READ, str(tmp_path / "some.mcap"))
     assert 0.0 < said["unpack"] < said["read"][0]

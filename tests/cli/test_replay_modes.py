@@ -221,8 +221,8 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
         (["bag.mcap", "--law"], "(topic /turtle1/control), found none"),
         (["ticks.mcap"], "ticks: expected a run with its whole scenario, found mcap: ticks.mcap"),
         (["ticks.mcap", "--law", "--kp", "1"], "ticks: expected a run with its whole scenario"),
-        ([], "FILE: expected a recording, found none"),
-        (["--law"], "FILE: expected a recording, found none"),
+        ([], "replay needs a recording: turtlelog replay FILE"),
+        (["--law"], "replay needs a recording: turtlelog replay FILE"),
         (["--law", "a:B", "kp4.mcap", "x"], "--law: expected at most 2 words, found 3"),
         (["kp4.mcap", "--law", "a:B", "c:D"], "--law: expected at most one KIND, found a:B c:D"),
         (

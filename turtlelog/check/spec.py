@@ -100,7 +100,7 @@ class Spec:
         tolerances: How far signals and metrics may be from the reference's.
         reference: The recording that tolerances are taken from; None where there are none.
         alignment: How runs and reference are brought together.
-        read: Which topics, frames and goal are read of other people's files, also of the reference.
+        read: Which topics, frames and goal are read of third-party files, also of the reference.
         source: The file, for messages.
     """
 
@@ -189,7 +189,7 @@ def _build_read() -> dict[str, Any]:
     return {
         "type": "object",
         "additionalProperties": False,
-        "description": "What is read of other people's files, also of the reference.",
+        "description": "What is read of third-party files, also of the reference.",
         "properties": {
             **{name: {**_TEXT, "description": text} for name, text in READ_TEXTS.items()},
             "goal": {

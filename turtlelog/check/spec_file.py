@@ -249,7 +249,7 @@ def _read_alignment(tables: Mapping[str, Any], source: str) -> str:
 
 
 def _parse_read(table: Any, source: str) -> ReadChoice:
-    """Return what is read of other people's files."""
+    """Return what is read of third-party files."""
     place = f"{source}: read"
     if not isinstance(table, Mapping):
         raise CheckError(f"{place}: expected a table, found {describe_value(table)}")

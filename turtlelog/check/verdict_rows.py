@@ -60,7 +60,7 @@ def plan_verdict_table(
     Args:
         spec: What recordings are held to.
         judge: Returns the results of a file; it can be pickled.
-        choice: What is read of other people's files.
+        choice: What is read of third-party files.
         is_partial: Whether a recording of which something is lost may pass.
     """
     held = hashlib.sha256(describe_values(spec).encode()).hexdigest()

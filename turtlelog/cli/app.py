@@ -34,7 +34,10 @@ from turtlelog.version import __version__
 
 _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Simulate": {
-        "run": ("[SCENARIO]", "Simulate a scenario in closed loop, print its metrics, record it."),
+        "run": (
+            "[SCENARIO]",
+            "Simulate a scenario in closed loop, print how it ended and its metrics, record it.",
+        ),
         "scenario": (
             "[SCENARIO]",
             "Print the scenario of a preset, file or recording as a whole file, to edit and run.",
@@ -56,8 +59,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Ask": {
         "info": (
             "FILE...",
-            "Say what recordings are and hold: a robot or turtlesim, source, length, topics,"
-            " scenario.",
+            "Describe files: a recording, a robot's bag or a table, its data, and what is missing.",
         ),
         "metrics": (
             "FILE...",
@@ -70,7 +72,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "explain": (
             "FILE",
-            "Say what made a run what it is, and which effect caused which part of a metric.",
+            "Explain a metric of a run: which effect of the implementation contributes how much.",
         ),
         "identify": (
             "FILE...",
@@ -78,7 +80,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "replay": (
             "FILE",
-            "Drive a recording again and say how far the result is from what was recorded.",
+            "Replay a recording and show where the result departs from it.",
         ),
         "list": (
             "KIND",
@@ -121,8 +123,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "demo": (
             "",
-            "Run the paper's experiment (Kp = 1, 2, 4, 10, as built) and write everything about"
-            " it.",
+            "Simulate and record the paper's four runs (Kp = 1, 2, 4, 10) and compare them.",
         ),
     },
 }

@@ -217,7 +217,7 @@ _WORDS: Final = {
 
 
 def format_answer(answer: ExplainAnswer, found: "Identification") -> str:
-    """Return the value, its causes, what they depend on, and how sure all of that is."""
+    """Return the value, its causes, what they depend on, and the confidence."""
     name = escape_controls(Path(answer.file).name)
     attribution = answer.attribution
     if attribution is None:

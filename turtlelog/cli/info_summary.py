@@ -30,7 +30,7 @@ _HEAD_BYTES: Final = 64
 """A recording names the library that wrote it in its first record."""
 
 _FEWEST_RATED: Final = 20
-"""Fewer messages are counted, and no rate is told of them."""
+"""Fewer messages are counted, without a rate."""
 
 _STEADY: Final = 3.0
 """Messages whose quick and slow steps (a tenth of them each) differ by more have no rate."""

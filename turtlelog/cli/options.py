@@ -92,7 +92,7 @@ MaxDownload = Annotated[
 """Of every command that takes URLs; `limit_downloads` is around the command."""
 
 
-_READING: Final = Group("Reading third-party files", sort_key=2)
+_READING: Final = Group("Third-party files", sort_key=2)
 
 
 @Parameter(name="*", group=_READING)

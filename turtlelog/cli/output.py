@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, TextIO
 
-import msgspec
 from cyclopts import Parameter
 
 import turtlelog as tl
@@ -309,6 +308,8 @@ def find_command_name() -> str:
 
 
 def _format_json(value: Any) -> str:
+    import msgspec
+
     plain = msgspec.to_builtins(value, enc_hook=_take_from_numpy)
     return json.dumps(_make_finite(plain), indent=2, allow_nan=False)
 

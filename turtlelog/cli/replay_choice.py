@@ -58,7 +58,7 @@ def settle_file(file: Path | None, options: ReplayOptions) -> tuple[Path, str | 
     if file is None and words:
         file = make_path(words.pop())
     if file is None:
-        raise UsageError("FILE: expected a recording, found none")
+        raise UsageError("replay needs a recording: turtlelog replay FILE")
     if len(words) > 1:
         raise UsageError(f"--law: expected at most one KIND, found {' '.join(words)}")
     return file, words[0] if words else None

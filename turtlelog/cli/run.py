@@ -117,8 +117,7 @@ def run(
     2).
 
     A note on stderr says if a gain is above the stability limit of the theory, at the dead time
-    that the settings imply, and if the law ignores a goal, a heading of the goal or a path that was
-    set.
+    that the settings imply, and if the law ignores a goal, goal heading or path that was set.
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose

@@ -1,8 +1,9 @@
 """What `tune` answers, as text and as JSON."""
 
 import math
+import textwrap
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table
@@ -12,6 +13,9 @@ if TYPE_CHECKING:
     from turtlelog.compare import Table
     from turtlelog.scenario import Scenario
     from turtlelog.tune import KeyRange, Neighbourhood, SearchedKey, Spread, Tuned, TuningGoal
+
+_WIDTH: Final = 80
+"""Columns of a line of text."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -105,14 +109,32 @@ def _describe_spread(spread: "Spread") -> dict[str, Any]:
 
 
 def format_answer(answer: Answer) -> str:
-    """Return the answer as text."""
+    """Return the answer as text: the best values and what they bring, in the first line."""
     tables = [_tabulate_best(answer)]
     if answer.tuned.best.constraints:
         tables.append(_tabulate_constraints(answer))
     texts = [format_table(table) for table in tables]
     if answer.spread is not None:
         texts.append(format_table(_tabulate_spread(answer, answer.spread)))
-    return "\n".join(texts)
+    return "\n".join([textwrap.fill(_conclude(answer), _WIDTH), "", *texts])
+
+
+def _conclude(answer: Answer) -> str:
+    """Return the best values and what they bring, or that no values fulfil the constraints."""
+    tuned, best = answer.tuned, answer.tuned.best
+    values = ", ".join(
+        f"{key.key} = {format_number(value)}"
+        for key, value in zip(answer.keys, best.point, strict=True)
+    )
+    count, name = describe_count(tuned.evaluations, "candidate"), answer.goal.objective.text
+    if not best.is_feasible:
+        return f"None of {count} fulfils the constraints; {values} comes nearest."
+    value = format_number(best.objective, answer.unit)
+    if tuned.is_flat:
+        same = f"all {tuned.feasible} candidates that can be compared"
+        return f"{name} is {value} for {same}: no key changes it."
+    word = "largest" if answer.goal.is_maximised else "smallest"
+    return f"{values}: {name} is {value}, the {word} of {count}."
 
 
 def _tabulate_best(answer: Answer) -> "Table":
@@ -129,7 +151,7 @@ def _tabulate_best(answer: Answer) -> "Table":
     columns = ["key", "best", "from", "to", "below", "above"]
     width = len(columns) if around else 2
     return tl.compare.Table(
-        title=f"The best of {describe_count(tuned.evaluations, 'candidate')}",
+        title="How far each key can go" if around else "Values of the keys",
         columns=tuple(tl.compare.Column(title=title) for title in columns[:width]),
         rows=tuple(row[:width] for row in rows),
         notes=tuple(_list_notes(answer)),
@@ -138,25 +160,14 @@ def _tabulate_best(answer: Answer) -> "Table":
 
 def _list_notes(answer: Answer) -> list[str]:
     tuned, best, unit = answer.tuned, answer.tuned.best, answer.unit
-    name, word = answer.goal.objective.text, "maximise" if answer.goal.is_maximised else "minimise"
     notes = []
-    if best.objective is not None:
-        notes.append(f"{name}, to {word}: {format_number(best.objective, unit)}.")
-    if not best.is_feasible:
-        notes.append(
-            "No candidate that has a value fulfils the constraints; this one comes nearest."
-        )
-    elif answer.around:
+    if answer.around:
         slack = format_number(answer.around.slack, unit)
         notes.append(
             "From and to: as far as this key alone can go, in the steps of the search, until the"
             f" objective is worse by {slack}, or a constraint breaks."
         )
-    if tuned.is_flat:
-        notes.append(
-            f"All {tuned.feasible} candidates that can be compared are as good: no key counts here."
-        )
-    else:
+    if not tuned.is_flat:
         notes += [
             f"{key.key} is at the bound that was given, {format_number(number)}: beyond, it may be"
             " better."

@@ -29,7 +29,7 @@ LOG_SUFFIXES: Final = frozenset({".json", ".csv", ".parquet", ".tsv", ".tum", ".
 
 
 def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
-    """Return the run in a recording, somebody's bag or .mcap, a paper's log, or a table.
+    """Return the run in a recording, a third-party bag or .mcap, a paper's log, or a table.
 
     Args:
         path: A file, or a bag's folder; one that holds a recording of turtlelog's is read as that.

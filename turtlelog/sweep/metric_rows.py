@@ -52,7 +52,7 @@ def plan_metric_table(
     Args:
         settings: As in `measure_run`.
         only: Ids and patterns; None: every metric.
-        topics: What is read of other people's files.
+        topics: What is read of third-party files.
     """
     settings, topics = settings or MeasureSettings(), topics or ReadChoice()
     chosen = None if only is None else tuple(only)

@@ -93,6 +93,7 @@ def list_bits(columns: TopicColumns) -> list[Any]:
 
 @pytest.mark.parametrize("seed", range(24))
 def test_columns_are_the_same_with_an_index_and_without(seed: int, tmp_path: Path) -> None:
+    """The same messages are written and read as six files, some in hundreds of chunks."""
     indexed, *others = [
         read_columns(write_file(tmp_path / "a.mcap", seed, compression, **options))
         for compression, options in WAYS

@@ -1,4 +1,4 @@
-"""Other people's logs -> Run, one layout per file.
+"""Third-party logs -> Run, one layout per file.
 
 The names stand in `__init__.pyi` and load on first use.
 """

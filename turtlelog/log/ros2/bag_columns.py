@@ -1,4 +1,4 @@
-"""The rows of a run in the messages of other people's types, put in order."""
+"""The rows of a run in the messages of third-party types, put in order."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace

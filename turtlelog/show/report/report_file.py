@@ -145,7 +145,7 @@ def _list_ghosts(explanation: Explanation | None) -> list[Drawn]:
     """Return the what-ifs as ghosts; the plots over time show that without all effects."""
     if explanation is None or explanation.attribution is None:
         return []
-    colors = choose_mechanism_colors(explanation.attribution.mechanisms)
+    colors = choose_mechanism_colors(explanation.attribution.causes)
     last = [*explanation.what_ifs][-1:]
     return [
         Drawn(
