@@ -45,10 +45,20 @@ def test_theory_has_null_where_there_is_no_crossover(call: Call) -> None:
 def test_theory_reads_well_in_a_terminal(call: Call) -> None:
     answer = call("theory", "--dead-time", "6", "--kp", "1,2,4,10,16")
     assert (answer.code, answer.err) == (0, "")
-    assert max(map(len, answer.out.splitlines())) <= 96
-    assert "Kp = 1, 2: no overshoot. Kp = 4, 10: overshoots, and settles. Kp = 16: unstable." in (
-        " ".join(answer.out.split())
-    )
+    lines = answer.out.splitlines()
+    assert lines[:4] == [
+        "Recommended: P with Kp = 4.95 1/s for 5 % overshoot.",
+        "Overshoot begins above Kp = 3.541 1/s, instability at 15.07 1/s.",
+        "Kp = 1, 2: no overshoot. Kp = 4, 10: overshoots, and settles. Kp = 16: unstable.",
+        "Sampling period 16 ms, dead time 6 ticks (96 ms).",
+    ]
+    assert max(map(len, lines)) <= 80
+    assert len(lines) <= 40
+    details = call("theory", "--dead-time", "6", "--details").out
+    assert max(map(len, details.splitlines())) <= 80
+    for title in ("The plant 1/s", "The ideal loop Kp / (s + Kp)", "Limits of the gain, sampled"):
+        assert title in details
+        assert title not in answer.out
 
 
 def test_theory_shows_the_limits_of_the_dead_time_asked_for(call: Call) -> None:
@@ -127,6 +137,11 @@ def test_an_integral_and_a_lag_have_their_range_and_margins(call: Call) -> None:
     text = call("theory", "--kp", "2,30", *loop).out
     assert re.search(r"stable for Kp \[1/s\] +0.2326 to 10.83  0.2326 to 10.83", text)
     assert re.search(r"overshoots +by 22.43 % +without end", text)
+    lines = text.splitlines()
+    assert lines[0] == "Recommended: PI with Kp = 1.58 1/s and Ki = 0.139 1/s^2 for 5 % overshoot."
+    assert lines[1] == "Stable for Kp from 0.233 to 10.8 1/s."
+    assert lines[2].startswith("Kp = 2: stable, overshoots by 22.43 %, settles in ")
+    assert lines[3] == "Kp = 30: unstable."
 
 
 def test_neutral_options_answer_as_p_on_an_integrator(call: Call) -> None:
@@ -157,8 +172,16 @@ def test_a_recording_gives_its_own_dead_times_and_says_where_they_are_from(
     assert [rotate["dead_time_s"], translate["dead_time_s"]] == pytest.approx([0.064, 0.096])
     assert rotate["from"]["dead_time_s"] == "measured in the recording, 4 ticks"
     assert rotate["from"]["gains"] == "from the scenario"
-    text = " ".join(call("theory", kp10).out.split())
-    assert "dead time measured in the recording, 6 ticks" in text
+    lines = call("theory", kp10).out.splitlines()
+    words = " ".join(lines)
+    first = "kp10.mcap: recommended Kp for 5 % overshoot: 7.14 1/s (rotate), 4.95 1/s (translate)."
+    assert words.startswith(first)
+    assert "translate: Kp = 10 1/s: stable, overshoots by 54.24 %, settles in 1.34 s;" in words
+    assert "--set law.kp_angular=7.14 --set law.kp_linear=4.95" in words
+    assert len(lines) <= 40
+    assert max(map(len, [line for line in lines if str(kp10) not in line])) <= 80
+    details = " ".join(call("theory", kp10, "--details").out.split())
+    assert "dead time measured in the recording, 6 ticks" in details
 
 
 def test_a_recording_without_its_scenario_has_gains_identified(call: Call, tmp_path: Path) -> None:
@@ -172,6 +195,7 @@ def test_a_recording_without_its_scenario_has_gains_identified(call: Call, tmp_p
 
 def test_a_law_that_theory_does_not_know_is_said_to_be_unknown(call: Call) -> None:
     answer = call("theory", "posture")
+    assert answer.out.startswith("posture: theory has no linear model of its loops.\n")
     assert (answer.code, answer.out.count("is unknown: the law declares")) == (0, 2)
     loops = call("theory", "posture", "--json").json["loops"]
     assert [loop["status"] for loop in loops] == ["unknown", "unknown"]
@@ -213,7 +237,7 @@ def test_gains_of_a_scenario_belong_to_no_recording(call: Call, kp10: Path) -> N
 def test_many_gains_with_other_terms_stand_in_tables_that_fit(call: Call) -> None:
     answer = call("theory", "--kp", "1,2,3,4,5,6,7,8,9", "--ki", "0.1", "--lag", "0.1")
     assert answer.out.count("The sampled loop") == 3
-    assert max(map(len, answer.out.splitlines())) <= 100
+    assert max(map(len, answer.out.splitlines())) <= 80
 
 
 @pytest.mark.parametrize(("kp", "words"), [("3.04", "no"), ("3.05", "by 0.01 %")])
@@ -243,7 +267,9 @@ def test_gains_are_recommended_with_their_rule_and_source(call: Call) -> None:
     assert "Skogestad" in found[6]["source"]
     text = call("theory", "--kp", "2", *ROBOT).out
     assert re.search(r"\nP for 5 % overshoot +1.8826 +- +- +5.00 +2.20 +6.09 +62.4\n", text)
-    assert max(map(len, text.splitlines())) <= 96
+    assert "SIMC" not in text
+    assert "\nPD by SIMC " in call("theory", "--kp", "2", *ROBOT, "--details").out
+    assert max(map(len, text.splitlines())) <= 80
 
 
 @pytest.mark.parametrize(
@@ -271,7 +297,9 @@ def test_gains_that_do_not_exist_are_null_with_their_reason(call: Call) -> None:
     found = [one for one in answer["recommended"] if one["rule"] == "phase-margin"]
     assert [(one["kp"], one["ki"], one["kd"]) for one in found] == [(None, None, None)] * 3
     assert found[0]["reason"].startswith("the integrator alone lags by 90 deg")
-    text = " ".join(call("theory", "--dead-time", "6", "--phase-margin", "90").out.split())
+    words = ("theory", "--dead-time", "6", "--phase-margin", "90")
+    assert call(*words).out.startswith("Recommended: P with Kp = 4.81 1/s for the rule of SIMC.\n")
+    text = " ".join(call(*words, "--details").out.split())
     assert "No P for 90 deg margin and PI for 90 deg margin: the integrator alone lags" in text
 
 

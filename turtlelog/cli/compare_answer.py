@@ -149,7 +149,8 @@ def _list_best(table: "Table") -> list[str]:
         if any(place == column for _, column in table.marks)
     ]
     marked.sort(key=lambda place: _rank(table.columns[place].title))
-    rows = [_describe_best(table, place) for place in marked[:_MOST_SAID]]
+    said = [place for place in marked if _rank(table.columns[place].title) < len(_LABELS)]
+    rows = [_describe_best(table, place) for place in (said or marked)[:_MOST_SAID]]
     with_ids = [(label, who, f"{name} {value}", worst) for label, who, name, value, worst in rows]
     lines = align_rows(with_ids)
     if not rows or rows[0][-1] in lines[0]:

@@ -1,6 +1,5 @@
 """`turtlelog theory`: what the ideal loop and the sampled loop should do."""
 
-import textwrap
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
@@ -9,23 +8,17 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_preset
 from turtlelog.cli.options import Json, ReadingOptions, Whole, read_runs
-from turtlelog.cli.output import format_table, print_json, print_text
+from turtlelog.cli.output import print_json, print_text
 from turtlelog.cli.scenario_options import LawOptions, is_recording, load_changed_scenario
-from turtlelog.cli.theory_gains import (
-    Recommended,
-    Wishes,
-    WishOptions,
-    describe_recommended,
-    tabulate_recommended,
-)
+from turtlelog.cli.theory_answer import format_file, format_integrator, format_terms
+from turtlelog.cli.theory_gains import Recommended, Wishes, WishOptions, describe_recommended
 from turtlelog.cli.theory_loops import (
     LoopAnswer,
     answer_models,
     describe_pid_loop,
     describe_process,
-    tabulate_answers,
 )
-from turtlelog.cli.theory_tables import describe_theory, tabulate_theory
+from turtlelog.cli.theory_tables import describe_theory
 from turtlelog.errors import UsageError
 from turtlelog.remote.urls import make_path
 
@@ -36,10 +29,6 @@ if TYPE_CHECKING:
 
 _MOST_GAINS: Final = 100
 _GAINS: Final = "1,2,4,10"
-_WIDTH: Final = 96
-"""Of notes that stand without a table [characters]."""
-_MOST_COLUMNS: Final = 4
-"""Gains beside each other: more would be wider than 100 characters."""
 
 
 @Parameter(name="*")
@@ -95,21 +84,21 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
     ] = None,
     topics: ReadingOptions | None = None,
     wishes: WishOptions | None = None,
+    details: bool = False,
     json: Json = False,
 ) -> None:
-    """Say what theory expects of an integrator under P, PI, PD or PID control.
+    """Recommend gains, and give the limits of P, PI, PD or PID control of an integrator.
 
-    The plant 1/s, the ideal loop Kp / (s + Kp), and the sampled loop with dead
-    time: poles, overshoot, settling times, margins, and the gains at which
-    overshoot and instability begin. Commands are not clipped. The paper's
-    programs had 4 or 5 ticks of dead time while rotating, 6 while translating.
+    The first lines are recommended gains for a wanted overshoot or phase margin, the gains at which
+    overshoot and instability begin, and how the loop answers at each Kp. Tables of both follow.
+    Commands are not clipped. The paper's programs had 4 or 5 ticks of dead time while rotating, 6
+    while translating.
 
-    With an integral, a derivative, a lag, a low-pass or dead time in seconds:
-    the same of that loop, sampled exactly. Of a scenario or a recording: of
-    each loop of its law, where each value comes from, and what is left out.
+    With an integral, a derivative, a time constant, a low-pass or dead time in seconds the loop is
+    sampled exactly. For a scenario or a recording each loop of its law has an answer.
 
-    The last table recommends gains: those of the sampled loop for a wanted
-    overshoot and phase margin, and those of published rules.
+    With --details: the plant 1/s, the ideal loop Kp / (s + Kp), limits at other dead times, gains
+    of published rules, and the source of each value.
 
     Example: turtlelog theory --kp 1,2,4,10 --dead-time 6
 
@@ -130,7 +119,8 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
         assignments: Change one value of the scenario by its dotted key; may stand several times.
         topics: How a recording is read.
         wishes: What recommended gains shall give.
-        json: Print one JSON object instead of tables.
+        details: Print the tables and sources that few need, too.
+        json: Print one JSON object instead of text.
     """
     terms, wanted = terms or TermOptions(), (wishes or WishOptions()).read()
     if scenario is not None:
@@ -139,14 +129,16 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
         given += [] if dead_time is None else ["--dead-time"]
         if given:
             raise UsageError(f"{given[0]}: expected no such option beside SCENARIO, found one")
-        _answer_file(scenario, _Changes(kp, assignments), topics, wanted, json=json)
+        form = _Form(is_json=json, shows_all=details)
+        _answer_file(scenario, _Changes(kp, assignments), topics, wanted, form)
         return
     if assignments:
         raise UsageError("--set: expected SCENARIO beside it, found none")
     gains = _parse_gains(_GAINS if kp is None else kp)
     period_s = tl.plants.TURTLESIM.period_s if period is None else period
     if terms.list_given():
-        _answer_terms(gains, terms, (period_s, dead_time or 0), wanted, json=json)
+        form = _Form(is_json=json, shows_all=details)
+        _answer_terms(gains, terms, (period_s, dead_time or 0), wanted, form)
         return
     loops = [
         tl.theory.analyse_sampled_loop(gain, period_s=period_s, dead_time_ticks=dead_time or 0)
@@ -158,8 +150,14 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
         answer = describe_theory(loops)
         print_json({**answer, "recommended": describe_recommended(recommended)})
         return
-    tables = [*tabulate_theory(loops), tabulate_recommended(recommended, wanted)]
-    print_text("\n".join(map(format_table, tables)))
+    print_text(format_integrator(loops, recommended, wanted, shows_all=details))
+
+
+class _Form(NamedTuple):
+    """How the answer is printed."""
+
+    is_json: bool
+    shows_all: bool
 
 
 def _answer_terms(
@@ -167,8 +165,7 @@ def _answer_terms(
     terms: TermOptions,
     timing: tuple[float, int],
     wanted: Wishes,
-    *,
-    json: bool,
+    form: _Form,
 ) -> None:
     """Answer for a loop with more than P on 1/s, at each Kp."""
     process = terms.build_process()
@@ -186,12 +183,14 @@ def _answer_terms(
         )
         for kp in gains
     ]
-    if not json:
+    if not form.is_json:
         answers = [LoopAnswer(title=f"Kp = {loop.gains.kp:g}", found=loop) for loop in found]
-        parts = [answers[k : k + _MOST_COLUMNS] for k in range(0, len(answers), _MOST_COLUMNS)]
-        tables = [tabulate_answers("The sampled loop", part) for part in parts]
-        tables.append(tabulate_recommended(recommended, wanted))
-        print_text("\n".join(map(format_table, tables)))
+        controller = f"P{'I' if terms.ki else ''}{'D' if terms.kd else ''}"
+        print_text(
+            format_terms(
+                answers, recommended, wanted, controller=controller, shows_all=form.shows_all
+            )
+        )
         return
     ranges = found[0].stable_gains
     print_json(
@@ -216,26 +215,21 @@ class _Changes(NamedTuple):
 
 
 def _answer_file(
-    word: str, changes: _Changes, topics: ReadingOptions | None, wanted: Wishes, *, json: bool
+    word: str, changes: _Changes, topics: ReadingOptions | None, wanted: Wishes, form: _Form
 ) -> None:
     """Answer for each loop of a scenario or a recording."""
     name, source, models = _read_models(word, changes, topics)
     answers = answer_models(models)
     groups = wanted.recommend_for(models)
-    if json:
+    if form.is_json:
         recommended = {loop: describe_recommended(one) for one in groups for loop in one.loops}
         loops = [
             {**one.describe(), "recommended": recommended.get(one.title, [])} for one in answers
         ]
         print_json({"name": name, "source": source, "loops": loops})
-    elif answers:
-        table = tabulate_answers(f"The loops of {name}", answers)
-        lines = [textwrap.fill(note, _WIDTH) for note in table.notes]
-        texts = [format_table(table) if table.rows else "\n".join(lines)]
-        texts += [format_table(tabulate_recommended(one, wanted)) for one in groups]
-        print_text("\n".join(texts))
     else:
-        print_text(f"{name}: no loop is declared, so theory says nothing of it.")
+        label = tl.compare.name_file(word) if source == "recording" else name
+        print_text(format_file(label, word, answers, groups, wanted, shows_all=form.shows_all))
 
 
 def _read_models(

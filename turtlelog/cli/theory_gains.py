@@ -1,7 +1,7 @@
 """Recommended gains as one small table and as JSON."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
@@ -97,15 +97,18 @@ class Wishes:
         ]
 
     def tell(self, one: "Recommendation") -> str:
-        """Return controller and rule in words."""
-        return f"{one.controller} {self._tell_rule(one.rule)}"
+        """Return controller and rule in words, for a table."""
+        if one.rule in _RULES:
+            return f"{one.controller} for {self.describe(one.rule)}".replace("phase ", "")
+        return f"{one.controller} by {_RULE_NAMES[one.rule]}"
 
-    def _tell_rule(self, rule: str) -> str:
+    def describe(self, rule: str) -> str:
+        """Return what a rule gives: `5 % overshoot`, `60 deg phase margin`, or its name."""
         if rule == "overshoot":
-            return f"for {self.overshoot_percent:g} % overshoot"
+            return f"{self.overshoot_percent:g} % overshoot"
         if rule == "phase-margin" and self.phase_margin_rad is not None:
-            return f"for {math.degrees(self.phase_margin_rad):g} deg margin"
-        return _NAMES[rule]
+            return f"{math.degrees(self.phase_margin_rad):g} deg phase margin"
+        return f"the rule of {_RULE_NAMES[rule]}"
 
 
 class Recommended(NamedTuple):
@@ -116,7 +119,10 @@ class Recommended(NamedTuple):
     most_dead_time_s: float | None = None
 
 
-_NAMES: Final = {"simc": "by SIMC", "ziegler-nichols": "by Ziegler-Nichols"}
+_RULES: Final = ("overshoot", "phase-margin")
+"""Those that compute gains for what is wanted."""
+
+_RULE_NAMES: Final = {"simc": "SIMC", "ziegler-nichols": "Ziegler-Nichols"}
 
 
 def describe_recommended(recommended: Recommended) -> list[dict[str, Any]]:
@@ -142,10 +148,16 @@ def _describe(one: "Recommendation") -> dict[str, Any]:
     }
 
 
-def tabulate_recommended(recommended: Recommended, wishes: Wishes) -> "Table":
-    """Return a table of recommended gains; rules that give none are its notes."""
+def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all: bool) -> "Table":
+    """Return a table of recommended gains.
+
+    Args:
+        recommended: The gains.
+        wishes: What they shall give.
+        shows_all: With published rules, and why rules give no gains.
+    """
     of = f" of {join_words(recommended.loops)}" if recommended.loops else ""
-    found = recommended.found
+    found = [one for one in recommended.found if shows_all or one.rule in _RULES]
     return tl.compare.Table(
         title=f"Recommended gains{of}",
         columns=(
@@ -153,13 +165,15 @@ def tabulate_recommended(recommended: Recommended, wishes: Wishes) -> "Table":
             tl.compare.Column(title="Kp", unit="1/s"),
             tl.compare.Column(title="Ki", unit="1/s^2"),
             tl.compare.Column(title="Kd"),
-            tl.compare.Column(title="overshoot", unit="%", digits=2),
+            tl.compare.Column(title="overshoot", unit="%", digits=2, lines=("over-", "shoot")),
             tl.compare.Column(title="settles", unit="s", digits=2),
-            tl.compare.Column(title="gain margin", digits=2),
-            tl.compare.Column(title="phase margin", unit="deg", digits=1),
+            tl.compare.Column(title="gain margin", digits=2, lines=("gain", "margin")),
+            tl.compare.Column(
+                title="phase margin", unit="deg", digits=1, lines=("phase", "margin")
+            ),
         ),
         rows=tuple(_list_cells(one, wishes.tell(one)) for one in found if one.gains),
-        notes=tuple(_list_notes(recommended, wishes)),
+        notes=tuple(_list_notes(recommended, wishes, shows_all=shows_all)),
     )
 
 
@@ -180,17 +194,19 @@ def _list_cells(one: "Recommendation", name: str) -> "tuple[Cell, ...]":
     )
 
 
-def _list_notes(recommended: Recommended, wishes: Wishes) -> list[str]:
-    notes = [
-        "Overshoot is that of the motion, between samples too, without limits. SIMC: Skogestad"
-        " (2003); Ziegler-Nichols (1942): half of the gain at which instability begins."
-    ]
+def _list_notes(recommended: Recommended, wishes: Wishes, *, shows_all: bool) -> Iterator[str]:
     if recommended.most_dead_time_s is not None:
         most = f"{1e3 * recommended.most_dead_time_s:.6g} ms"
-        notes.append(f"They are for the most dead time, {most}.")
+        yield f"They are for the most dead time, {most}."
+    if not shows_all:
+        return
+    yield (
+        "Overshoot is that of the motion, between samples too, without limits. SIMC: Skogestad"
+        " (2003); Ziegler-Nichols (1942): half of the gain at which instability begins."
+    )
     reasons: dict[str, list[str]] = {}
     for one in recommended.found:
         if one.reason:
             reasons.setdefault(one.reason, []).append(wishes.tell(one))
-    notes += [f"No {join_words(names)}: {reason}." for reason, names in reasons.items()]
-    return notes
+    for reason, names in reasons.items():
+        yield f"No {join_words(names)}: {reason}."

@@ -115,11 +115,16 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
             *(tl.compare.Column(title=answer.title) for answer in answers),
         ),
         rows=tuple(rows),
-        notes=tuple(_list_notes(answers)),
     )
 
 
-def _list_notes(answers: Sequence[LoopAnswer]) -> list[str]:
+def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> list[str]:
+    """Return which loops are unknown, what is left out, and where values come from.
+
+    Args:
+        answers: Of declared loops.
+        shows_all: Say where the values of known loops come from.
+    """
     notes = []
     for answer in answers:
         model = answer.model
@@ -129,19 +134,28 @@ def _list_notes(answers: Sequence[LoopAnswer]) -> list[str]:
         if model.reason:
             notes.append(f"{of} is unknown: {model.reason}.")
             continue
-        notes.append(f"{of}: {_tell_sources(model)}.")
-        if model.most_dead_time_s is not None:
+        if shows_all:
+            notes.append(f"{of}: {_tell_sources(model)}.")
+        if shows_all and model.most_dead_time_s is not None:
             most = f"{1e3 * model.most_dead_time_s:.6g} ms"
             notes.append(
                 f"{of}: the dead time is the least; {model.growth} may let it grow to {most}."
             )
         if model.left_out:
             notes.append(f"{of}: theory's linear loop leaves out {', '.join(model.left_out)}.")
-    if any(answer.found and answer.found.stable for answer in answers):
-        notes.append(
-            "Overshoot and settling time are read at the samples, after a step, without limits."
-        )
     return notes
+
+
+def tell_motion(loop: "PidLoop") -> str:
+    """Return whether a loop is stable, how far it overshoots and when it settles."""
+    if not loop.stable:
+        return "unstable"
+    said = ["stable"]
+    if loop.overshoot_percent is not None:
+        said.append(f"overshoots {_tell_overshoot(loop)}" if _overshoots(loop) else "no overshoot")
+    if loop.settling_time_s is not None:
+        said.append(f"settles in {loop.settling_time_s:.3g} s")
+    return ", ".join(said)
 
 
 def _tell_sources(model: "LoopModel") -> str:
@@ -206,8 +220,8 @@ _ROWS: "Final[tuple[tuple[str, bool, Callable[[PidLoop], str]], ...]]" = (
     ("Ki [1/s^2]", True, lambda loop: _tell_number(loop.gains.ki)),
     ("Kd", True, lambda loop: _tell_number(loop.gains.kd)),
     ("filter of D [ms]", True, lambda loop: _tell_number(1e3 * loop.gains.filter_s)),
-    ("plant's gain", False, lambda loop: _tell_number(loop.process.gain)),
-    ("lag [ms]", True, lambda loop: _tell_number(1e3 * loop.process.lag_s)),
+    ("gain of the plant", False, lambda loop: _tell_number(loop.process.gain)),
+    ("time constant [ms]", True, lambda loop: _tell_number(1e3 * loop.process.lag_s)),
     ("low-pass [ms]", True, lambda loop: _tell_number(1e3 * loop.process.low_pass_s)),
     ("period [ms]", False, lambda loop: _tell_number(1e3 * loop.period_s)),
     ("dead time [ms]", False, lambda loop: _tell_number(1e3 * loop.dead_time_s)),

@@ -151,9 +151,11 @@ def _tabulate_loops(loops: "list[SampledLoop]") -> "Table":
             tl.compare.Column(title="slowest pole"),
             tl.compare.Column(title="damping", digits=3),
             tl.compare.Column(title="overshoots"),
-            tl.compare.Column(title="settles in", unit="s", digits=3),
-            tl.compare.Column(title="gain margin", digits=2),
-            tl.compare.Column(title="delay margin", unit="ticks", digits=1),
+            tl.compare.Column(title="settles in", unit="s", digits=3, lines=("settles", "in")),
+            tl.compare.Column(title="gain margin", digits=2, lines=("gain", "margin")),
+            tl.compare.Column(
+                title="delay margin", unit="ticks", digits=1, lines=("delay", "margin")
+            ),
             tl.compare.Column(title="stable"),
         ),
         rows=tuple(
@@ -169,7 +171,6 @@ def _tabulate_loops(loops: "list[SampledLoop]") -> "Table":
             )
             for loop in loops
         ),
-        notes=(_summarise(loops),),
     )
 
 
@@ -195,8 +196,8 @@ def _tabulate_limits(loops: "list[SampledLoop]") -> "Table":
     )
 
 
-def _summarise(loops: "list[SampledLoop]") -> str:
-    """Return on which side of both limits the gains stand."""
+def summarise_gains(loops: "list[SampledLoop]") -> list[str]:
+    """Return where overshoot and instability begin, and on which side the gains are."""
     overshoot, stability = _compute_limits(loops[0].period_s, loops[0].dead_time_ticks)
     groups = {
         "no overshoot": [loop for loop in loops if loop.stable and not loop.overshoots],
@@ -209,7 +210,12 @@ def _summarise(loops: "list[SampledLoop]") -> str:
         if group
     ]
     limits = f"Overshoot begins above Kp = {overshoot:.4g} 1/s, instability at {stability:.4g} 1/s."
-    return " ".join((limits, *verdicts))
+    return [limits, " ".join(verdicts)]
+
+
+def describe_sampling(loop: "SampledLoop") -> str:
+    """Return sampling period and dead time."""
+    return f"Sampling period {_tell_period(loop)}, dead time {_tell_dead_time(loop)}."
 
 
 def _tell_period(loop: "SampledLoop") -> str:
