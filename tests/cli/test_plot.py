@@ -227,7 +227,7 @@ def test_the_attribution_is_that_of_explain(
     found = json.loads(capsys.readouterr().out)["attribution"]
     texts = re.findall("<!-- (.*?) -->", (tmp_path / "why.svg").read_text("utf-8"))
     assert f"what caused {found['as_logged']:.3f} deg" in texts
-    (share,) = [one["share"] for one in found["shares"] if one["mechanism"] == "pause"]
+    (share,) = [one["contribution"] for one in found["contributions"] if one["cause"] == "pause"]
     assert any(f"{-share:.3f} deg".replace("-", "\N{MINUS SIGN}") in text for text in texts)
 
 

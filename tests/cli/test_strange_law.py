@@ -169,8 +169,10 @@ def test_explain_names_the_effect_that_the_law_declares(call: Call, strange: Pat
     """All subsets of the effects are simulated with an interpreted law."""
     metric = ("--metric", "run.duration")
     answer = call("explain", strange, TRUST, "--json", *metric).json
-    shares = {share["mechanism"]: share["share"] for share in answer["attribution"]["shares"]}
-    assert shares == {"hesitation": pytest.approx(0.16, abs=0.033)}
+    found = answer["attribution"]["contributions"]
+    assert {one["cause"]: one["contribution"] for one in found} == {
+        "hesitation": pytest.approx(0.16, abs=0.033)
+    }
     assert answer["identified"]["gains"] == {"angular": None, "linear": None}
     assert answer["identified"]["heading_tolerance"] is None
     out = call("explain", strange, TRUST, *metric).out

@@ -19,7 +19,7 @@ FREE = {
     "limits.turn_rate_rad_s": math.inf,
     "loop.pose_precision": "float64",
 }
-POSES = 120
+POSES = 200
 
 
 def change(**values: Any) -> tl.Scenario:
@@ -83,6 +83,7 @@ def list_changes(run: tl.Run) -> NDArray[np.float64]:
     return np.diff(read_lyapunov(run)[drives])
 
 
+@pytest.mark.everyday("no-limits")
 @pytest.mark.parametrize("limits", [{}, FREE], ids=["limits", "no-limits"])
 def test_law_reaches_every_pose_within_its_tolerances(limits: dict[str, Any]) -> None:
     runs = drive_everywhere(*limits.items())
@@ -103,6 +104,7 @@ def test_published_gains_reach_every_pose_as_well() -> None:
     assert [run.stop_reason for run in runs] == ["within_tolerance"] * POSES
 
 
+@pytest.mark.everyday("ours")
 @pytest.mark.parametrize("gains", [{}, PUBLISHED], ids=["ours", "published"])
 def test_lyapunov_function_falls_at_every_sample_without_limits(gains: dict[str, Any]) -> None:
     runs = drive_everywhere(*{**FREE, **gains}.items())
@@ -122,6 +124,7 @@ def test_lyapunov_function_falls_where_an_angle_is_wrapped() -> None:
     assert wrapped >= 3
 
 
+@pytest.mark.thorough
 def test_limits_let_the_lyapunov_function_rise() -> None:
     runs = drive_everywhere(*{"loop.pose_precision": "float64"}.items())
     rises = [list_changes(run).max() for run in runs]

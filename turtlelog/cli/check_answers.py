@@ -142,7 +142,8 @@ def _join(
 ) -> str:
     """Return the verdict and its parts, an empty line between them."""
     blocks = [format_table(table).rstrip("\n") for table in tables]
-    ends = [_wrap(found) for found in (lines, [*rest]) if found]
+    ends = [_wrap(lines)] if lines else []
+    ends += ["\n".join(map(escape_controls, following))] if (following := [*rest]) else []
     return "\n\n".join([_conclude(counted, files), *blocks, *ends])
 
 

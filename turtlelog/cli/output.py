@@ -310,15 +310,17 @@ def find_command_name() -> str:
 def _format_json(value: Any) -> str:
     import msgspec
 
-    plain = msgspec.to_builtins(value, enc_hook=_take_from_numpy)
+    plain = msgspec.to_builtins(value, enc_hook=_make_plain)
     return json.dumps(_make_finite(plain), indent=2, allow_nan=False)
 
 
-def _take_from_numpy(value: Any) -> Any:
+def _make_plain(value: Any) -> Any:
     if hasattr(value, "dtype"):
         return value.tolist()
     if isinstance(value, Mapping):
         return dict(value)
+    if isinstance(value, str):
+        return str.__str__(value)
     raise TypeError(f"expected what JSON has, found {type(value).__name__}")
 
 
