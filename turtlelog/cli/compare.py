@@ -52,15 +52,15 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceOptions:
-    """What to compare against, and how; verdicts are given by `turtlelog check`.
+    """The reference, and how to compare with it. `turtlelog check` gives verdicts.
 
     Attributes:
         reference: The run that differences are taken from.
-        align: What to bring together: first_sample (the usual), phase:NAME (the start of a phase),
-            recorded (times as they are), sample (samples by their number).
+        align: Common time zero: first_sample, phase:NAME (the start of a phase), recorded (times as
+            they are), sample (samples by their number). Default: first_sample.
         recursive: Take every recording below the folders given, but for the reference.
-        jobs: Processes to read and measure in; as many as cores where that is quicker. With
-            --rrd or the scenario of a robot it is one.
+        jobs: Number of processes. Default: one per core if that is faster; 1 with --rrd or the
+            scenario of a robot.
         details: Beside a reference: show the signals of several runs, too.
     """
 
@@ -79,11 +79,11 @@ class ChoiceOptions:
 
     Attributes:
         only: Columns, separated by commas: metrics, patterns (translate.*), parameters.
-        sort: What to sort by (rising gain): a metric or parameter, name, or Kp as the column is
-            called; falling with a minus before it, as in -run.duration.
-        where: Which runs, as in "law.kp_linear >= 2 and run.duration < 20".
-        varied: Keys that you varied on purpose, separated by commas, as in limits.speed_m_s, or
-            goal, path, start, plant or limits. Where another of these differs, no run is called
+        sort: Metric or parameter to sort by, name, or Kp as the column is called. A minus before it
+            sorts in falling order. Example: -run.duration. Default: rising gain.
+        where: Condition for the runs. Example: "law.kp_linear >= 2 and run.duration < 20".
+        varied: Keys that were varied on purpose, separated by commas, for example limits.speed_m_s;
+            or goal, path, start, plant or limits. If another of these differs, no run is called
             the best. Gains are always on purpose.
     """
 
@@ -110,7 +110,7 @@ class DrawingOptions:
     """Pictures of what is compared.
 
     Attributes:
-        plot: Beside a robot's scenario: draw paths, errors and rates into this .pdf, .png or .svg
+        plot: Draw paths, errors and rates of a robot and its scenario into this .pdf, .png or .svg
             file.
         rrd: Write all runs, or a recorded robot beside a simulated one, into one Rerun recording.
     """
@@ -129,15 +129,15 @@ def compare(
     pictures: DrawingOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> int:
-    """Compare runs: which is best at what; with --reference, how far each is from it.
+    """Compare runs: which is best at what. With --reference: how far each is from it.
 
-    With the scenario of a robot among the files (its plant is lagged), each recorded robot is
-    compared with the simulated one, driven with the recorded commands: how far off its pose is 1 s
-    and 5 s after it was the recorded one, again and again, and how many of these errors lie within
-    the central 95 % of simulated ones, over 39 seeds of its noise.
+    If the scenario of a robot is among the files (its plant is lagged), each recorded robot is
+    compared with the simulated one, driven with the recorded commands. The answer is the error of
+    the pose 1 s and 5 s after both were equal, and how many errors lie within the central 95 % of
+    simulated ones, over 39 seeds of its noise.
 
-    Without a reference, files that cannot be read are reported on stderr; the others
-    are compared where there are two or more, and the exit code is 2.
+    Without a reference, files that cannot be read are reported on stderr. The others are compared
+    if there are two or more, and the exit code is 2.
 
     Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort run.duration
 

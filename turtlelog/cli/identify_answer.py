@@ -159,8 +159,9 @@ def _list_trust(model: "RobotModel") -> Iterator[str]:
         yield from _describe_axis(axis)
     if model.tick_delays is not None:
         delays = model.tick_delays
+        count = describe_count(delays.shown, "command")
         yield (
-            f"Dead time of {delays.shown} commands: least {1e3 * delays.least_s:.1f} ms, median"
+            f"Dead time of {count}: least {1e3 * delays.least_s:.1f} ms, median"
             f" {1e3 * delays.median_s:.1f} ms, largest {1e3 * delays.largest_s:.1f} ms."
         )
     yield from model.notes

@@ -53,18 +53,19 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasureOptions:
-    """How to measure; a value of a loop is in rad where it controls the heading, else in m.
+    """How to measure. Values of a heading loop are in rad, of other loops in m.
 
     Attributes:
-        only: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics).
-        band: Half-width of the settling band, as a share of the step [1]; otherwise 0.02.
-        initial: Where steps start [rad or m]: NUMBER or LOOP=NUMBER; otherwise the first value.
-        final: Where they lead [rad or m]: reference, last, NUMBER, or LOOP=VALUE; otherwise
+        only: Ids or patterns of metrics. Example: rotate.overshoot,final.*. List: turtlelog list
+            metrics.
+        band: Half-width of the settling band, as a share of the step [1]. Default: 0.02.
+        initial: Start of the step [rad or m]: NUMBER or LOOP=NUMBER. Default: the first value.
+        final: End of the step [rad or m]: reference, last, NUMBER, or LOOP=VALUE. Default:
             reference.
-        reference_path: CSV of x,y [m], for cross-track errors; otherwise the line to the goal.
-        goal_tolerance: How near the goal counts as there, for run.time_to_goal [m]; otherwise the
-            band.
-        dead_time: Dead time of the delayed ideal loop [samples]; otherwise as found.
+        reference_path: CSV of x,y [m] for cross-track errors. Default: the line to the goal.
+        goal_tolerance: Distance to the goal that counts as reached, for run.time_to_goal [m].
+            Default: the band.
+        dead_time: Dead time of the delayed ideal loop [samples]. Default: as measured.
     """
 
     only: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None

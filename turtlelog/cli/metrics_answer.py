@@ -48,7 +48,7 @@ _WORDS: Final = {
     "speed_tracking_rms": "RMS error of the speed",
     "turn_rate_tracking_rms": "RMS error of the turn rate",
     "rest_share": "share of the time at rest",
-    "largest_gap": "longest time without a command",
+    "largest_gap": "longest time without a sample",
     "largest_pose_gap": "longest time without a pose",
     "lag": "time lag",
 }
@@ -317,9 +317,15 @@ def _tabulate_rest(summary: "RunSummary", metrics: "Mapping[str, Metric]") -> "T
     return tl.compare.Table(
         title="",
         columns=(tl.compare.Column(title="metric"), tl.compare.Column(title="value")),
-        rows=tuple((_name_metric(name), _show(metric)) for name, metric in found.items()),
+        rows=tuple((_name_row(summary, name), _show(metric)) for name, metric in found.items()),
         notes=tl.compare.list_reasons([found]),
     )
+
+
+def _name_row(summary: "RunSummary", name: str) -> str:
+    """Return a metric in words; without samples its times are those of commands."""
+    words = _name_metric(name)
+    return words.replace("sample", "command") if summary.is_lawless else words
 
 
 def _is_of_run(name: str) -> bool:

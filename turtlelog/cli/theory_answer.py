@@ -95,7 +95,9 @@ def format_file(
     known = [one for one in answers if one.found]
     if not known:
         why = "no loop is declared" if not answers else "theory has no linear model of its loops"
-        return fill_lines([f"{name}: {why}.", *list_sources(answers)])
+        robot = "turtlelog identify BAG --scenario robot.toml, turtlelog theory robot.toml"
+        hint = [] if answers else [f"Gains for a robot: {robot}"]
+        return fill_lines([f"{name}: {why}.", *list_sources(answers), *hint])
     found = {
         loop: best
         for one in groups

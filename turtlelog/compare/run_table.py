@@ -271,8 +271,8 @@ UNLOCKS: Final = MappingProxyType(
         "commands": "commands: a recorded Twist or TwistStamped (--command-topic TOPIC) adds lags,"
         " tracking errors and steps",
         "goal": "goal: --goal X,Y adds final.position_error and run.time_to_goal",
-        "samples": "samples of a controller: a recording of turtlelog's holds them, for metrics of"
-        " loops",
+        "samples": "samples of a controller: only recordings of turtlelog have them, and with them"
+        " metrics of loops",
     }
 )
 """What a bag may lack, by `HOLDINGS`, and what would add the metrics that need it."""
