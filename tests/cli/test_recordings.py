@@ -55,7 +55,7 @@ def test_info_goes_on_after_a_bad_file(call: Call, kp4: Path, words: list[str]) 
 
 
 def test_metrics_puts_runs_side_by_side(call: Call, kp4: Path, kp10: Path) -> None:
-    answer = call("metrics", kp4, kp10)
+    answer = call("metrics", kp4, kp10, "--only", "rotate.*")
     assert answer.code == 0
     rows = [line.split() for line in answer.out.splitlines()]
     assert ["metric", "unit", "paper-kp4", "paper-kp10"] in rows
@@ -165,13 +165,11 @@ def test_tables_fit_the_terminal(
     command: str,
     columns: int,
 ) -> None:
-    wide = call(command, kp4, kp10, kp4, kp10).out
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", str(columns))
     answer = call(command, kp4, kp10, kp4, kp10)
     tables = [line for line in answer.out.splitlines() if not line.startswith("/")]
     assert max(map(len, tables)) <= columns
-    assert command == "info" or max(map(len, wide.splitlines())) > 80
     assert "kp4" in answer.out
 
 

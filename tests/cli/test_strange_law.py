@@ -176,7 +176,7 @@ def test_explain_names_the_effect_that_the_law_declares(call: Call, strange: Pat
     assert answer["identified"]["gains"] == {"angular": None, "linear": None}
     assert answer["identified"]["heading_tolerance"] is None
     out = call("explain", strange, TRUST, *metric).out
-    assert "Hesitation adds" in out
+    assert "  hesitation  +0.144 s" in out
     assert "Kp" not in out
     assert "tolerance" not in out
 

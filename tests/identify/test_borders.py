@@ -1,6 +1,7 @@
 """What counts and what does not: a case on each side of each border."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,13 +10,18 @@ from numpy.typing import NDArray
 import turtlelog as tl
 from tests.identify.robots import Log, build_run, make_run
 from tests.known import known
-from turtlelog.cli.identify import format_robot
+from turtlelog.cli.identify_answer import format_robot
 from turtlelog.identify import AxisModel, Estimate
 from turtlelog.identify.axis_fit import find_outliers
 from turtlelog.identify.axis_motion import read_axis_motion
 from turtlelog.identify.silent_stops import find_silent_stops
 
 QUIET = Log(duration_s=12.0, jitter_s=0.0)
+
+
+def _format(model: tl.RobotModel) -> str:
+    text = format_robot(model, [Path("a")], shows_details=True)
+    return " ".join(text.split())
 
 
 def turn_at(rate: NDArray[np.float64], time_s: NDArray[np.float64]) -> tl.Run:
@@ -147,13 +153,13 @@ def say_axis(explained: float, whiteness: float) -> str:
         whiteness=whiteness,
     )
     turns = AxisModel(axis="turn_rate", status="not_identifiable", reason="x", advice="y")
-    return " ".join(format_robot(tl.RobotModel(files=("a",), speed=axis, turn_rate=turns)).split())
+    return _format(tl.RobotModel(files=("a",), speed=axis, turn_rate=turns))
 
 
 @pytest.mark.parametrize(
     ("product_s2", "told"),
     [
-        (0.0099, "the lag is the sum of two time constants. Their product is 0.0099 s^2"),
+        (0.0099, "the time constant is the sum of two, whose product is 0.0099 s^2"),
         (0.0100, "with two time constants of about 100 ms"),
         (0.0101, "oscillates: its damping ratio is 1.00"),
         (0.0400, "oscillates: its damping ratio is 0.50"),
@@ -175,10 +181,11 @@ def test_a_second_order_oscillates_only_if_its_interval_says_so(
     )
     turns = AxisModel(axis="turn_rate", status="not_identifiable", reason="x", advice="y")
     model = tl.RobotModel(files=("a",), speed=axis, turn_rate=turns)
-    assert told in " ".join(format_robot(model).split())
+    assert told in _format(model)
 
 
 def test_the_text_says_what_the_residual_shows() -> None:
-    assert "Note" not in say_axis(0.51, 0.51)
-    assert "most of what changes in the motion does not follow" in say_axis(0.49, 0.51)
-    assert "what is left is a curve, not noise" in say_axis(0.51, 0.49)
+    little, curve = "Most changes of the motion do not follow", "The rest is a curve, not noise"
+    for explained, whiteness in ((0.51, 0.51), (0.49, 0.51), (0.51, 0.49)):
+        text = say_axis(explained, whiteness)
+        assert (little in text, curve in text) == (explained < 0.5, whiteness < 0.5)

@@ -53,7 +53,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "theory": (
             "",
-            "Say what theory expects of an integrator under P, PI, PD or PID control.",
+            "Recommend gains, and give the limits of P, PI, PD or PID control of an integrator.",
         ),
     },
     "Ask": {
@@ -63,8 +63,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "metrics": (
             "FILE...",
-            "Measure recordings: the essential metrics as a table, a status where there is no"
-            " value.",
+            "Measure recordings: where each ends, and how its loops answer.",
         ),
         "compare": (
             "FILE...",

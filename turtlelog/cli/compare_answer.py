@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import turtlelog as tl
 from turtlelog.cli.output import align_rows, fill_lines, find_width
 from turtlelog.display import describe_count, format_number, format_short, join_words
+from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog.compare import (
@@ -206,7 +207,7 @@ def _list_next(
         metric = min(worst, key=_rank)
         row = worst[metric]
         option = "" if metric == "final.position_error" else f" --metric {metric}"
-        file = shlex.quote(summaries[row].file)
+        file = escape_controls(shlex.quote(summaries[row].file))
         yield f"Why is {names[row]} worse? turtlelog explain {file}{option}"
     yield "Other columns: --only IDS. Every metric: --json, or turtlelog metrics."
 
@@ -245,7 +246,8 @@ def format_reference(
             *parts,
             "",
             fill_lines(signals.notes),
-            f"Verdicts with tolerances: turtlelog check --init {shlex.quote(first.file)}",
+            "Verdicts with tolerances: turtlelog check --init "
+            + escape_controls(shlex.quote(first.file)),
         ]
     )
 

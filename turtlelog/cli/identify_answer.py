@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, find_width
 from turtlelog.display import describe_count, join_words
+from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import RobotModel
@@ -279,9 +280,9 @@ def _list_next(
     model: "RobotModel", files: Sequence[Path], scenario: Path | None, *, shows_details: bool
 ) -> Iterator[str]:
     """Yield what to type next."""
-    words = " ".join(shlex.quote(str(file)) for file in files)
+    words = escape_controls(" ".join(shlex.quote(str(file)) for file in files))
     if scenario is not None:
-        target = shlex.quote(str(scenario))
+        target = escape_controls(shlex.quote(str(scenario)))
         yield f"Next: turtlelog theory {target}, turtlelog compare {words} {target}"
     elif model.tick_delays is not None:
         yield f"Why? turtlelog explain {words}"

@@ -13,6 +13,7 @@ from turtlelog.cli.output import (
     print_text,
 )
 from turtlelog.display import describe_count, format_short, join_words
+from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import Metric, Run
@@ -334,7 +335,7 @@ def _is_of_run(name: str) -> bool:
 
 def _list_next(summary: "RunSummary", count: int) -> list[str]:
     """Return what to type next."""
-    file = shlex.quote(summary.file)
+    file = escape_controls(shlex.quote(summary.file))
     more = f"All {count} metrics with their ids: --all"
     if not summary.is_lawless:
         first = f"Why? turtlelog explain {file}"
