@@ -98,7 +98,7 @@ def test_what_a_file_is_comes_first_and_then_what_is_in_it_and_missing(
     ]
     text = " ".join(" ".join(lines).split())
     assert "missing goal: --goal X,Y adds final.position_error and run.time_to_goal" in text
-    assert "missing samples of a controller: a recording of turtlelog's holds them" in text
+    assert "missing samples of a controller: only recordings of turtlelog have them" in text
     assert lines[-2] == "You can: metrics, identify, check, compare, view, plot"
     (answer,) = call("info", path, "--json").json
     expected = {"used": "stamp", "ratio": 1.0, "offset_s": 0.005, "jitter_s": 0.0}

@@ -75,7 +75,8 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "identify": (
             "FILE...",
-            "Identify how a robot follows its commands: gain, dead time, time constant of each axis.",
+            "Identify how a robot follows its commands: gain, dead time, time constant of each"
+            " axis.",
         ),
         "replay": (
             "FILE",
