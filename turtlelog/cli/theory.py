@@ -11,14 +11,21 @@ from turtlelog.cli.options import Json, ReadingOptions, Whole, read_runs
 from turtlelog.cli.output import print_json, print_text
 from turtlelog.cli.scenario_options import LawOptions, is_recording, load_changed_scenario
 from turtlelog.cli.theory_answer import format_file, format_integrator, format_terms
-from turtlelog.cli.theory_gains import Recommended, Wishes, WishOptions, describe_recommended
+from turtlelog.cli.theory_gains import (
+    Recommended,
+    RecommendedGains,
+    Wishes,
+    WishOptions,
+    build_recommended,
+)
 from turtlelog.cli.theory_loops import (
     LoopAnswer,
+    PidAnswer,
     answer_models,
-    describe_pid_loop,
-    describe_process,
+    build_declared_loop,
+    build_pid_loop,
 )
-from turtlelog.cli.theory_tables import describe_theory
+from turtlelog.cli.theory_tables import build_integrator
 from turtlelog.errors import UsageError
 from turtlelog.remote.urls import make_path
 
@@ -147,8 +154,7 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
     late = tl.theory.Process(dead_time_s=(dead_time or 0) * period_s)
     recommended = Recommended(wanted.recommend(late, period_s))
     if json:
-        answer = describe_theory(loops)
-        print_json({**answer, "recommended": describe_recommended(recommended)})
+        print_json(build_integrator(loops, build_recommended(recommended)))
         return
     print_text(format_integrator(loops, recommended, wanted, shows_all=details))
 
@@ -194,17 +200,39 @@ def _answer_terms(
         return
     ranges = found[0].stable_gains
     print_json(
-        {
-            "period_s": period_s,
-            "dead_time_ticks": dead_time,
-            "dead_time_s": found[0].dead_time_s,
-            "process": describe_process(process),
-            "overshoot_gain": None,
-            "stability_gain": ranges[-1][1] if ranges else None,
-            "gains": [describe_pid_loop(loop) for loop in found],
-            "recommended": describe_recommended(recommended),
-        }
+        _TermsAnswer(
+            period_s=period_s,
+            dead_time_ticks=dead_time,
+            dead_time_s=found[0].dead_time_s,
+            process=process,
+            stability_gain=ranges[-1][1] if ranges else None,
+            gains=[build_pid_loop(loop) for loop in found],
+            recommended=build_recommended(recommended),
+        )
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TermsAnswer:
+    """A loop with more than P on 1/s."""
+
+    period_s: float
+    dead_time_ticks: int
+    dead_time_s: float
+    process: "Process"
+    overshoot_gain: None = None
+    stability_gain: float | None
+    gains: list[PidAnswer]
+    recommended: list[RecommendedGains]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _FileAnswer:
+    """Each loop of a scenario or a recording."""
+
+    name: str
+    source: str
+    loops: list[dict[str, Any]]
 
 
 class _Changes(NamedTuple):
@@ -222,11 +250,9 @@ def _answer_file(
     answers = answer_models(models)
     groups = wanted.recommend_for(models)
     if form.is_json:
-        recommended = {loop: describe_recommended(one) for one in groups for loop in one.loops}
-        loops = [
-            {**one.describe(), "recommended": recommended.get(one.title, [])} for one in answers
-        ]
-        print_json({"name": name, "source": source, "loops": loops})
+        recommended = {loop: build_recommended(one) for one in groups for loop in one.loops}
+        loops = [build_declared_loop(one, recommended.get(one.title, [])) for one in answers]
+        print_json(_FileAnswer(name=name, source=source, loops=loops))
     else:
         label = tl.compare.name_file(word) if source == "recording" else name
         print_text(format_file(label, word, answers, groups, wanted, shows_all=form.shows_all))

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 from cyclopts import Parameter
 
@@ -125,27 +125,45 @@ _RULES: Final = ("overshoot", "phase-margin")
 _RULE_NAMES: Final = {"simc": "SIMC", "ziegler-nichols": "Ziegler-Nichols"}
 
 
-def describe_recommended(recommended: Recommended) -> list[dict[str, Any]]:
-    """Return recommended gains for JSON; gains are null where the reason says why."""
-    return [_describe(one) for one in recommended.found]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecommendedGains:
+    """Gains of a rule as JSON has them; None where the reason says why."""
+
+    rule: str
+    controller: str
+    source: str
+    kp: float | None
+    ki: float | None
+    kd: float | None
+    filter_s: float | None
+    overshoot_percent: float | None
+    settling_time_s: float | None
+    gain_margin: float | None
+    phase_margin_rad: float | None
+    reason: str | None
 
 
-def _describe(one: "Recommendation") -> dict[str, Any]:
+def build_recommended(recommended: Recommended) -> list[RecommendedGains]:
+    """Return recommended gains for JSON."""
+    return [_build(one) for one in recommended.found]
+
+
+def _build(one: "Recommendation") -> RecommendedGains:
     gains, motion, margins = one.gains, one.motion, one.margins
-    return {
-        "rule": one.rule,
-        "controller": one.controller,
-        "source": one.source,
-        "kp": gains and gains.kp,
-        "ki": gains and gains.ki,
-        "kd": gains and gains.kd,
-        "filter_s": gains and gains.filter_s,
-        "overshoot_percent": motion and motion.overshoot_percent,
-        "settling_time_s": motion and motion.settling_time_s,
-        "gain_margin": margins and margins.gain_margin,
-        "phase_margin_rad": margins and margins.phase_margin_rad,
-        "reason": one.reason or None,
-    }
+    return RecommendedGains(
+        rule=one.rule,
+        controller=one.controller,
+        source=one.source,
+        kp=None if gains is None else gains.kp,
+        ki=None if gains is None else gains.ki,
+        kd=None if gains is None else gains.kd,
+        filter_s=None if gains is None else gains.filter_s,
+        overshoot_percent=None if motion is None else motion.overshoot_percent,
+        settling_time_s=None if motion is None else motion.settling_time_s,
+        gain_margin=None if margins is None else margins.gain_margin,
+        phase_margin_rad=None if margins is None else margins.phase_margin_rad,
+        reason=one.reason or None,
+    )
 
 
 def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all: bool) -> "Table":

@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.theory_tables import tell_pole
+from turtlelog.cli.theory_gains import RecommendedGains
+from turtlelog.cli.theory_tables import Pole, build_poles, tell_pole
 from turtlelog.display import join_words
 from turtlelog.loops import SIGNAL_WORDS
 
@@ -32,23 +33,6 @@ class LoopAnswer:
     found: "PidLoop | None"
     model: "LoopModel | None" = None
 
-    def describe(self) -> dict[str, Any]:
-        """Return a declared loop for JSON."""
-        model = self.model
-        if model is None:
-            return {}
-        return {
-            "loop": model.loop.name,
-            "signal": model.loop.signal,
-            "command": model.loop.command,
-            "status": "ok" if self.found else "unknown",
-            "reason": model.reason or None,
-            "from": dict(model.sources),
-            "left_out": list(model.left_out),
-            "most_dead_time_s": model.most_dead_time_s,
-            **({} if self.found is None else describe_pid_loop(self.found)),
-        }
-
 
 def answer_models(models: "Sequence[LoopModel]") -> list[LoopAnswer]:
     """Return what theory says of declared loops."""
@@ -60,43 +44,78 @@ def answer_models(models: "Sequence[LoopModel]") -> list[LoopAnswer]:
     ]
 
 
-def describe_pid_loop(loop: "PidLoop") -> dict[str, Any]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PidAnswer:
+    """A sampled loop as JSON has it; None where there is no such number."""
+
+    kp: float
+    ki: float
+    kd: float
+    filter_s: float
+    period_s: float
+    dead_time_s: float
+    process: "Process"
+    tau_s: float
+    settling_time_s: float
+    poles: list[Pole]
+    stable: bool
+    stable_gains: "Sequence[tuple[float, float]]"
+    overshoots: bool
+    overshoot_percent: float | None
+    sampled_settling_time_s: float | None
+    gain_margin: float | None
+    gain_reduction: float | None
+    phase_margin_rad: float | None
+    crossover_rad_s: float | None
+    delay_margin_ticks: float | None
+    delay_margin_s: float | None
+
+
+def build_pid_loop(loop: "PidLoop") -> PidAnswer:
     """Return a loop for JSON."""
-    gains = loop.gains
+    gains, margins = loop.gains, loop.margins
     whole = gains.kp * loop.process.gain
-    margins = loop.margins
-    return {
-        "kp": gains.kp,
-        "ki": gains.ki,
-        "kd": gains.kd,
-        "filter_s": gains.filter_s,
-        "period_s": loop.period_s,
-        "dead_time_s": loop.dead_time_s,
-        "process": describe_process(loop.process),
-        "tau_s": tl.theory.compute_time_constant(whole),
-        "settling_time_s": tl.theory.compute_settling_time(whole),
-        "poles": [{"re": float(pole.real), "im": float(pole.imag)} for pole in loop.poles],
-        "stable": loop.stable,
-        "stable_gains": [list(ends) for ends in loop.stable_gains],
-        "overshoots": not loop.stable or _overshoots(loop),
-        "overshoot_percent": loop.overshoot_percent,
-        "sampled_settling_time_s": loop.settling_time_s,
-        "gain_margin": margins and margins.gain_margin,
-        "gain_reduction": margins and margins.gain_reduction,
-        "phase_margin_rad": margins and margins.phase_margin_rad,
-        "crossover_rad_s": margins and margins.crossover_rad_s,
-        "delay_margin_ticks": margins and margins.delay_margin_ticks,
-        "delay_margin_s": _find_delay_margin(loop),
-    }
+    return PidAnswer(
+        kp=gains.kp,
+        ki=gains.ki,
+        kd=gains.kd,
+        filter_s=gains.filter_s,
+        period_s=loop.period_s,
+        dead_time_s=loop.dead_time_s,
+        process=loop.process,
+        tau_s=tl.theory.compute_time_constant(whole),
+        settling_time_s=tl.theory.compute_settling_time(whole),
+        poles=build_poles(loop.poles),
+        stable=loop.stable,
+        stable_gains=loop.stable_gains,
+        overshoots=not loop.stable or _overshoots(loop),
+        overshoot_percent=loop.overshoot_percent,
+        sampled_settling_time_s=loop.settling_time_s,
+        gain_margin=None if margins is None else margins.gain_margin,
+        gain_reduction=None if margins is None else margins.gain_reduction,
+        phase_margin_rad=None if margins is None else margins.phase_margin_rad,
+        crossover_rad_s=None if margins is None else margins.crossover_rad_s,
+        delay_margin_ticks=None if margins is None else margins.delay_margin_ticks,
+        delay_margin_s=_find_delay_margin(loop),
+    )
 
 
-def describe_process(process: "Process") -> dict[str, float]:
-    """Return what a command passes for JSON; its dead time is beside whole ticks."""
+def build_declared_loop(answer: LoopAnswer, recommended: list[RecommendedGains]) -> dict[str, Any]:
+    """Return a declared loop for JSON: where values come from, and they, where it is known."""
+    model, found = answer.model, answer.found
+    if model is None:
+        return {}
     return {
-        "gain": process.gain,
-        "lag_s": process.lag_s,
-        "dead_time_s": process.dead_time_s,
-        "low_pass_s": process.low_pass_s,
+        "loop": model.loop.name,
+        "signal": model.loop.signal,
+        "command": model.loop.command,
+        "status": "ok" if found else "unknown",
+        "reason": model.reason or None,
+        "from": dict(model.sources),
+        "left_out": list(model.left_out),
+        "most_dead_time_s": model.most_dead_time_s,
+        **({} if found is None else asdict(build_pid_loop(found))),
+        "recommended": recommended,
     }
 
 

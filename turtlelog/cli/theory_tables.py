@@ -1,10 +1,14 @@
 """P on the plant 1/s, ideal and sampled, as tables and JSON."""
 
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
+from turtlelog.cli.theory_gains import RecommendedGains
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -12,56 +16,140 @@ if TYPE_CHECKING:
     from turtlelog.theory import SampledLoop
 
 
-def describe_theory(loops: "list[SampledLoop]") -> dict[str, Any]:
-    """Return P on 1/s for JSON."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pole:
+    """A pole in the plane of z."""
+
+    re: float
+    im: float
+
+
+def build_poles(poles: "NDArray[np.complex128]") -> list[Pole]:
+    """Return poles for JSON."""
+    return [Pole(re=float(pole.real), im=float(pole.imag)) for pole in poles]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainAnswer:
+    """The ideal and the sampled loop at one gain; None where there is no such number."""
+
+    kp: float
+    tau_s: float
+    settling_time_s: float
+    exact_settling_time_s: float
+    poles: list[Pole]
+    stable: bool
+    overshoots: bool
+    damping_ratio: float | None
+    overshoot_percent: float | None
+    sampled_settling_time_s: float | None
+    gain_margin: float
+    phase_margin_rad: float | None
+    delay_margin_ticks: float | None
+    delay_margin_s: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainLimits:
+    """The gains at which overshoot and instability begin, at a dead time."""
+
+    dead_time_ticks: int
+    overshoot_gain: float
+    stability_gain: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Transfer:
+    numerator: "Sequence[float]"
+    denominator: "Sequence[float]"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _End:
+    input: str
+    value: float | None
+    status: str
+    reason: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantAnswer:
+    """The plant 1/s: whether it is stable, and where its responses end."""
+
+    transfer_function: _Transfer
+    bibo_stable: bool
+    reason: str
+    final_values: list[_End]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IntegratorAnswer:
+    """P on the plant 1/s."""
+
+    period_s: float
+    dead_time_ticks: int
+    overshoot_gain: float
+    stability_gain: float
+    plant: PlantAnswer
+    gains: list[GainAnswer]
+    limits: list[GainLimits]
+    recommended: list[RecommendedGains]
+
+
+def build_integrator(
+    loops: "list[SampledLoop]", recommended: list[RecommendedGains]
+) -> IntegratorAnswer:
+    """Return the answer for P on 1/s."""
     first = loops[0]
     overshoot_gain, stability_gain = _compute_limits(first.period_s, first.dead_time_ticks)
-    limits = [(ticks, *_compute_limits(first.period_s, ticks)) for ticks in _list_dead_times(first)]
-    return {
-        "period_s": first.period_s,
-        "dead_time_ticks": first.dead_time_ticks,
-        "overshoot_gain": overshoot_gain,
-        "stability_gain": stability_gain,
-        "plant": _describe_plant(),
-        "gains": [_describe_loop(loop) for loop in loops],
-        "limits": [
-            {"dead_time_ticks": ticks, "overshoot_gain": overshoot, "stability_gain": stability}
-            for ticks, overshoot, stability in limits
+    limits = {ticks: _compute_limits(first.period_s, ticks) for ticks in _list_dead_times(first)}
+    return IntegratorAnswer(
+        period_s=first.period_s,
+        dead_time_ticks=first.dead_time_ticks,
+        overshoot_gain=overshoot_gain,
+        stability_gain=stability_gain,
+        plant=_build_plant(),
+        gains=[_build_loop(loop) for loop in loops],
+        limits=[
+            GainLimits(dead_time_ticks=ticks, overshoot_gain=overshoot, stability_gain=stability)
+            for ticks, (overshoot, stability) in limits.items()
         ],
-    }
+        recommended=recommended,
+    )
 
 
-def _describe_plant() -> dict[str, Any]:
+def _build_plant() -> PlantAnswer:
     verdict = tl.theory.judge_bibo(*tl.theory.PLANT)
     ends = [(kind, tl.theory.find_plant_final_value(kind)) for kind in tl.theory.PLANT_INPUTS]
-    return {
-        "transfer_function": {"numerator": tl.theory.PLANT[0], "denominator": tl.theory.PLANT[1]},
-        "bibo_stable": verdict.stable,
-        "reason": verdict.reason,
-        "final_values": [
-            {"input": kind, "value": end.value, "status": end.status.value, "reason": end.reason}
+    numerator, denominator = tl.theory.PLANT
+    return PlantAnswer(
+        transfer_function=_Transfer(numerator=numerator, denominator=denominator),
+        bibo_stable=verdict.stable,
+        reason=verdict.reason,
+        final_values=[
+            _End(input=kind, value=end.value, status=end.status.value, reason=end.reason)
             for kind, end in ends
         ],
-    }
+    )
 
 
-def _describe_loop(loop: "SampledLoop") -> dict[str, Any]:
-    return {
-        "kp": loop.kp,
-        "tau_s": tl.theory.compute_time_constant(loop.kp),
-        "settling_time_s": tl.theory.compute_settling_time(loop.kp),
-        "exact_settling_time_s": tl.theory.compute_exact_settling_time(loop.kp),
-        "poles": [{"re": float(pole.real), "im": float(pole.imag)} for pole in loop.poles],
-        "stable": loop.stable,
-        "overshoots": loop.overshoots,
-        "damping_ratio": loop.damping_ratio,
-        "overshoot_percent": loop.overshoot_percent,
-        "sampled_settling_time_s": loop.settling_time_s,
-        "gain_margin": loop.gain_margin,
-        "phase_margin_rad": loop.phase_margin_rad,
-        "delay_margin_ticks": loop.delay_margin_ticks,
-        "delay_margin_s": loop.delay_margin_s,
-    }
+def _build_loop(loop: "SampledLoop") -> GainAnswer:
+    return GainAnswer(
+        kp=loop.kp,
+        tau_s=tl.theory.compute_time_constant(loop.kp),
+        settling_time_s=tl.theory.compute_settling_time(loop.kp),
+        exact_settling_time_s=tl.theory.compute_exact_settling_time(loop.kp),
+        poles=build_poles(loop.poles),
+        stable=loop.stable,
+        overshoots=loop.overshoots,
+        damping_ratio=loop.damping_ratio,
+        overshoot_percent=loop.overshoot_percent,
+        sampled_settling_time_s=loop.settling_time_s,
+        gain_margin=loop.gain_margin,
+        phase_margin_rad=loop.phase_margin_rad,
+        delay_margin_ticks=loop.delay_margin_ticks,
+        delay_margin_s=loop.delay_margin_s,
+    )
 
 
 _LIMITS_UP_TO: Final = 8
