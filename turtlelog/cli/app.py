@@ -67,7 +67,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "compare": (
             "FILE...",
-            "Compare runs: which is best at what; with --reference, how far each is from it.",
+            "Compare runs: which is best at what. With --reference: how far each is from it.",
         ),
         "explain": (
             "FILE",
@@ -75,7 +75,8 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "identify": (
             "FILE...",
-            "Say how a robot follows its commands: gain, dead time and lag of each axis.",
+            "Identify how a robot follows its commands: gain, dead time, time constant of each"
+            " axis.",
         ),
         "replay": (
             "FILE",
