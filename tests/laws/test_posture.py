@@ -86,6 +86,7 @@ def list_changes(run: tl.Run) -> NDArray[np.float64]:
 @pytest.mark.everyday("no-limits")
 @pytest.mark.parametrize("limits", [{}, FREE], ids=["limits", "no-limits"])
 def test_law_reaches_every_pose_within_its_tolerances(limits: dict[str, Any]) -> None:
+    """Two hundred runs are simulated."""
     runs = drive_everywhere(*limits.items())
     assert [run.stop_reason for run in runs] == ["within_tolerance"] * POSES
     misses = np.array([list_misses(run) for run in runs])
@@ -93,6 +94,7 @@ def test_law_reaches_every_pose_within_its_tolerances(limits: dict[str, Any]) ->
 
 
 def test_walls_are_not_in_the_way() -> None:
+    """Two hundred runs are simulated."""
     xy_m = np.concatenate([run.poses.xy_m for run in drive_everywhere()])
     assert xy_m.min() > 2.0
     assert xy_m.max() < 9.0
@@ -107,11 +109,13 @@ def test_published_gains_reach_every_pose_as_well() -> None:
 @pytest.mark.everyday("ours")
 @pytest.mark.parametrize("gains", [{}, PUBLISHED], ids=["ours", "published"])
 def test_lyapunov_function_falls_at_every_sample_without_limits(gains: dict[str, Any]) -> None:
+    """Two hundred runs are simulated."""
     runs = drive_everywhere(*{**FREE, **gains}.items())
     assert max(list_changes(run).max() for run in runs) < 0.0
 
 
 def test_lyapunov_function_falls_where_an_angle_is_wrapped() -> None:
+    """Two hundred runs are simulated."""
     # It holds the squares of the angles, so it does not jump with them; the command does.
     wrapped = 0
     for run in drive_everywhere(*FREE.items()):
@@ -273,7 +277,9 @@ def test_law_forgets_its_run() -> None:
         assert law.step(5_000_000_000, Pose(1.0, 1.0, 0.0)).stop_reason is None
 
 
+@pytest.mark.thorough
 def test_turn_rate_limit_lets_published_gains_spiral() -> None:
+    """Two hundred runs are simulated with each of two sets of gains."""
     # gamma sin(2 alpha) / 2 exceeds the limit of 1 rad/s where gamma > 2: alpha does not fall.
     ways = {
         gamma: [run.samples for run in drive_everywhere(*gains.items())]

@@ -143,6 +143,7 @@ def test_exact_gains_meet_what_is_wanted() -> None:
 
 
 def test_integration_in_fine_steps_overshoots_as_much() -> None:
+    """Loops are integrated step by step in Python."""
     cases = draw_cases()
     found = integrate_cases(cases, 1200)
     expected = [one.motion.overshoot_percent for *_, one in cases if one.motion]

@@ -200,6 +200,7 @@ OF_ONE = ("attribution", "rates")
 @pytest.mark.everyday("gains", "panel", "plane", "strips", "rates", "step-responses", "states")
 @pytest.mark.parametrize("name", [name for name in tl.show.FIGURES if name != "violation"])
 def test_no_lettering_is_cut_off_on_the_narrowest_page(name: str) -> None:
+    """A figure is drawn as a whole."""
     runs = {"path-error": [simulate_tracker("kanayama")], "states": [simulate_pid()]}
     narrow = tl.show.Page(text_width_mm=120.0)
     drawn = RUNS[-1:] if name in OF_ONE else runs.get(name, RUNS)
