@@ -2,14 +2,13 @@
 
 import re
 import shlex
-import textwrap
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import format_table, print_json, print_tables, print_verdicts
+from turtlelog.cli.output import fill_lines, format_table, print_json, print_tables, print_verdicts
 from turtlelog.display import show_angle
 from turtlelog.escapes import escape_controls
 
@@ -28,9 +27,6 @@ _MOST_FAILURES: Final = 40
 
 _MOST_NAMES: Final = 8
 """Recordings that are named as those in which checks fail."""
-
-_WIDTH: Final = 80
-"""Columns of a line of text."""
 
 
 def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str, Any]:
@@ -142,23 +138,9 @@ def _join(
 ) -> str:
     """Return the verdict and its parts, an empty line between them."""
     blocks = [format_table(table).rstrip("\n") for table in tables]
-    ends = [_wrap(lines)] if lines else []
+    ends = [fill_lines(lines, indent=2)] if lines else []
     ends += ["\n".join(map(escape_controls, following))] if (following := [*rest]) else []
     return "\n\n".join([_conclude(counted, files), *blocks, *ends])
-
-
-def _wrap(lines: Sequence[str]) -> str:
-    """Return lines that fit a page; commands and formulas stay whole."""
-    return "\n".join(
-        textwrap.fill(
-            escape_controls(line),
-            _WIDTH,
-            subsequent_indent="  ",
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-        for line in lines
-    )
 
 
 def _conclude(counted: "CountedResults", files: int) -> str:

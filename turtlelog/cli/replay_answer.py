@@ -1,12 +1,11 @@
 """How replays that compare signals are answered: through a law, and in closed loop."""
 
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import format_table
+from turtlelog.cli.output import fill_lines, format_table
 from turtlelog.display import describe_count, format_pair, show_angle
 from turtlelog.escapes import escape_controls
 
@@ -16,9 +15,6 @@ if TYPE_CHECKING:
     from turtlelog.replay import Difference, LawReplay, LoopReplay, PoseError, SignalDifference
 
     Measured = Mapping[str, Metric]
-
-_WIDTH: Final = 80
-"""Of lines [characters]."""
 
 _ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
 """Signals that are printed even where they are equal."""
@@ -155,14 +151,6 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
     parts = [fill_lines(lines)]
     parts += [] if first is None else [f"\n{format_changes(run, found.run)}"]
     return "\n".join([*parts, _format_signals(run, found, title, details=details)])
-
-
-def fill_lines(lines: Iterable[str]) -> str:
-    """Return sentences in lines of 80 characters."""
-    return "\n".join(
-        textwrap.fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
-        for line in lines
-    )
 
 
 def _format_signals(

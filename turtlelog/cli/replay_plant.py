@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.output import format_table
+from turtlelog.cli.output import fill_lines, format_table
 from turtlelog.cli.replay_answer import (
     describe_difference,
     describe_pose_error,
-    fill_lines,
     tell_time,
 )
 from turtlelog.escapes import escape_controls
