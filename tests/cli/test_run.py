@@ -48,6 +48,12 @@ def test_the_first_line_tells_how_far_from_the_goal_it_ended(
         assert lines[1] == "Changed: law.kp_angular=6 max_duration_s=4"
 
 
+def test_a_law_that_stops_where_it_believes_the_goal_to_be_did_not_reach_it(call: Call) -> None:
+    words = ("--set", "sensing.noise_position_m=0.02", "--set", "seed=3")
+    first = call("run", "paper-kp4", *words).out.splitlines()[0]
+    assert first == "paper-kp4: ended 0.0175 m from the goal after 11.4 s."
+
+
 def test_run_records_what_it_simulates(call: Call, tmp_path: Path) -> None:
     answer = call("run", "paper-kp4", "-o", tmp_path / "a.mcap", "--rrd", tmp_path / "a.rrd")
     assert answer.code == 0
