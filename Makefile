@@ -20,7 +20,9 @@ test-all: export PYTEST_ADDOPTS += --hypothesis-profile=thorough
 
 # Workers fill the cores: threads for small matrices beside them only wait for each other.
 test test-all: export OPENBLAS_NUM_THREADS := 1
-test test-all: .venv/compiled
+test: .venv/compiled
+test-all: .venv/compiled-all
+test test-all:
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime $(CHOSEN)"
 	$(BIN)/python -m pytest -n 2 -m "realtime $(CHOSEN)" \
 		$$(grep -rl realtime tests --include='test_*.py')
@@ -31,6 +33,10 @@ LOOPS := $(wildcard turtlelog/*.py turtlelog/effects/*.py turtlelog/laws/*.py tu
 .venv/compiled: .venv/installed-dev $(LOOPS)
 	$(BIN)/python -m tests.compile_loops
 	@touch $@
+
+.venv/compiled-all: .venv/installed-dev $(LOOPS)
+	$(BIN)/python -m tests.compile_loops all
+	@touch .venv/compiled $@
 
 check: .venv/installed-dev
 	$(BIN)/ruff format --check .

@@ -1,11 +1,17 @@
-"""Compile what tests run, once: each of their workers would compile it for itself."""
+"""Compile what tests run, once: each of their workers would compile it for itself.
+
+A loop takes over 10 s: of every day are those of the sequential laws and of one other; with the
+word `all` those of every law and plant.
+"""
 
 import random
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
+from typing import Final
 
 from tests.effects_cases import EFFECTS
 from tests.simulate.random_scenarios import OTHER_LAWS, build_law
@@ -16,14 +22,21 @@ from turtlelog.simulate.many import find_loop
 from turtlelog.sweep.batch import find_batch
 from turtlelog.sweep.batch_rows import is_batched
 
+EVERYDAY: Final = {
+    *("sequential-p turtlesim", "sequential-pid turtlesim", "sequential-pid lagged"),
+    *("sequential-p lagged", "pure-pursuit turtlesim"),
+}
+"""Law and plant of the loops of every day: the sequential ones, and one that follows a path."""
 
-def list_pairs() -> Iterator[Scenario]:
+
+def list_pairs(*, has_all: bool) -> Iterator[Scenario]:
     """Yield a scenario of each law and plant; last those of batches, whose measurement is known."""
     for kind in (*OTHER_LAWS, *(kind for kind in LAWS if kind not in OTHER_LAWS)):
         law = build_law(random.Random(1), kind) if kind in OTHER_LAWS else {"law.kind": kind}
-        for robot in (EFFECTS["lagged"], {}):
-            changes = {**law, **robot}
-            yield resolve_scenario(override_scenario(get_preset("textbook"), changes))
+        for plant, robot in (("lagged", EFFECTS["lagged"]), ("turtlesim", {})):
+            if has_all or f"{kind} {plant}" in EVERYDAY:
+                changes = {**law, **robot}
+                yield resolve_scenario(override_scenario(get_preset("textbook"), changes))
 
 
 def compile_pair(scenario: Scenario) -> None:
@@ -38,10 +51,10 @@ def compile_pair(scenario: Scenario) -> None:
         assert loops.problem is None
 
 
-def main() -> None:
-    """Compile all of it, on all cores."""
+def main(*words: str) -> None:
+    """Compile it, on all cores."""
     measurement = partial(import_module, "turtlelog.sweep.batch_kernel")
-    pairs = [partial(compile_pair, scenario) for scenario in list_pairs()]
+    pairs = [partial(compile_pair, scenario) for scenario in list_pairs(has_all="all" in words)]
     with ProcessPoolExecutor(count_cores()) as pool:
         jobs: list[Callable[[], object]] = [measurement, *pairs]
         for job in [pool.submit(run, job) for job in jobs]:
@@ -54,4 +67,4 @@ def run(job: Callable[[], object]) -> None:
 
 
 if __name__ == "__main__" and find_spec("numba"):
-    main()
+    main(*sys.argv[1:])

@@ -36,9 +36,12 @@ def run_command(*words: str, folder: Path, paths: Sequence[Path] = ()) -> Answer
     return _run(_answer, words, folder, paths)
 
 
-def run_code(code: str, *, folder: Path) -> Answer:
-    """Run Python code as `python -W error -c` does, in a folder that it can import from."""
-    return _run(_execute, (code,), folder, (folder,))
+def run_code(*codes: str, folder: Path) -> Answer:
+    """Run Python code as `python -W error -c` does, in a folder that it can import from.
+
+    Of several each begins without the names of those before.
+    """
+    return _run(_execute, codes, folder, (folder,))
 
 
 def _run(
@@ -81,6 +84,7 @@ def _answer(*words: str) -> None:
     main(words)
 
 
-def _execute(code: str) -> None:
+def _execute(*codes: str) -> None:
     warnings.simplefilter("error")
-    exec(compile(code, "<string>", "exec"), {"__name__": "__main__"})
+    for number, code in enumerate(codes, 1):
+        exec(compile(code, f"<block {number}>", "exec"), {"__name__": "__main__"})

@@ -49,6 +49,7 @@ def test_times_have_three_digits(value: float, text: str) -> None:
     assert table.format_value(value, "s") == text
 
 
+@pytest.mark.thorough
 def test_calls_take_turns_and_the_least_time_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
     clock = iter([0.0, 3.0, 3.0, 4.0, 4.0, 6.0, 6.0, 8.0])
@@ -65,6 +66,7 @@ def test_reading_is_timed_in_a_fresh_process(tmp_path: Path) -> None:
     assert 0.0 < said["unpack"] < said["read"][0]
 
 
+@pytest.mark.everyday("writer")
 @pytest.mark.parametrize("name", ["loop", "measure", "writer"])
 def test_benchmark_yields_rows(name: str) -> None:
     rows = list(import_module(f"benchmarks.bench_{name}").measure(3e-3))
@@ -78,6 +80,7 @@ def test_benchmark_in_a_process_of_its_own_hands_over_its_rows() -> None:
     assert jobs[:2] == ["simulate, a sample", "replay the loop, a sample"]
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform == "win32", reason="limits the memory of a process")
 def test_a_hostile_file_is_read_in_a_process_of_its_own() -> None:
     [taken] = bench_hostile.try_file("sqlite: column rowid", ["recover"])

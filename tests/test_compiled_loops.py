@@ -174,7 +174,7 @@ def test_an_index_of_another_python_is_of_no_use(module: Path) -> None:
     assert find_cost_s() == 9.0
 
 
-@pytest.mark.everyday("beside", "NUMBA_CACHE_DIR")
+@pytest.mark.everyday("beside")
 @pytest.mark.parametrize("place", ["beside", "NUMBA_CACHE_DIR", "user"])
 def test_loops_are_found_where_numba_keeps_them(
     module: Path, monkeypatch: pytest.MonkeyPatch, place: str
@@ -265,6 +265,7 @@ print(measure(), sum(measure.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.thorough
 def test_a_constant_of_another_file_is_compiled_anew(tmp_path: Path) -> None:
     """Functions are compiled, twice."""
     pytest.importorskip("numba")

@@ -104,6 +104,7 @@ def test_output_that_needs_more_is_refused_before_any_work(
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.thorough
 def test_failures_keep_their_stretch_where_no_view_can_be_written(tmp_path: Path) -> None:
     spec = 'format = 1\n[checks.slow]\nholds = "always(speed <= 0.5)"\n'
     (tmp_path / "spec.toml").write_text(spec)

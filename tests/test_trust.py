@@ -286,6 +286,7 @@ def run_suite(folder: Path, tmp_path: Path, body: str, trust: str = "") -> tuple
 DRIVEN = "assert recording.driven_by().matches(recording, tolerance=Tolerance(abs=1e-9))"
 
 
+@pytest.mark.thorough
 def test_driven_by_names_the_recorded_law_and_does_not_run_it(folder: Path, tmp_path: Path) -> None:
     code, text = run_suite(folder, tmp_path, DRIVEN)
     assert not (folder / "mark").exists()

@@ -125,6 +125,7 @@ def join(trace: Trace, after: Mapping[str, Column], end_ns: int) -> Trace:
 ends = st.integers(0, 40).map(lambda end: end * HALF_NS)
 
 
+@pytest.mark.thorough
 @pytest.mark.everyday("RunEnding.CUT")
 @seed(3)
 @settings(deadline=None, max_examples=150)

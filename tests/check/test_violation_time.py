@@ -72,6 +72,7 @@ def measure_parts(change: str) -> list[Mapping[str, tl.Metric]]:
     return [tl.measure_run(replace(part, stop_reason=run.stop_reason)) for part in parts]
 
 
+@pytest.mark.everyday("slow loop", "lost pose")
 @pytest.mark.parametrize("change", ["gain", "lag", "wrong direction", "slow loop", "lost pose"])
 def test_what_grows_never_falls_while_a_run_goes_on(change: str) -> None:
     parts = measure_parts(change)

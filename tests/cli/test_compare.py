@@ -257,6 +257,7 @@ def test_runs_are_held_to_a_reference_in_several_processes(
     assert alone.code == 0
 
 
+@pytest.mark.thorough
 def test_a_run_that_no_process_can_read_is_an_error_of_the_whole(
     call: Call, kp4: Path, kp10: Path
 ) -> None:

@@ -29,6 +29,7 @@ def test_explain_finds_what_was_built_in(call: Call, kp10: Path) -> None:
     }
 
 
+@pytest.mark.thorough
 def test_explain_names_the_settings_that_it_tried(call: Call, kp10: Path) -> None:
     """That nothing is found shows when the whole search is done."""
     tried = call("explain", kp10, "--json").json["tried"]
@@ -102,6 +103,7 @@ def test_explain_writes_the_scenario(call: Call, tmp_path: Path, kp10: Path) -> 
     assert [*tmp_path.iterdir()] == [path]
 
 
+@pytest.mark.thorough
 def test_explain_draws_the_run_beside_its_what_ifs(call: Call, tmp_path: Path, kp10: Path) -> None:
     answer = call("explain", kp10, "--rrd", tmp_path / "why.rrd")
     assert answer.code == 0
@@ -301,6 +303,7 @@ def test_a_scenario_that_is_not_identified_is_not_written(
     assert "why.rrd: there is nothing to draw, because no scenario fits this log" in drawn.err
 
 
+@pytest.mark.thorough
 def test_nothing_is_said_of_a_law_that_is_another(call: Call, no_scenario: Path) -> None:
     answer = call("explain", no_scenario, "--json").json
     assert answer["identified"]["gains"] == {"angular": None, "linear": None}
@@ -332,6 +335,7 @@ def test_another_law_is_explained_with_trust_only(call: Call, turn: Path) -> Non
     assert "Without delay it would be 1.034 rad/s." in text
 
 
+@pytest.mark.thorough
 def test_a_law_that_was_changed_is_said_to_depart(call: Call, turn: Path, tmp_path: Path) -> None:
     run = tl.read_recording(turn)
     changed = replace(run, parameters={**run.parameters, "law.kp_angular": 11.0})

@@ -101,6 +101,7 @@ def test_changed_replay_shows_what_changed(call: Call) -> None:
     assert "run.turn_rate_effort  rad^2/s       2.4       0.6        -1.8" in out
 
 
+@pytest.mark.thorough
 def test_figures_of_a_run_without_a_goal_have_no_column_of_dashes(call: Call) -> None:
     call("plot", STEP, "-o", "plot", "--format", "svg")
     table = Path("plot/whole-runs.tex").read_text(encoding="utf-8")

@@ -115,6 +115,7 @@ def test_words_that_are_wrong_are_one_line(call: Call, words: list[str], line: s
     assert line in answer.err
 
 
+@pytest.mark.everyday("bash")
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_is_written_where_asked(call: Call, tmp_path: Path, shell: str) -> None:
     answer = call("--install-completion", "--shell", shell, "--output", tmp_path / "completion")

@@ -128,6 +128,7 @@ def test_without_any_axis_the_answer_is_no(call: Call, tmp_path: Path, options: 
         assert "\n\n" not in answer.out
 
 
+@pytest.mark.thorough
 def test_several_bags_are_one_robot(call: Call, bag: Path, tmp_path: Path) -> None:
     other = write_bag(make_run(LOG, 7), tmp_path / "other.mcap")
     answer = call("identify", bag, other, "--json").json

@@ -72,6 +72,7 @@ def test_json_has_what_is_drawn(call: Call, table: Path) -> None:
     assert limits["stable"] == [[0.0, stable["borders"][2]["theory"]]]
 
 
+@pytest.mark.everyday(".png")
 @pytest.mark.parametrize("suffix", SIGNATURES)
 def test_outputs_are_files_of_their_kind(suffix: str, call: Call, table: Path) -> None:
     done = call("map", table.name, "-o", f"m{suffix}")

@@ -214,6 +214,7 @@ def test_a_preset_or_a_scenario_file_is_simulated_and_drawn(
     assert "nix.toml: expected a recording, a bag or a log, found" in err
 
 
+@pytest.mark.thorough
 def test_the_attribution_is_that_of_explain(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,6 +25,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
     return ended.value.code, printed.out, printed.err
 
 
+@pytest.mark.thorough
 def test_a_report_of_four_runs_is_one_file_that_names_all_of_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -41,6 +42,7 @@ def test_a_report_of_four_runs_is_one_file_that_names_all_of_it(
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
 
 
+@pytest.mark.thorough
 def test_a_run_alone_is_explained_with_its_ghosts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

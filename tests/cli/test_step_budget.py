@@ -56,6 +56,7 @@ def test_a_replay_through_a_law_without_end_ends_with_one_line(
     assert " took more than 1050 ms of a budget of 50 ms, at 0." in answer.err
 
 
+@pytest.mark.thorough
 def test_a_row_of_a_sweep_without_end_fails_and_the_others_go_on(
     law: str, tmp_path: Path, call: Call
 ) -> None:

@@ -165,6 +165,7 @@ def test_replay_sets_the_declared_gains(call: Call, strange: Path, tmp_path: Pat
     assert (parameters["law.gain_a"], parameters["law.gain_b"]) == (3.0, 3.0)
 
 
+@pytest.mark.thorough
 def test_explain_names_the_effect_that_the_law_declares(call: Call, strange: Path) -> None:
     """All subsets of the effects are simulated with an interpreted law."""
     metric = ("--metric", "run.duration")

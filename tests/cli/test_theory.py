@@ -66,6 +66,7 @@ def test_theory_shows_the_limits_of_the_dead_time_asked_for(call: Call) -> None:
     assert [limit["dead_time_ticks"] for limit in limits] == [*range(9), 20]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dead_time_ticks", [0, 1, 1000])
 def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: int) -> None:
     answer = call("theory", "--dead-time", str(dead_time_ticks), "--kp", "1,62.5,125,1e6")
@@ -310,6 +311,7 @@ def test_ticks_and_seconds_of_dead_time_are_recommended_for_alike(call: Call) ->
     assert ticks[0]["kp"] == pytest.approx(4.946, abs=1e-3)
 
 
+@pytest.mark.thorough
 def test_each_loop_of_a_robot_has_recommended_gains(call: Call, tmp_path: Path) -> None:
     robot = tmp_path / "robot.toml"
     robot.write_text(

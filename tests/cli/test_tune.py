@@ -83,6 +83,7 @@ def test_text_tells_bounds_constraints_and_variants(call: Call) -> None:
     assert "its seed changes nothing" not in done.out
 
 
+@pytest.mark.thorough
 def test_the_intervals_of_an_identified_robot_are_drawn(call: Call) -> None:
     assert call("run", "lagged", "-o", "bag.mcap").code == 0
     told = call("identify", "bag.mcap", "--scenario", "robot.toml", "--json")

@@ -73,6 +73,7 @@ def test_a_robot_without_noise_moves_as_its_scenario_says() -> None:
     assert "no noise that acts on it" in found.bands[0].text
 
 
+@pytest.mark.thorough
 def test_the_band_holds_95_percent_of_the_errors_of_a_robot_with_the_right_noise() -> None:
     scenario = add_noise(make_scenario())
     found = [tl.compare.compare_robot(simulate(scenario, seed), scenario) for seed in (1, 2)]
@@ -85,6 +86,7 @@ def test_the_band_holds_95_percent_of_the_errors_of_a_robot_with_the_right_noise
     assert growth.recorded[-1, 1] == pytest.approx(growth.simulated[-1, 1], rel=0.5)
 
 
+@pytest.mark.thorough
 def test_sensed_noise_of_an_independent_simulator_is_held() -> None:
     log = replace(QUIET, noise_m=1e-3, noise_rad=2e-3)
     noise = {"sensing__noise_position_m": 1e-3, "sensing__noise_heading_rad": 2e-3}
@@ -263,6 +265,7 @@ def test_sensed_poses_of_a_recording_are_what_is_compared() -> None:
     assert set(list_verdicts(found)) == {"as simulated"}
 
 
+@pytest.mark.thorough
 def test_a_long_run_is_compared_for_ten_minutes() -> None:
     run = make_run(replace(QUIET, duration_s=20.0), 2)
     slow = replace(run, poses=replace(run.poses, time_ns=run.poses.time_ns * 40))
@@ -276,6 +279,7 @@ def test_a_long_run_is_compared_for_ten_minutes() -> None:
     assert fine.notes[0] == "The first 30 s of 40 s are compared."
 
 
+@pytest.mark.thorough
 def test_half_of_a_real_drive_predicts_the_other_half() -> None:
     run = tl.read_run(find_shared("robots", "tb3"))
     half_s = (run.end_ns - run.start_ns) / 2e9

@@ -1,8 +1,8 @@
 """Every command as users give it, in processes of its own on two cores: it ends well, in silence.
 
-The commands are those of README and of the examples in `--help`, and each one with its defaults.
-Those of README and of the defaults start Python as a user does; the other examples are forked from
-a process that has loaded the program.
+The commands are those of README, each one with its defaults, and the examples in `--help`. The
+former start Python as a user does; the examples are forked from a process that has loaded the
+program.
 """
 
 import glob
@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import chain, pairwise
@@ -210,21 +210,30 @@ def _write_robot(folder: Path) -> None:
     (folder / "robot.toml").write_text(tl.format_scenario(scenario), "utf-8")
 
 
-def test_every_command_ends_well_and_says_nothing_strange(
-    files: Path, tmp_path: Path, call: Call
-) -> None:
-    """Every command starts as a user starts it, and each example of its help runs."""
-    assert [*DEFAULTS] == COMMANDS
-    once = dict.fromkeys([*list_examples(call), *DEFAULTS.values()])
-    for command, _ in list_console(README):
-        once.pop(command, None)
+def find_faults(commands: Iterable[str], source: Path, place: Path, start: Start) -> list[str]:
+    """Run commands, two at a time, each in a folder of its own; an empty one is those of README."""
 
     def run_apart(command: str) -> list[str]:
-        place = Path(tempfile.mkdtemp(dir=tmp_path))
+        folder = Path(tempfile.mkdtemp(dir=place))
         if not command:
-            return run_readme(place)
-        start = start_python if command in DEFAULTS.values() else fork
-        return describe_fault(run(command, place, files, start))
+            return run_readme(folder)
+        return describe_fault(run(command, folder, source, start))
 
     with ThreadPoolExecutor(2) as pool:
-        assert [*chain.from_iterable(pool.map(run_apart, ["", *once]))] == []
+        return [*chain.from_iterable(pool.map(run_apart, commands))]
+
+
+def test_every_command_ends_well_and_says_nothing_strange(files: Path, tmp_path: Path) -> None:
+    """Every command starts as a user starts it, and loads all it needs."""
+    assert [*DEFAULTS] == COMMANDS
+    shown = [command for command, _ in list_console(README)]
+    commands = [command for command in DEFAULTS.values() if command not in shown]
+    assert find_faults(["", *commands], files, tmp_path, start_python) == []
+
+
+@pytest.mark.thorough
+def test_every_example_of_help_ends_well(files: Path, tmp_path: Path, call: Call) -> None:
+    """Some sixty commands run."""
+    others = {*DEFAULTS.values(), *(command for command, _ in list_console(README))}
+    examples = [command for command in dict.fromkeys(list_examples(call)) if command not in others]
+    assert find_faults(examples, files, tmp_path, fork) == []

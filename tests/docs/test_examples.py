@@ -49,7 +49,7 @@ def run_script(script: Path, *words: str, folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.everyday("first_run", "explain_run", "theory_and_measured")
+@pytest.mark.everyday("first_run", "theory_and_measured")
 @pytest.mark.parametrize("name", FINDINGS)
 def test_example_scripts_find_what_they_are_shown_for(name: str, tmp_path: Path) -> None:
     """A script runs as a reader runs it; one explains a run."""

@@ -21,14 +21,14 @@ ALL_PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 Command = Callable[..., str]
 
 
-def find_blocks(language: str) -> list[object]:
-    return [
-        pytest.param(match[1], find_files(page), id=f"{page.stem}-{number}")
-        for page in PAGES
-        for number, match in enumerate(
-            re.finditer(rf"^```{language}\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
-        )
-    ]
+def find_pages(language: str) -> list[object]:
+    """Return the blocks of each page that has some of a language, and its files."""
+    pages = [(page, list_blocks(page, language)) for page in PAGES]
+    return [pytest.param(found, find_files(page), id=page.stem) for page, found in pages if found]
+
+
+def list_blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
 
 
 def find_files(page: Path) -> dict[str, str]:
@@ -69,14 +69,16 @@ def run_python(*words: str, folder: Path) -> str:
     return done.stdout if done.returncode == 0 else done.stdout + done.stderr
 
 
-@pytest.mark.parametrize(("code", "files"), find_blocks("python"))
-def test_python_blocks_run_as_they_stand(code: str, files: dict[str, str], tmp_path: Path) -> None:
-    """Blocks run as a reader runs them: those that explain or draw take seconds."""
+@pytest.mark.parametrize(("blocks", "files"), find_pages("python"))
+def test_python_blocks_run_as_they_stand(
+    blocks: list[str], files: dict[str, str], tmp_path: Path
+) -> None:
+    """Blocks run as a reader runs them, a page's one after the other: some simulate for seconds."""
     write_files(files, tmp_path)
-    answer = run_code(code, folder=tmp_path)
+    answer = run_code(*blocks, folder=tmp_path)
     assert answer.returncode == 0, answer.stderr
-    printed, promised = answer.stdout, re.findall(r"print\(.*\)  # (.*)$", code, re.M)
-    lines = printed.splitlines()
+    promised = re.findall(r"print\(.*\)  # (.*)$", "".join(blocks), re.M)
+    lines = answer.stdout.splitlines()
     assert len(lines) == len(promised)
     # What stands behind a colon may be a remark.
     for line, promise in zip(lines, promised, strict=True):

@@ -146,6 +146,7 @@ def test_two_effects_that_need_each_other_share_alike() -> None:
     assert largest.causes == ("queue", "wrap")
 
 
+@pytest.mark.thorough
 def test_of_more_than_six_those_take_part_that_change_most() -> None:
     """All 64 subsets of six effects are simulated."""
     found = attribute("paper-kp10", *(name for name in MECHANISMS if name != "wrap"))
@@ -301,6 +302,7 @@ def test_the_lower_gains_are_steady(name: str) -> None:
     assert found.starts.parts == ()
 
 
+@pytest.mark.thorough
 def test_a_property_that_leaves_another_phase_without_end_is_said() -> None:
     scenario = override_scenario(get_preset("paper"), WRAPPING)
     assert find_other(attribute_scenario(scenario), "sampling").ending == (
@@ -313,6 +315,7 @@ def test_a_property_that_leaves_another_phase_without_end_is_said() -> None:
     assert find_other(attribute_scenario(KP10), "saturation").ending is None
 
 
+@pytest.mark.thorough
 def test_settings_that_fit_alike_are_named() -> None:
     run = add_noise(simulate("paper-kp10"), 1e-4, 1)
     assert attribute_run(run).doubts == (

@@ -71,6 +71,7 @@ def holds(finding: Finding, truth: Any) -> bool:
     return truth in finding.candidates or low <= truth <= high
 
 
+@pytest.mark.thorough
 def test_coarse_poses_do_not_tell_a_pause_of_one_tick_from_none() -> None:
     found = identify("paper-kp4", **COARSE)
     assert found["law.pause_ticks"].candidates == (1, 0)

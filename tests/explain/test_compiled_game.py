@@ -18,6 +18,7 @@ def play(monkeypatch: pytest.MonkeyPatch, loop: CompiledLoops, kernel: Any) -> l
     return [found for out in ([], ["noise"], ["loss"]) for found in game.take_out_each(out)]
 
 
+@pytest.mark.thorough
 def test_outcomes_of_the_compiled_loop_are_those_of_the_plain_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

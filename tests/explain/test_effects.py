@@ -256,6 +256,7 @@ def test_the_line_of_this_seed_stands_in_table_json_and_notebook() -> None:
     assert ">this seed<" in found._repr_html_()
 
 
+@pytest.mark.thorough
 def test_as_many_processes_make_the_same_shares() -> None:
     scenario = change(**{"loop.jitter_s": 0.1, "max_duration_s": 1.0})
     alone, both = (

@@ -118,7 +118,7 @@ def test_noise_leaves_gains_within_two_percent(file: str) -> None:
         assert read_values(found, "loop.start_backlog", "law.pause_ticks") == (6, 34)
 
 
-@pytest.mark.everyday("7-fit0", "9-fit2")
+@pytest.mark.everyday("9-fit2")
 @pytest.mark.parametrize(("backlog", "fit"), [(7, (7, 8)), (8, (7, 8)), (9, (9,)), (11, (10, 12))])
 def test_backlogs_past_the_queues_depth_look_alike(backlog: int, fit: tuple[int, ...]) -> None:
     """Every backlog that fits alike is simulated."""
@@ -127,6 +127,7 @@ def test_backlogs_past_the_queues_depth_look_alike(backlog: int, fit: tuple[int,
     assert {*fit} <= {*(found.candidates or (found.value,))}
 
 
+@pytest.mark.thorough
 def test_a_fit_that_the_clock_contradicts_does_not_stop_the_search() -> None:
     run = simulate("paper-kp4", law__pause_ticks=2, loop__start_backlog=11, loop__command_queue=10)
     found = identify_run(as_log(run))
@@ -166,6 +167,7 @@ def test_taking_the_newest_is_the_same_as_a_queue_of_one() -> None:
     assert policy.evidence == "reproduces all 770 samples; so does a command queue of 1"
 
 
+@pytest.mark.thorough
 def test_a_pause_of_one_tick_looks_like_none() -> None:
     found = identify_run(as_log(simulate("paper-kp4", law__pause_ticks=1)))
     pause = found.findings["law.pause_ticks"]
@@ -266,6 +268,7 @@ SCENARIOS = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.thorough
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(SCENARIOS, st.booleans(), st.integers(0, 2_000_000), st.integers(0, 2**32 - 1))
 def test_what_was_put_in_comes_back_or_the_log_cannot_tell(

@@ -34,6 +34,7 @@ def test_how_far_the_robot_turned_is_an_interval_where_there_is_noise(seed: int)
     assert low < truth < high < low + 0.1
 
 
+@pytest.mark.thorough
 def test_a_turn_that_nobody_commanded_is_not_counted_as_the_robots() -> None:
     found = identify_run(make_log(Truth(teleports=jump_at(450, 0.5))).to_run())
     turned = found.findings["pause.turned_rad"]

@@ -53,7 +53,7 @@ def test_nothing_is_exact_that_is_not_true(family: str, amount: int) -> None:
     assert sum(said == "exact true" for _, said in total) >= 2
 
 
-@pytest.mark.everyday("logged 1e-4", "misread 1e-5")
+@pytest.mark.everyday("logged 1e-4")
 @pytest.mark.parametrize(
     "family", ["logged 1e-4", "logged 1e-2", "misread 1e-5", "misread 1e-4", "misread 1e-3"]
 )
@@ -132,6 +132,7 @@ def test_another_stop_rule_is_not_told_as_the_usual_one(
     assert (found[key].value, found[key].assumed) == (None, pytest.approx(value, rel=0.02))
 
 
+@pytest.mark.thorough
 def test_a_jump_is_named_and_the_loop_fitted_over_what_is_clean() -> None:
     """A jump leaves the whole search to a fit over the rest."""
     log = make_log(Truth(teleports={320: (6.0, 6.5, 2.4)}))
@@ -177,6 +178,7 @@ def test_of_another_law_nothing_is_claimed(law: str) -> None:
     assert "not proportional" in found.notes[0]
 
 
+@pytest.mark.thorough
 def test_the_command_held_in_a_short_pause_is_not_made_up() -> None:
     held = identify(make_log(Truth(pause=2))).findings["pause.held_turn_rate_rad_s"]
     assert held.value is None

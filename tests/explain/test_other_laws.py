@@ -167,6 +167,7 @@ def test_a_timer_answers_no_number_of_ticks(preset: str) -> None:
     assert period.evidence == "a timer asks for answers, every 0.19 s as recorded"
 
 
+@pytest.mark.thorough
 def test_an_ending_names_the_phase_of_another_law() -> None:
     run = simulate_strange(max_duration_s=8.3, limits__turn_rate_rad_s=0.05)
     (share,) = (
@@ -244,6 +245,7 @@ def test_a_run_that_was_cut_is_simulated_as_far_as_it_goes() -> None:
     assert found.findings["stop_reason"].evidence == "the run was cut"
 
 
+@pytest.mark.thorough
 def test_sampling_is_not_offered_where_a_law_does_not_say_what_counts_samples() -> None:
     run = simulate_law(f"{OTHERS}:Silent", gain_a=4.0)
     found = attribute_run(run, trust_law=True)
@@ -272,6 +274,7 @@ def test_two_mechanisms_of_one_name_are_refused() -> None:
         find_mechanisms(scenario)
 
 
+@pytest.mark.thorough
 def test_the_recorded_scenario_of_the_sequential_law_stands_where_none_is_found() -> None:
     """That none is found shows when the whole search is done, twice."""
     values = {"loop.transport_delay_ticks": 45, "law.kp_linear": 0.5, "law.kp_angular": 0.5}
@@ -299,6 +302,7 @@ def simulate_loop(kind: str, **loop: Any) -> Run:
     return simulate_run(build_scenario(nest_parameters(values), trust_law=True))
 
 
+@pytest.mark.everyday("trusted")
 @pytest.mark.parametrize("trusts", [True, False], ids=["trusted", "not trusted"])
 def test_unusual_queues_are_not_told_as_others(*, trusts: bool) -> None:
     loop = {f"loop__{key}": value for key, value in UNUSUAL.items()}
@@ -337,6 +341,7 @@ def test_a_dead_time_is_told_where_it_leaves_noise(whiteness: float, *, claims: 
     assert (require_noise(found) is found) == claims
 
 
+@pytest.mark.thorough
 def test_of_a_law_that_is_not_deterministic_nothing_is_claimed() -> None:
     """The search tries every setting before it gives up."""
     found = identify_run(simulate_loop(f"{OTHERS}:Tiring"), trust_law=True)
@@ -372,6 +377,7 @@ def test_what_reproduces_to_rounding_is_not_said_to_be_bit_for_bit() -> None:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.everyday("other queues")
 @pytest.mark.parametrize("is_usual", [True, False], ids=["usual queues", "other queues"])
 def test_what_is_said_of_the_loops_of_other_laws_is_true(*, is_usual: bool) -> None:

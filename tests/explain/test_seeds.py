@@ -115,6 +115,7 @@ def attribute_unknown_seed(logged_deg: float) -> Attribution:
     return attribute_run(logged, metric="final.heading_error", identified=identified)
 
 
+@pytest.mark.thorough
 def test_of_an_unknown_seed_the_log_lies_in_the_central_95_of_seeds() -> None:
     seeds = attribute_unknown_seed(1.0).seeds
     assert seeds is not None

@@ -71,6 +71,7 @@ def score_all() -> Score:
     return score_models(identify_all())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_intervals_of_95_percent_hold_the_truth_and_are_not_padded(name: str) -> None:
     """A share of 95 % shows in many robots: the first of these tests identifies them all."""
@@ -207,6 +208,7 @@ def test_a_robot_that_turns_the_wrong_way_round_is_told_so(log: Log) -> None:
     assert model.turn_rate.advice.endswith("its left and its right motor may be swapped")
 
 
+@pytest.mark.thorough
 def test_what_follows_no_command_has_no_opposite_sign() -> None:
     """Several robots are identified, each on both axes."""
     for seed, truth in enumerate([Truth(gain=0.0)] * 2 + [Truth(dead_time_s=1.7)] * 2):

@@ -93,6 +93,7 @@ def test_law_reaches_every_pose_within_its_tolerances(limits: dict[str, Any]) ->
     assert (misses.max(axis=0) <= 0.001).all()
 
 
+@pytest.mark.thorough
 def test_walls_are_not_in_the_way() -> None:
     """Two hundred runs are simulated."""
     xy_m = np.concatenate([run.poses.xy_m for run in drive_everywhere()])

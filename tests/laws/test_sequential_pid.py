@@ -51,6 +51,7 @@ def test_without_integral_and_derivative_it_is_sequential_p(preset: str) -> None
     compare_with_p(tl.load_scenario(preset))
 
 
+@pytest.mark.thorough
 @settings(deadline=None, max_examples=30)
 @given(
     place=st.tuples(*[st.floats(0.0, 11.0)] * 4),

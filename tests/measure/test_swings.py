@@ -108,6 +108,7 @@ def test_less_than_two_swings_rest_where_they_slow_down(error: list[float], verd
 RATIOS = (0.2, 0.6, 0.9, 0.97, 0.99, 1.01, 1.03, 1.1, 1.5)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("loop", "other"), [("rotate", "translate"), ("translate", "rotate")])
 @pytest.mark.parametrize("limit", [1.0, math.inf])
 def test_the_border_of_stability_is_theorys(loop: str, other: str, limit: float) -> None:

@@ -121,6 +121,7 @@ print(*sorted(name.partition(".")[0] for name in set(sys.modules) - before))
 """
 
 
+@pytest.mark.thorough
 def test_the_plugin_costs_little_and_imports_neither_numpy_nor_rerun() -> None:
     spent_s = []
     for _ in range(5):

@@ -52,6 +52,7 @@ def test_a_row_of_a_map_is_run_again_from_its_url(
     assert tl.read_recording(output).parameters["law.kp_linear"] == 4.0
 
 
+@pytest.mark.thorough
 def test_a_report_of_a_signed_url_holds_no_signature(server: RangeServer, tmp_path: Path) -> None:
     """A report is written from what a server sends."""
     page = tmp_path / "report.html"

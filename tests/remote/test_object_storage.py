@@ -78,6 +78,7 @@ def test_a_bucket_that_is_not_there_takes_nothing(bucket: str) -> None:
         tl.write_recording(run, "s3://no-such-bucket/x.mcap")
 
 
+@pytest.mark.thorough
 def test_an_object_that_is_replaced_while_it_is_read_is_one_line(
     bucket: str, large_mcap: bytes
 ) -> None:
@@ -118,7 +119,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kp4: bytes) -> Path:
     return tmp_path
 
 
-@pytest.mark.everyday("check", "sweep")
+@pytest.mark.everyday("sweep")
 @pytest.mark.parametrize(
     "words",
     [

@@ -70,6 +70,7 @@ def test_turtles_drive_and_in_the_end_nothing_moves(runs: tuple[Run, ...]) -> No
     assert len(moving) - film.driving == still - 1
 
 
+@pytest.mark.thorough
 def test_a_gif_can_be_read_back(runs: tuple[Run, ...], tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     path = tmp_path / "run.gif"
@@ -125,6 +126,7 @@ def test_what_cannot_be_filmed_is_refused_in_a_line(
     assert not [*tmp_path.iterdir()]
 
 
+@pytest.mark.thorough
 def test_both_commands_film(tmp_path: Path) -> None:
     """Two films are made."""
     kp1 = str(RECORDINGS / "kp1.mcap")

@@ -85,13 +85,19 @@ def test_compiled_loop_has_every_effect(preset: str, effect: str) -> None:
     require_same(override_scenario(get_preset(preset), changes))
 
 
-@pytest.mark.parametrize("block", range(2))
+@pytest.mark.everyday("pure-pursuit-turtlesim")
+@pytest.mark.parametrize("plant", ["turtlesim", "lagged"])
 @pytest.mark.parametrize("kind", OTHER_LAWS)
-def test_compiled_loop_has_every_law(kind: str, block: int) -> None:
-    for seed in range(block * 10, block * 10 + 10):
-        require_same(build_other(kind, seed))
+def test_compiled_loop_has_every_law(kind: str, plant: str) -> None:
+    changes = EFFECTS["lagged"] if plant == "lagged" else {}
+    scenarios = [override_scenario(build_other(kind, seed), changes) for seed in range(12)]
+    found = [one for one in scenarios if one.plant.kind == plant]
+    assert len(found) > 8
+    for scenario in found:
+        require_same(scenario)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["kanayama", "pure-pursuit"])
 @pytest.mark.parametrize("corners", [3, 4, 6])
 def test_compiled_loop_drives_on_into_the_next_lap(kind: str, corners: int) -> None:

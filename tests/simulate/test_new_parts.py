@@ -239,6 +239,7 @@ def test_a_new_effect_judges_the_scenario_and_a_new_key_is_one(copy: Path) -> No
     assert lines == ["0.5", expected]
 
 
+@pytest.mark.thorough
 def test_new_parts_are_compiled_as_they_run_plain(copy: Path) -> None:
     """A loop is compiled."""
     pytest.importorskip("numba")

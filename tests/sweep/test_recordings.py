@@ -144,6 +144,7 @@ def test_same_size_and_another_time_is_measured_where_the_content_differs(
     assert opened == ["0.mcap"]
 
 
+@pytest.mark.thorough
 def test_bytes_are_the_same_with_any_number_of_processes(folder: Path, tmp_path: Path) -> None:
     one = tabulate(folder).output.rename(tmp_path / "one.parquet")
     assert tabulate(folder, jobs=2).output.read_bytes() == one.read_bytes()

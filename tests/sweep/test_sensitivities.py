@@ -84,6 +84,7 @@ def test_few_rows_have_no_correlation(*, count: int, has_values: bool, tmp_path:
     assert (found.notes == ()) is has_values
 
 
+@pytest.mark.thorough
 def test_grey_holds_95_percent_of_keys_without_influence() -> None:
     generator = np.random.default_rng(5)
     drawn = [spearmanr(*generator.random((2, 30))).statistic for _ in range(2000)]

@@ -75,6 +75,7 @@ def test_rows_equal_single_runs_bit_for_bit(
             assert list_cells(table, "stop_reason")[row] == single.stop_reason
 
 
+@pytest.mark.thorough
 def test_table_is_the_same_on_two_cores_and_in_the_compiled_loop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,6 +100,7 @@ def test_table_is_the_same_on_two_cores_and_in_the_compiled_loop(
 COVERED = ["translate.overshoot", "rotate.settling_time", "final.position_error"]
 
 
+@pytest.mark.everyday("paper-kp4")
 @pytest.mark.parametrize("preset", ["paper-kp4", "lagged"])
 def test_table_is_the_same_from_the_compiled_batch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str
@@ -350,6 +352,7 @@ def test_untrusted_base_is_refused_before_anything_runs(tmp_path: Path) -> None:
     assert prepare_sweep(base, plan, trust_law=True).plan.row_count == 2
 
 
+@pytest.mark.thorough
 def test_compiled_rows_go_to_a_cluster_in_large_chunks(tmp_path: Path) -> None:
     """Each takes about half a second there, as in this process."""
     pytest.importorskip("numba")

@@ -142,6 +142,7 @@ def test_exact_gains_meet_what_is_wanted() -> None:
             assert one.margins.phase_margin_rad == pytest.approx(math.pi / 3.0, abs=1e-9)
 
 
+@pytest.mark.thorough
 def test_integration_in_fine_steps_overshoots_as_much() -> None:
     """Loops are integrated step by step in Python."""
     cases = draw_cases()

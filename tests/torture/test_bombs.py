@@ -163,6 +163,7 @@ def test_messages_beyond_what_a_file_may_hold_are_told(tmp_path: Path) -> None:
     assert f"expected up to {most - 2_400_103} records more" in report.lost[0].reason
 
 
+@pytest.mark.thorough
 def test_a_small_file_may_have_a_chunk_a_second_for_an_hour(tmp_path: Path) -> None:
     """Thousands of chunks are walked twice."""
     path, one = tmp_path / "chunks.mcap", chunk([pose_messages(1, 1)])

@@ -120,6 +120,7 @@ def test_rows_are_those_of_single_runs() -> None:
     assert candidates.evaluations == 3  # nothing is simulated twice
 
 
+@pytest.mark.thorough
 def test_the_same_seed_gives_the_same_and_processes_change_nothing() -> None:
     found = []
     for jobs in (1, 2):

@@ -64,6 +64,7 @@ def select(values: list[Any], start_ns: int | None, end_ns: int | None) -> list[
     return sorted(inside, key=lambda row: row[0])
 
 
+@pytest.mark.thorough
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     file=draw_file(),

@@ -242,6 +242,7 @@ def test_what_is_not_understood_has_its_reason(text: str, reason: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.thorough
 def test_long_texts_take_no_long_time() -> None:
     """Texts of the greatest length are read, to bound their time."""
     size = LONGEST_TEXT // 4

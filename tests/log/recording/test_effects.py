@@ -273,6 +273,7 @@ def test_a_sensed_pose_of_a_lost_pose_is_dropped_and_counted(run: Run, tmp_path:
     assert_same(read_sensed(found), read_sensed(run)[rows])
 
 
+@pytest.mark.thorough
 def test_no_damage_moves_what_is_sensed_to_another_pose(run: Run, tmp_path: Path) -> None:
     path, parts = tmp_path / "damaged.mcap", 0
     write_recording(run, tmp_path / "whole.mcap")

@@ -66,6 +66,7 @@ def test_where_the_summary_fits_a_full_disk_leaves_a_whole_file(tmp_path: Path) 
     assert finished
 
 
+@pytest.mark.thorough
 def test_a_full_disk_never_leaves_half_a_record(tmp_path: Path) -> None:
     for number, room in enumerate(np.random.default_rng(0).integers(12_000, 50_000, 12).tolist()):
         path = tmp_path / f"{number}.mcap"

@@ -194,6 +194,7 @@ def test_a_sample_of_a_lost_pose_takes_its_states_with_it(run: Run, tmp_path: Pa
     assert_same(found.samples.states, run.samples.states[kept])
 
 
+@pytest.mark.thorough
 def test_no_damage_moves_a_state_to_another_sample(tmp_path: Path) -> None:
     sound = record_scenario(make_strange(tmp_path, max_duration_s=0.5), tmp_path, "zstd")
     path, parts = tmp_path / "damaged.mcap", 0

@@ -30,6 +30,7 @@ def experiment(tmp_path: Path) -> list[Path]:
     return files
 
 
+@pytest.mark.thorough
 def test_many_files_are_opened_once_and_what_they_share_is_parsed_once(
     experiment: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

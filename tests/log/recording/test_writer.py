@@ -94,6 +94,7 @@ def test_every_index_of_a_run_that_lacks_much_points_where_it_says(tmp_path: Pat
     check_strictly(tmp_path / "run.mcap")
 
 
+@pytest.mark.thorough
 def test_many_messages_make_many_chunks_that_others_read_in_order(tmp_path: Path) -> None:
     """Libraries in Python read 60,000 messages back."""
     path, twists = tmp_path / "a.mcap", make_twists(60_000)

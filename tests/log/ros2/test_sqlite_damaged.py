@@ -171,6 +171,7 @@ def test_what_is_no_bag_in_sqlite_is_one_line(tmp_path: Path) -> None:
         read_info(tmp_path / "c.db3")
 
 
+@pytest.mark.thorough
 def test_flipped_bytes_are_one_line_or_what_was_written(tmp_path: Path) -> None:
     file, output = write_sqlite(tmp_path / "a.db3", make_poses(200)), tmp_path / "out.mcap"
     sound, random = file.read_bytes(), np.random.default_rng(7)

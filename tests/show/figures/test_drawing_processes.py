@@ -92,6 +92,7 @@ def test_who_stops_early_leaves_no_process_behind() -> None:
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.thorough
 def test_figures_are_the_same_bytes_from_one_process_and_from_several(tmp_path: Path) -> None:
     """Figures are drawn as files, once here and once by processes that start."""
     run, only = simulate_preset("paper-kp10"), ["heading", "speed"]

@@ -197,7 +197,7 @@ OF_ONE = ("attribution", "rates")
 """Figures of one run."""
 
 
-@pytest.mark.everyday("gains", "panel", "plane", "strips", "rates", "step-responses", "states")
+@pytest.mark.everyday("panel", "plane", "rates", "step-responses", "states")
 @pytest.mark.parametrize("name", [name for name in tl.show.FIGURES if name != "violation"])
 def test_no_lettering_is_cut_off_on_the_narrowest_page(name: str) -> None:
     """A figure is drawn as a whole."""

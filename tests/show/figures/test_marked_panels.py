@@ -120,6 +120,7 @@ def test_extremes_say_of_how_many_runs_they_are() -> None:
     assert list_words(axes)[1] == "overshoot 1.01 % (1 of 5 runs)"
 
 
+@pytest.mark.thorough
 def test_extremes_take_the_place_of_a_table_without_room() -> None:
     slide = draw_figure("panel", RUNS, page=Page(kind="slide", has_marks=True))
     words = {str(axes.get_label()): list_words(axes) for axes in slide.axes}

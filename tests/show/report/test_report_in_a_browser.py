@@ -138,6 +138,7 @@ def test_paper_shows_light_copies_of_the_plots_without_controls(
     assert not page.is_visible("#time")
 
 
+@pytest.mark.thorough
 def test_a_robot_s_bag_six_samples_and_a_long_name_are_shown(
     tmp_path: Path, open_report: Open
 ) -> None:

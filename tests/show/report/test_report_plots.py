@@ -106,6 +106,7 @@ def test_a_hundred_runs_share_one_model_for_each_plot() -> None:
     assert {curve["holds"] for curve in draw(read(4)).config["plots"][3]["curves"]} == {True}
 
 
+@pytest.mark.thorough
 def test_references_that_move_and_states_are_plotted_where_a_run_has_them() -> None:
     places = draw(simulate_tracker("kanayama")).roots
     assert {"plot-x", "plot-y", "plot-along_track", "plot-along_track_error"} < set(places)

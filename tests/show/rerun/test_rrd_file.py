@@ -57,6 +57,7 @@ except tl.TurtlelogError as err:
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows knows no largest size of files")
 def test_a_file_that_can_grow_no_further_is_one_line(tmp_path: Path) -> None:
     """Two processes start Rerun, which waits for seconds when a write fails."""

@@ -197,6 +197,7 @@ def test_names_need_not_be_entity_paths(tmp_path: Path) -> None:
         assert len(read_rows(path, f"{entity}/distance", "Scalars:scalars")) == len(run.poses)
 
 
+@pytest.mark.thorough
 def test_twenty_runs_have_colours_and_a_legend_of_their_own(tmp_path: Path) -> None:
     run, path = simulate_preset("paper-kp10"), tmp_path / "many.rrd"
     names = [f"kp{number}" for number in range(20)]

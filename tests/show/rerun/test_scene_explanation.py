@@ -124,6 +124,7 @@ def test_an_axis_has_three_steps_at_most(ends: tuple[float, float], ticks: list[
     assert [write_tick(value, scale) for value in choose_ticks(ends, scale)] == ticks
 
 
+@pytest.mark.thorough
 def test_one_effect_alone_needs_no_average_and_many_ghosts_are_not_all_told(
     tmp_path: Path,
 ) -> None:

@@ -92,6 +92,7 @@ def test_a_snapshot_without_a_time_is_of_the_end(run_rrd: Path, take: Take) -> N
     assert early.read_bytes() != late.read_bytes()
 
 
+@pytest.mark.thorough
 @pytest.mark.viewer
 def test_a_picture_may_be_told_from_the_start_of_translation(
     comparison_rrd: Path, take: Take

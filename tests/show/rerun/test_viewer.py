@@ -38,6 +38,7 @@ def is_running(place: Path) -> bool:
         return False
 
 
+@pytest.mark.thorough
 @pytest.mark.viewer
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs Linux and its setpriv")
 def test_a_viewer_whose_parent_is_killed_ends_too() -> None:
