@@ -74,6 +74,7 @@ def test_benchmark_yields_rows(name: str) -> None:
     assert all(cost.value > 0.0 for row in rows for cost in (row.peer, row.bound) if cost)
 
 
+@pytest.mark.thorough
 def test_benchmark_in_a_process_of_its_own_hands_over_its_rows() -> None:
     """A process starts and loads the program."""
     jobs = [row.job for row in run_all.run_benchmark("loop", 1e-3)]

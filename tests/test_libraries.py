@@ -141,6 +141,7 @@ def run_slim(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return run_main(f"import sys; sys.modules |= {hidden}\n{code}", folder=folder)
 
 
+@pytest.mark.thorough
 def test_names_without_their_library_leave_the_package(tmp_path: Path) -> None:
     done = run_slim(
         f"import inspect, turtlelog as tl\nfor name in {ABSENT}:\n"

@@ -143,6 +143,7 @@ def test_a_verdict_on_a_cut_trace_is_that_of_the_definitions(
     assert bool(found.reason) == (found.first_violation_s is None and found.holds is not True)
 
 
+@pytest.mark.thorough
 @seed(4)
 @settings(deadline=None, max_examples=120)
 @given(formulas, signals, ends, st.lists(signals, min_size=4, max_size=4))

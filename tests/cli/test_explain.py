@@ -292,6 +292,7 @@ def no_scenario(turn: Path, tmp_path: Path) -> Path:
     return tmp_path / "part.mcap"
 
 
+@pytest.mark.thorough
 def test_a_scenario_that_is_not_identified_is_not_written(
     call: Call, no_scenario: Path, tmp_path: Path
 ) -> None:

@@ -142,6 +142,7 @@ def test_several_bags_are_one_robot(call: Call, bag: Path, tmp_path: Path) -> No
     assert call("identify", bag, other).out.startswith("2 runs of one robot: speed follows its")
 
 
+@pytest.mark.thorough
 def test_a_figure_of_one_robot_is_drawn(call: Call, bag: Path, tmp_path: Path) -> None:
     answer = call("identify", bag, "--plot", tmp_path / "robot.svg")
     assert answer.code == 0

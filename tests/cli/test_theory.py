@@ -241,6 +241,7 @@ def test_many_gains_with_other_terms_stand_in_tables_that_fit(call: Call) -> Non
     assert max(map(len, answer.out.splitlines())) <= 80
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kp", "words"), [("3.04", "no"), ("3.05", "by 0.01 %")])
 def test_an_overshoot_that_no_digit_shows_is_none(call: Call, kp: str, words: str) -> None:
     options = ("--lag", "0.09", "--period", "0.001", "--low-pass", "0")

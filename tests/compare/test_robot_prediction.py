@@ -117,6 +117,7 @@ def test_errors_of_a_wrong_robot_leave_the_band(key: str, value: float, quantity
     assert band.median > 1.5 * band.simulated_median
 
 
+@pytest.mark.thorough
 def test_noise_that_is_too_small_or_too_large_is_told() -> None:
     scenario = make_scenario()
     noisy = tl.compare.compare_robot(simulate(add_noise(scenario, 10.0), 1), add_noise(scenario))

@@ -101,6 +101,7 @@ def test_the_value_with_one_mechanism_out_is_that_of_a_simulation_without_it() -
     assert found["saturation"] == measure_run(unlimited)["final.position_error"].value
 
 
+@pytest.mark.thorough
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(
     st.sampled_from(["paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10", "textbook"]),

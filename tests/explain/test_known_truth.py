@@ -23,18 +23,7 @@ def identify(log: Log) -> Identification:
     return identify_run(log.to_run())
 
 
-@pytest.mark.everyday(
-    "clean-4",
-    "cut-4",
-    "cut delay-3",
-    "depths-2",
-    "period-2",
-    "gap-2",
-    "quantum-1",
-    "sensed 1e-4-1",
-    "quantum in the log-1",
-    "stops-3",
-)
+@pytest.mark.everyday("clean-4", "depths-2", "gap-2", "quantum-1", "sensed 1e-4-1")
 @pytest.mark.parametrize(
     ("family", "amount"),
     [

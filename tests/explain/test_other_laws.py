@@ -193,6 +193,7 @@ def test_what_a_trusted_law_reproduces_tells_the_loop() -> None:
     assert found.tried["loop.queue_policy"] == ("newest", "one-per-tick")
 
 
+@pytest.mark.thorough
 def test_an_untrusted_law_is_not_run(tmp_path: Path) -> None:
     mark = tmp_path / "mark"
     law = tmp_path / "law.py"

@@ -83,6 +83,7 @@ def list_changes(run: tl.Run) -> NDArray[np.float64]:
     return np.diff(read_lyapunov(run)[drives])
 
 
+@pytest.mark.thorough
 @pytest.mark.everyday("no-limits")
 @pytest.mark.parametrize("limits", [{}, FREE], ids=["limits", "no-limits"])
 def test_law_reaches_every_pose_within_its_tolerances(limits: dict[str, Any]) -> None:

@@ -37,6 +37,7 @@ def make_share(name: str, share: float, standard_error: float | None = None) -> 
     )
 
 
+@pytest.mark.thorough
 def test_the_steps_lead_from_the_logged_value_to_what_the_tolerances_leave() -> None:
     steps = list_attribution_steps(attribute_kp10())
     assert [(step.kind, step.name, step.text) for step in steps] == [

@@ -152,6 +152,7 @@ def test_integration_in_fine_steps_overshoots_as_much() -> None:
     np.testing.assert_allclose(found.clip(0.0), expected, rtol=0.0, atol=0.02)
 
 
+@pytest.mark.thorough
 def test_simulated_robots_overshoot_as_wanted_on_either_axis() -> None:
     """A robot is simulated for each of 120 gains."""
     wanted = [case for case in draw_cases() if case[-1].rule == "overshoot"]

@@ -74,7 +74,7 @@ def run(*words: str) -> tuple[int, float, float, str]:
     return int(code), float(memory_mb), float(cpu_s), done.stderr
 
 
-@pytest.mark.everyday("zstd 900 MB", "a fifth of the channels")
+@pytest.mark.everyday("zstd 900 MB")
 @pytest.mark.torture
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak memory from /proc")
 @pytest.mark.parametrize("name", BOMBS if IS_FULL else QUICK)
@@ -151,6 +151,7 @@ def test_a_type_with_too_many_fields_says_so_and_leaves_the_others(tmp_path: Pat
     assert read_info(path).not_understood == (expected,)
 
 
+@pytest.mark.thorough
 def test_messages_beyond_what_a_file_may_hold_are_told(tmp_path: Path) -> None:
     path = tmp_path / "tiny.mcap"
     poses, tiny = chunk([describe("/a"), pose_messages(1, 100)]), chunk([message(1) * 30_000] * 80)

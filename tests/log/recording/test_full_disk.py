@@ -115,6 +115,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.thorough
 def test_a_real_disk_that_is_full_is_one_line_and_leaves_what_came_before(small_disk: Path) -> None:
     path = small_disk / "a.mcap"
     scenario = make_scenario(law__kp_angular=0.0001, max_duration_s=1000.0)

@@ -262,6 +262,7 @@ def test_names_that_differ_in_the_middle_stay_apart() -> None:
 HELD = ["heading", "position", "turn-rate", "speed", "plane", "panel"]
 
 
+@pytest.mark.thorough
 def test_of_poses_and_applied_commands_that_is_drawn_and_nothing_else(tmp_path: Path) -> None:
     written = tl.write_figures([keep_poses(simulate(4))], tmp_path, formats=["svg"])
     assert [path.stem for path in written] == HELD

@@ -85,6 +85,7 @@ def test_words_cover_neither_each_other_nor_dots_nor_leave_the_panel(
     assert all(panel.y0 <= box.y0 and box.y1 <= panel.y1 for box in boxes)
 
 
+@pytest.mark.thorough
 def test_several_runs_have_a_table_in_their_colours_that_covers_no_curve() -> None:
     for kind in get_args(PageKind):
         figure = draw_figure("heading", RUNS, page=Page(kind=kind, has_marks=True))

@@ -42,6 +42,7 @@ def test_the_layout_holds_the_cursor_at_the_violation(violation_rrd: Path) -> No
     assert selection == {"min": AT_NS, "max": AT_NS}
 
 
+@pytest.mark.thorough
 @pytest.mark.viewer
 def test_the_viewer_opens_at_the_violation(violation_rrd: Path) -> None:
     """Rerun's viewer starts and draws in software."""

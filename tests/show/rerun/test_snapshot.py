@@ -114,6 +114,7 @@ def test_one_picture_after_the_other_is_as_that_of_a_viewer_of_its_own(
     assert alone.views == take(run_rrd)[0].views
 
 
+@pytest.mark.thorough
 @pytest.mark.viewer
 def test_a_timeline_that_a_recording_lacks_is_named(
     run_rrd: Path, take: Take, tmp_path: Path
