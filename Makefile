@@ -87,10 +87,13 @@ clean:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "turtlelog needs Python >= 3.11")'
 	$(PYTHON) -m venv .venv
 
+# What is imported is compiled then; all of it would take as long as its installation.
+INSTALL := $(BIN)/python -m pip install --quiet --no-compile --editable
+
 .venv/installed: .venv/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --editable .
+	$(INSTALL) .
 	@touch $@
 
 .venv/installed-dev: .venv/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(INSTALL) '.[dev]'
 	@touch .venv/installed $@
