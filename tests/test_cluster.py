@@ -155,7 +155,7 @@ ADDRESSES = {
 }
 
 
-@pytest.mark.everyday("tcp://U:PW@127.0.0.1:1", "nowhere")
+@pytest.mark.everyday("tcp://U:PW@127.0.0.1:1", "tcp://127.0.0.1:65536")
 @pytest.mark.parametrize("address", ADDRESSES)
 def test_an_address_that_is_none_is_one_line_without_its_password(
     address: str, capsys: pytest.CaptureFixture[str]
