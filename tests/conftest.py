@@ -14,7 +14,7 @@ from hypothesis import settings
 from tests.costly import list_unexplained, measure_time, require_reason, thin_out
 
 # How long an example takes says more of the machine than of the code.
-settings.register_profile("everyday", deadline=None, max_examples=30)
+settings.register_profile("everyday", deadline=None, max_examples=20)
 settings.register_profile("thorough", deadline=None, max_examples=100)
 settings.load_profile("everyday")
 
