@@ -8,10 +8,12 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
+import msgspec
 import pytest
 
 import turtlelog as tl
 from turtlelog.errors import TurtlelogError
+from turtlelog.laws import LAWS
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "turtlelog"
@@ -86,6 +88,35 @@ def test_every_command_says_what_its_json_holds() -> None:
 def test_the_readme_names_every_command() -> None:
     rows = re.findall(r"^\| `turtlelog ([a-z]+)", read_page("README.md"), re.M)
     assert rows == list_commands()
+
+
+def list_defaults(section: str) -> dict[str, str]:
+    """Return the keys in the tables of a section, with the defaults that stand there."""
+    found: dict[str, str] = {}
+    tables = re.findall(r"^\| \w+ \| unit \| default \|.*\n((?:\|.*\n)*)", section, re.M)
+    rows = re.findall(r"^\| (`[^|]+) \| [^|]* \| ([^|]+) \|", "".join(tables), re.M)
+    for keys, defaults in rows:
+        names = re.findall(r"`(\w+)`", keys)
+        values = [word.strip(" `") for word in defaults.split(",")]
+        found |= dict(zip(names, values * (len(names) // len(values)), strict=True))
+    return found
+
+
+@pytest.mark.parametrize("kind", [kind for kind in LAWS if kind != "open-loop"])
+def test_defaults_of_a_law_are_those_on_its_page(kind: str) -> None:
+    (section,) = re.findall(
+        rf"^## {kind}\n(.*?)(?=^## |\Z)", read_page("docs/laws.md"), re.M | re.S
+    )
+    used = msgspec.to_builtins(LAWS[kind].Parameters())
+    words = {True: "true", False: "false", None: "none"}
+    shown_defaults = list_defaults(section)
+    assert shown_defaults
+    for name, shown in shown_defaults.items():
+        default = used[name]
+        if isinstance(default, int | float) and not isinstance(default, bool):
+            assert float(shown) == default, name
+        else:
+            assert shown == words.get(default, default), name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

@@ -97,6 +97,26 @@ def test_twists_along_the_axes_of_the_world_are_turned_into_the_robots() -> None
     assert "along the axes of the world" in notes[REPORTED_RATES]
 
 
+@pytest.mark.parametrize(("missing", "is_turned"), [(0.29, True), (0.30, False)])
+def test_twists_are_turned_that_fit_the_worlds_axes_three_times_better(
+    missing: float, *, is_turned: bool
+) -> None:
+    # Twists that are too short by a share of 1 m/s are as far from the way; turned by 60 degrees
+    # they are (1 - (1 - share) + (1 - share)^2)^0.5 from it: 3.07 and 2.96 times as far.
+    way_m, angle_rad = TIME_NS / 1e9, 0.5
+    columns = {
+        "x": way_m * np.cos(angle_rad),
+        "y": way_m * np.sin(angle_rad),
+        "heading": np.full(COUNT, np.pi / 3.0),
+        SPEED: np.full(COUNT, (1.0 - missing) * np.cos(angle_rad)),
+        LATERAL: np.full(COUNT, (1.0 - missing) * np.sin(angle_rad)),
+    }
+
+    _, notes = judge_rates(TIME_NS, columns)
+
+    assert (notes != {}) is is_turned
+
+
 def test_a_robot_that_moves_sideways_keeps_its_twists() -> None:
     poses = drive(turned_rad=0.0)
     angle_rad = 2.0  # it looks across its way
