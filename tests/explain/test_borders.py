@@ -26,6 +26,7 @@ from turtlelog.explain.trace import find_grain, trace_run
 from turtlelog.explain.trace_breaks import mark_breaks
 from turtlelog.laws import SequentialPParameters
 from turtlelog.scenario import get_preset, override_scenario
+from turtlelog.simulate import simulate_run
 
 BUILT = {
     "law.pause_ticks": 34,
@@ -336,3 +337,14 @@ def test_every_parameter_that_commands_tell_has_a_finding() -> None:
     trace = mark_breaks(trace_run(make_log(Truth()).to_run(), PHASES))
     found = {**identify_rotation(trace)[0], **identify_translation(trace)[0]}
     assert {*found} == {*LAW_KEYS}
+
+
+@pytest.mark.parametrize(("samples", "delay_s"), [(10, 0.0), (11, 0.02)])
+def test_how_late_poses_are_answered_shows_in_more_than_ten_answers(
+    samples: int, delay_s: float
+) -> None:
+    until_s = 0.02 + 0.016 * (samples - 1)
+    changes = {"sensing.delay_s": 0.02, "max_duration_s": until_s}
+    run = simulate_run(override_scenario(get_preset("textbook"), changes))
+    assert len(run.samples) == samples
+    assert trace_run(run).answered_after_s == pytest.approx(delay_s)

@@ -78,6 +78,7 @@ def test_intervals_of_95_percent_hold_the_truth_and_are_not_padded(name: str) ->
     assert 0.90 <= score_all().find_coverage(name) <= 0.995
 
 
+@pytest.mark.thorough
 def test_hardly_any_well_excited_axis_is_refused() -> None:
     score = score_all()
     assert score.axes == 2 * ROBOTS

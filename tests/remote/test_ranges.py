@@ -76,6 +76,21 @@ def test_a_stream_reads_as_a_file_does(server: RangeServer, large_mcap: bytes) -
         assert buffer[:7] == large_mcap[-7:]
 
 
+@pytest.mark.parametrize(("gap", "requests"), [(2**16, 1), (2**16 + 1, 2)])
+def test_ranges_are_fetched_together_up_to_a_gap_of_64_kib(
+    server: RangeServer, large_mcap: bytes, gap: int, requests: int
+) -> None:
+    first, second = (100_000, 150_000), (150_000 + gap, 200_000 + gap)
+    with RemotePath(server.url("large.mcap")).file.open() as stream:
+        assert isinstance(stream, RangeStream)
+        before = len(server.ranges)
+        stream.expect([first, second])
+        for start, end in (first, second):
+            stream.seek(start)
+            assert stream.read(end - start) == large_mcap[start:end]
+        assert len(server.ranges) - before == requests
+
+
 @pytest.mark.parametrize("fault", ["cut", "error"])
 def test_a_range_that_fails_is_asked_for_again(server: RangeServer, fault: Fault) -> None:
     server.faults += [fault, fault]
