@@ -19,12 +19,14 @@ from turtlelog.simulate import simulate_run
 from turtlelog.simulate.many import COST_S
 from turtlelog.sweep import batch
 from turtlelog.sweep.batch import MeasuredRows, measure_rows
+from turtlelog.sweep.batch_columns import COURSES, CURVES, STATUSES
 from turtlelog.sweep.batch_rows import FREE_KEYS, prepare_rows
-from turtlelog.sweep.batch_table import COLUMN_OF, OF_RUN, STATUSES, LoopMetric
 from turtlelog.sweep.plan import build_row_scenario
 
-METRICS: Final = tuple(COLUMN_OF)
+LOOPS: Final = ("rotate", "translate", "reorient")
+METRICS: Final = (*(f"{loop}.{name}" for loop in LOOPS for name in CURVES), *COURSES)
 PAPER: Final = get_preset("paper")
+TRACKING: Final = get_preset("track-square")
 
 
 @cache
@@ -87,20 +89,6 @@ def test_batch_has_every_effect_and_falls_back_nowhere(effect: str) -> None:
     for row in range(3):
         changes = {key: column[row] for key, column in columns.items()}
         require_row(rows, row, override_scenario(base, changes))
-
-
-def test_sums_are_those_of_numpy_of_any_length() -> None:
-    from numba import njit
-
-    from turtlelog.sweep.batch_sums import add_up
-
-    # What the loops are built of is compiled into what calls it: Python itself cannot.
-    add = njit(lambda values, first, count: add_up(values, first, count))
-    values = np.random.default_rng(5).normal(size=3000) * 10.0 ** np.arange(-7, 8).repeat(200)
-    for first in (0, 3):
-        for count in (*range(300), *range(300, 2990, 61)):
-            wanted = float(values[first : first + count].sum())
-            assert add(values.copy(), first, count).hex() == wanted.hex()
 
 
 @pytest.mark.parametrize("preset", ["paper", "lagged"])
@@ -242,7 +230,7 @@ def test_metric_or_law_that_is_not_compiled_takes_the_path_of_a_run() -> None:
     scenario = build_row_scenario(PAPER, ["law.kp_linear"], [2.0], 1)
     wanted = measure_run(simulate_run(scenario), only=["run.iae"])["run.iae"]
     assert rows.values["run.iae"][1] == wanted.value
-    other = measure_rows(get_preset("posture"), {"max_duration_s": [3.0, 4.0]}, ["run.duration"])
+    other = measure_rows(TRACKING, {"max_duration_s": [3.0, 4.0]}, ["run.duration"])
     assert (other.compiled, other.interpreted) == (0, 2)
 
 
@@ -273,7 +261,7 @@ def test_no_batch_is_found_for_laws_that_it_does_not_take(tmp_path: Path) -> Non
     )
     path.write_text("\n".join(lines), "utf-8")
     own = override_scenario(PAPER, {"law.kind": f"{path}:P"})
-    found = [batch.find_batch(one) for one in (PAPER, own, get_preset("posture"))]
+    found = [batch.find_batch(one) for one in (PAPER, own, TRACKING)]
     assert [one is not None for one in found] == [True, False, False]
     rows = measure_rows(own, {"law.kp_linear": [1.0, 2.0]}, ["run.duration"])
     assert (rows.compiled, rows.interpreted, rows.failed) == (0, 2, [None, None])
@@ -298,9 +286,7 @@ def test_every_status_of_the_batch_is_met() -> None:
 def test_the_page_says_which_metrics_are_compiled() -> None:
     page = (Path(__file__).parents[2] / "docs" / "sweep.md").read_text("utf-8")
     told = page.partition("## How fast")[2].partition("##")[0]
-    assert [
-        name for name in (*(one.ending for one in LoopMetric), *OF_RUN) if f"`{name}`" not in told
-    ] == []
+    assert [name for name in (*CURVES, *COURSES) if f"`{name}`" not in told] == []
 
 
 def test_numbers_of_a_robot_vary_in_the_batch() -> None:

@@ -4,6 +4,7 @@ What is not compiled, of a law, a metric or a row that fails, takes the path of 
 Either way a row has the numbers of a single run, bit for bit.
 """
 
+import math
 import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,35 +22,30 @@ from turtlelog.measure import measure_run
 from turtlelog.parts import Plant
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import simulate_run
+from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.compiled_run import draw_streams, name_stop
 from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, find_saving
-from turtlelog.sweep.batch_rows import (
+from turtlelog.sweep.batch_columns import (
     FACTS,
-    LINE,
-    Kind,
-    PreparedRows,
-    find_kind,
-    find_line,
-    prepare_rows,
-)
-from turtlelog.sweep.batch_table import (
-    ABSENT,
-    COLUMN_OF,
-    COLUMNS,
-    NO_PHASE,
-    OF_LOOPS,
+    FIRST_POSE,
     OK,
-    POSITION_ERROR,
-    RUN_AT,
+    STATUS_OF,
     STATUSES,
     TOO_LARGE,
-    TOO_SHORT,
-    RunColumn,
+    allocate_memory,
+    build_loops,
+    count_columns,
+    find_column,
+    is_angle,
+    is_covered,
+    name_measurement,
+    type_measurement,
 )
+from turtlelog.sweep.batch_kernel import NO_PHASE
+from turtlelog.sweep.batch_rows import Kind, PreparedRows, find_kind, find_line, prepare_rows
 from turtlelog.sweep.plan import build_row_scenario
 
-_MEASURING: Final = "turtlelog.sweep.batch_kernel"
+_MEASURING: Final = "turtlelog.sweep.batch_entry"
 _MEASURING_S: Final = 2.0
 """What compiling the measurement takes, beside the loop, longer than the loop alone [s]."""
 
@@ -57,9 +53,6 @@ _NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])
 
 _STRETCH: Final = 32
 """Rows in one call: long enough to cost nothing, short enough that all cores end together."""
-
-_WHERE_NONE: Final = {"final.goal_heading_error": ABSENT, "run.largest_gap": TOO_SHORT}
-"""Status of a metric of the run that is NaN: no heading is wanted, or there is one sample."""
 
 
 class Batch(NamedTuple):
@@ -84,16 +77,19 @@ def _load(kind: Kind) -> Batch:
     from turtlelog.simulate.compiled_loop import compile_loop, compile_rows
 
     loop = compile_loop(*kind)
-    kernel = import_beside(_MEASURING)
-    rows = compile_rows(loop, kernel.measure_row, kernel.MEASURE, LINE, FACTS)
-    return Batch(loop, rows)
+    measurement = import_beside(_MEASURING)
+    return Batch(loop, compile_rows(loop, measurement.MEASURE, type_measurement()))
 
 
 def _is_kept(kind: Kind) -> bool:
     from turtlelog.simulate.compiled_loop import name_loop
 
     name = name_loop(*kind)
-    return is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}") and is_kept(_MEASURING)
+    return (
+        is_kept(ENTRY, name)
+        and is_kept(ENTRY, f"rows_{name}")
+        and is_kept(_MEASURING, name_measurement())
+    )
 
 
 def find_batch(base: Scenario) -> CompiledLoops | None:
@@ -159,7 +155,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
         raise SweepError(f"rows: expected columns of one length, found {sorted(counts) or 'none'}")
     work = _Work(base, columns, metrics, plant, first)
     rest: Sequence[int] = range(work.count)
-    if COLUMN_OF.keys() >= {*metrics}:
+    if all(map(is_covered, metrics)):
         batch = find_batch(base)
         kernel = None if batch is None else batch.find()
         if kernel is None and batch is not None and work.count:
@@ -175,15 +171,15 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
 
 
 class _Cells(NamedTuple):
-    """What the compiled code enters of rows, in the columns of `batch_table`.
+    """What the compiled code enters of rows, in the columns of `batch_columns`.
 
     Attributes:
-        values: NaN where nothing was entered, shape (n, `COLUMNS`).
-        status: Numbers of `STATUSES`, shape (n, `COLUMNS`).
+        values: NaN where nothing was entered, shape (n, columns).
+        reasons: Numbers of the reasons why there is none, shape (n, columns).
     """
 
     values: NDArray[np.float64]
-    status: NDArray[np.int8]
+    reasons: NDArray[np.int16]
 
 
 class _Work:
@@ -246,6 +242,8 @@ class _Work:
     def run_compiled(self, kernel: Any, rows: Sequence[int], threads: int) -> list[int]:
         """Simulate and measure what is compiled; return the rows that are not."""
         base = resolve_scenario(self._base)
+        self._declaration = declare_scenario(base)
+        self._places = {name: find_column(name, self._declaration) for name in self._metrics}
         prepared = prepare_rows(base, self._columns, rows, self._plant)
         cells = self._run_all(kernel, prepared, threads)
         # The line from start to goal is known before, unless the robot is pushed as it waits.
@@ -253,7 +251,7 @@ class _Work:
         if len(moved):
             again = prepared.take(moved)
             part = self._run_all(kernel, again, threads)
-            cells.values[moved], cells.status[moved] = part
+            cells.values[moved], cells.reasons[moved] = part
             prepared.states[moved] = again.states
         now = prepared.states["now"] if len(prepared.rows) else _NO_ROWS
         good = (now["failure"] == 0) & (now["samples"] > 0)
@@ -263,10 +261,13 @@ class _Work:
 
     def _run_all(self, kernel: Any, prepared: PreparedRows, threads: int) -> _Cells:
         """Simulate and measure prepared rows from their starts; their states are how they end."""
-        shape = len(prepared.rows), COLUMNS
-        cells = _Cells(np.full(shape, np.nan), np.full(shape, OK, np.int8))
+        loops = build_loops(self._declaration)
+        assert loops is not None
+        shape = len(prepared.rows), count_columns(len(loops))
+        cells = _Cells(np.full(shape, np.nan), np.zeros(shape, np.int16))
         prepared.begin()
-        asked = np.isin(np.arange(COLUMNS), [COLUMN_OF[name] for name in self._metrics])
+        asked = np.zeros(shape[1], np.bool_)
+        asked[[place for place in self._places.values() if place is not None]] = True
         order = np.argsort(prepared.seeds, kind="stable")
         cuts = np.flatnonzero(np.diff(prepared.seeds[order])) + 1
         stretches = [
@@ -276,13 +277,12 @@ class _Work:
         ]
 
         def run(stretch: NDArray[np.int64]) -> None:
-            memory, scratch = self._find_memory(kernel, prepared, int(prepared.seeds[stretch[0]]))
-            part = cells.values[stretch], cells.status[stretch], asked
-            states = prepared.states[stretch]
-            settings, lines = prepared.settings[stretch], prepared.lines[stretch]
-            kernel.run_rows((settings, states, lines), memory, np.zeros(1, FACTS), scratch, part)
-            cells.values[stretch], cells.status[stretch] = part[:2]
-            prepared.states[stretch] = states
+            rows, memory = self._find_memory(kernel, prepared, int(prepared.seeds[stretch[0]]))
+            part = asked, cells.values[stretch], cells.reasons[stretch]
+            begun = prepared.settings[stretch], prepared.states[stretch], prepared.lines[stretch]
+            kernel.run_rows(begun, rows, (np.zeros(1, FACTS), loops, memory), part)
+            _, cells.values[stretch], cells.reasons[stretch] = part
+            _, prepared.states[stretch], _ = begun
 
         if threads == 1 or len(stretches) == 1:
             for stretch in stretches:
@@ -293,29 +293,26 @@ class _Work:
                 pass
         return cells
 
-    def _find_memory(
-        self, kernel: Batch, prepared: PreparedRows, seed: int
-    ) -> tuple[Any, NDArray[np.float64]]:
-        """Return arrays of this thread, with the random numbers of a seed."""
+    def _find_memory(self, kernel: Batch, prepared: PreparedRows, seed: int) -> tuple[Any, Any]:
+        """Return arrays of this thread: of the loop, with random numbers, and of measuring."""
         local = self._local
         ticks, samples = prepared.ticks, prepared.samples
         if (
-            not hasattr(local, "memory")
-            or len(local.memory.ticks) < ticks
-            or (len(local.memory.samples) < samples)
+            not hasattr(local, "rows")
+            or len(local.rows.ticks) < ticks
+            or (len(local.rows.samples) < samples)
         ):
-            memory = kernel.loop.kinds.allocate(ticks, samples)
-            local.memory = memory._replace(table=prepared.table)
-            local.scratch = np.empty((4, ticks))
+            local.rows = kernel.loop.kinds.allocate(ticks, samples)._replace(table=prepared.table)
+            local.memory = allocate_memory(ticks, samples, len(self._declaration.loops))
             local.seed = None
         if local.seed != seed:
-            draw_streams(local.memory, prepared.streams, seed, ticks, samples)
+            draw_streams(local.rows, prepared.streams, seed, ticks, samples)
             local.seed = seed
-        return local.memory, local.scratch
+        return local.rows, local.memory
 
     def _correct_lines(self, prepared: PreparedRows, cells: _Cells) -> NDArray[np.int64]:
         """Give rows the line from where they were first read; return those that had another."""
-        read = cells.values[:, [RUN_AT + RunColumn.FIRST_X_M, RUN_AT + RunColumn.FIRST_Y_M]]
+        read = cells.values[:, FIRST_POSE]
         lines = prepared.lines
         other = (read[:, 0] != lines["x_m"]) | (read[:, 1] != lines["y_m"])
         other &= ~np.isnan(read[:, 0])
@@ -338,24 +335,13 @@ class _Work:
         for row, reason in zip(rows, now["stop"][good].tolist(), strict=True):
             result.stop_reasons[row] = name_stop(law, reason)
         for name in self._metrics:
-            place = good, COLUMN_OF[name]
-            column, found = cells.values[place], cells.status[place]
-            if name == POSITION_ERROR:
-                column = _find_position_error(cells.values[good], prepared.settings[good])
-            if name not in OF_LOOPS:
-                found = np.where(np.isfinite(column), OK, TOO_LARGE).astype(np.int8)
-                if name in _WHERE_NONE:
-                    found[np.isnan(column)] = _WHERE_NONE[name]
-            if name.startswith("reorient."):
-                found = np.where(prepared.settings["law"]["reorient"][good], found, NO_PHASE)
-            result.values[name][rows] = np.where(found == OK, column, np.nan)
-            result.statuses[name][rows] = found
-
-
-def _find_position_error(
-    values: NDArray[np.float64], settings: NDArray[Any]
-) -> NDArray[np.float64]:
-    """Return how far from the goal the last pose is [m]."""
-    ahead_m = settings["goal"]["x_m"] - values[:, RUN_AT + RunColumn.X_M]
-    left_m = settings["goal"]["y_m"] - values[:, RUN_AT + RunColumn.Y_M]
-    return np.asarray(np.hypot(ahead_m, left_m))
+            place = self._places[name]
+            if place is None:
+                result.statuses[name][rows] = STATUS_OF[NO_PHASE]
+                continue
+            column, status = cells.values[good, place], STATUS_OF[cells.reasons[good, place]]
+            if is_angle(name, self._declaration):
+                column *= math.degrees(1.0)
+            status[(status == OK) & ~np.isfinite(column)] = TOO_LARGE
+            result.values[name][rows] = np.where(status == OK, column, np.nan)
+            result.statuses[name][rows] = status
