@@ -162,7 +162,8 @@ class Twins:
             if not isinstance(source, FunctionType):
                 raise TwinError(f"expected a function of Python, found {source!r:.60}")
             scope = {name: self._take(thing) for name, thing in find_globals(source).items()}
-            scope |= {"__name__": source.__module__ or __name__, "__builtins__": builtins}
+            # Code from the cache asks for its module: a law's own may be another one by then.
+            scope |= {"__name__": __name__, "__builtins__": builtins}
             bound = FunctionType(source.__code__, scope, source.__name__)
             self._known[function] = self._choose(source)(bound)
         return self._known[function]
