@@ -252,19 +252,58 @@ def test_rows_of_another_plant_than_the_base_take_the_path_of_a_run(
         require_row(rows, row, override_scenario(PAPER, {"plant.kind": kind}))
 
 
+OWN: Final = """
+import dataclasses
+import math
+from turtlelog.laws import SequentialP
+
+
+def step(settings, state, row, pose):
+    row.phase = min(state.samples // 200, 1)
+    ahead_m, left_m = settings.goal.x_m - pose[0], settings.goal.y_m - pose[1]
+    row.heading_error_rad = error = math.atan2(left_m, ahead_m) - pose[2]
+    state.samples += 1
+    angle = settings.law.kp_linear
+    while state.samples > 100 and angle > 5.0:
+        angle = math.sin(angle) + 7.0
+    if state.samples > 500:
+        row.stop = 1
+    return 0.3, 2.0 * error
+
+
+@dataclasses.dataclass(slots=True)
+class State:
+    samples: int = 0
+
+
+P = dataclasses.replace(SequentialP, step=step, State=State)
+"""
+
+
 def test_no_batch_is_found_for_laws_that_it_does_not_take(tmp_path: Path) -> None:
     path = tmp_path / "own.py"
-    lines = (
-        *("import dataclasses", "from turtlelog.laws import SequentialP"),
-        "def step(settings, pose):\n    return 0.5, 0.0",
-        "P = dataclasses.replace(SequentialP, step=step)",
-    )
-    path.write_text("\n".join(lines), "utf-8")
+    path.write_text(OWN, "utf-8")
     own = override_scenario(PAPER, {"law.kind": f"{path}:P"})
     found = [batch.find_batch(one) for one in (PAPER, own, TRACKING)]
-    assert [one is not None for one in found] == [True, False, False]
-    rows = measure_rows(own, {"law.kp_linear": [1.0, 2.0]}, ["run.duration"])
-    assert (rows.compiled, rows.interpreted, rows.failed) == (0, 2, [None, None])
+    assert [one is not None for one in found] == [True, True, False]
+
+
+@pytest.mark.thorough
+def test_rows_of_a_law_of_the_users_own_are_compiled_and_watched(tmp_path: Path) -> None:
+    """Its loop is compiled."""
+    path = tmp_path / "own.py"
+    path.write_text(OWN, "utf-8")
+    own = override_scenario(PAPER, {"law.kind": f"{path}:P"}, trust_law=True)
+    gains = [1.0, 2.0, 4.0]
+    rows = measure_rows(own, {"law.kp_linear": gains}, METRICS, threads=2)
+    assert (rows.compiled, rows.interpreted, rows.notes) == (3, 0, ())
+    for row, gain in enumerate(gains):
+        require_row(rows, row, override_scenario(own, {"law.kp_linear": gain}))
+    columns = {"law.kp_linear": [1.0, 9.0]}
+    rows = measure_rows(own, columns, ["run.duration"], threads=1, step_budget_s=0.1)
+    assert (rows.compiled, rows.interpreted) == (0, 2)
+    assert "runs plain: when compiled, one step took more than" in rows.notes[0]
+    require_reason((rows.failed[1] or "").partition(" took")[0], "sample 100")
 
 
 def test_columns_of_different_lengths_are_refused() -> None:

@@ -6,7 +6,7 @@ Either way a row has the numbers of a single run, bit for bit.
 
 import math
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
@@ -23,8 +23,10 @@ from turtlelog.parts import Plant
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
-from turtlelog.simulate.compiled_run import draw_streams, name_stop
-from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, find_saving
+from turtlelog.simulate.compiled_run import CompiledRunner, draw_streams, name_stop
+from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
+from turtlelog.simulate.scenario_law import is_built_in
+from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep.batch_columns import (
     FACTS,
     FIRST_POSE,
@@ -53,6 +55,10 @@ _NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])
 
 _STRETCH: Final = 32
 """Rows in one call: long enough to cost nothing, short enough that all cores end together."""
+
+
+_COMPARED: Final[set[CompiledLoops]] = set()
+"""Code of laws of the user's own that this process has compared with plain runs."""
 
 
 class Batch(NamedTuple):
@@ -84,12 +90,12 @@ def _load(kind: Kind) -> Batch:
 def _is_kept(kind: Kind) -> bool:
     from turtlelog.simulate.compiled_loop import name_loop
 
-    name = name_loop(*kind)
-    return (
-        is_kept(ENTRY, name)
-        and is_kept(ENTRY, f"rows_{name}")
-        and is_kept(_MEASURING, name_measurement())
-    )
+    try:
+        name = name_loop(*kind)
+    except TypeError:  # it cannot be compiled, which is said where that is tried
+        return False
+    is_measured = is_kept(_MEASURING, name_measurement())
+    return is_measured and is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}")
 
 
 def find_batch(base: Scenario) -> CompiledLoops | None:
@@ -113,6 +119,7 @@ class MeasuredRows:
         samples: How many each row had, shape (n,).
         compiled: How many rows the compiled loop simulated and measured.
         interpreted: How many took the path of a single run.
+        notes: On the compiled code of a law of the user's own, one line each.
     """
 
     values: Mapping[str, NDArray[np.float64]]
@@ -122,6 +129,7 @@ class MeasuredRows:
     samples: NDArray[np.int64]
     compiled: int = 0
     interpreted: int = 0
+    notes: tuple[str, ...] = ()
 
 
 def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
@@ -133,6 +141,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     threads: int | None = None,
     first: int = 0,
     ahead: int = 0,
+    step_budget_s: float = STEP_BUDGET_S,
 ) -> MeasuredRows:
     """Simulate rows that vary a scenario, and return their metrics.
 
@@ -145,6 +154,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
         first: Number of the first row, after which its scenario is named.
         ahead: How many rows this process has before it, about: whether compiled loops are worth
             loading.
+        step_budget_s: Time that a law may compute for one answer [s].
 
     Raises:
         SweepError: Where columns have different lengths, or there are none.
@@ -153,18 +163,21 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     counts = {len(column) for column in columns.values()}
     if len(counts) != 1:
         raise SweepError(f"rows: expected columns of one length, found {sorted(counts) or 'none'}")
-    work = _Work(base, columns, metrics, plant, first)
+    work = _Work(base, columns, metrics, plant, first, step_budget_s)
     rest: Sequence[int] = range(work.count)
-    if all(map(is_covered, metrics)):
-        batch = find_batch(base)
-        kernel = None if batch is None else batch.find()
-        if kernel is None and batch is not None and work.count:
+    batch = find_batch(base) if all(map(is_covered, metrics)) else None
+    if batch is not None:
+        kernel = batch.find()
+        if kernel is None and work.count:
             work.measure_alone(0)
             rest = range(1, work.count)
             rows = max(work.count, ahead)
             kernel = batch.expect(int(work.result.samples[0]) * rows, find_saving(base))
         if kernel is not None:
-            rest = work.run_compiled(kernel, rest, count_cores() if threads is None else threads)
+            threads = count_cores() if threads is None else threads
+            rest = work.run_compiled(batch, kernel, rest, threads)
+        if batch.problem is not None:
+            work.notes.append(f"law {base.law.kind} runs plain: {batch.problem}")
     for row in rest:
         work.measure_alone(row)
     return work.finish()
@@ -192,10 +205,13 @@ class _Work:
         metrics: Sequence[str],
         plant: Plant | None,
         first: int,
+        step_budget_s: float,
     ) -> None:
         self.count = count = len(next(iter(columns.values())))
         self._base, self._columns, self._metrics = base, columns, tuple(metrics)
-        self._plant, self._first = plant, first
+        self._plant, self._first, self._step_budget_s = plant, first, step_budget_s
+        self._is_own = False
+        self.notes: list[str] = []
         self._compiled = 0
         self._local = threading.local()
         self.result = MeasuredRows(
@@ -217,17 +233,15 @@ class _Work:
             samples=result.samples,
             compiled=self._compiled,
             interpreted=self.count - self._compiled,
+            notes=tuple(self.notes),
         )
 
     def measure_alone(self, row: int) -> None:
         """Simulate and measure a row as a single run."""
         result = self.result
-        keys = tuple(self._columns)
-        values = [column[row] for column in self._columns.values()]
         try:
-            scenario = build_row_scenario(self._base, keys, values, self._first + row)
-            scenario = resolve_scenario(scenario)
-            run = simulate_run(scenario, self._plant)
+            scenario = self._build_scenario(row)
+            run = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
         except TurtlelogError as err:
             if isinstance(err, SimulationError) and err.run is not None:
                 result.samples[row] = len(err.run.samples)
@@ -239,8 +253,39 @@ class _Work:
             if metric.value is not None:
                 result.values[name][row] = metric.value
 
-    def run_compiled(self, kernel: Any, rows: Sequence[int], threads: int) -> list[int]:
+    def _build_scenario(self, row: int) -> Scenario:
+        keys, values = tuple(self._columns), [column[row] for column in self._columns.values()]
+        scenario = build_row_scenario(self._base, keys, values, self._first + row)
+        return resolve_scenario(scenario)
+
+    def run_compiled(
+        self, batch: CompiledLoops, kernel: Batch, rows: Sequence[int], threads: int
+    ) -> Sequence[int]:
         """Simulate and measure what is compiled; return the rows that are not."""
+        self._is_own = not is_built_in(kernel.loop.law)
+        try:
+            if self._is_own and rows and batch not in _COMPARED:
+                _COMPARED.add(batch)
+                self._compare(kernel, rows[0])
+            return self._run_compiled(kernel, rows, threads)
+        except StepBudgetError as err:
+            batch.give_up(f"when compiled, one step {err}")
+            return rows
+
+    def _compare(self, kernel: Batch, row: int) -> None:
+        """Note by how much a row of a law of the user's own differs when compiled."""
+        try:
+            scenario = self._build_scenario(row)
+            plain = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
+        except TurtlelogError:  # the row says so
+            return
+        plant = scenario.plant.facts if self._plant is None else self._plant
+        runner = CompiledRunner(self._step_budget_s)
+        compiled = runner.simulate(kernel.loop, scenario, plant)
+        if compiled is not None:
+            self.notes += describe_difference(scenario.law.kind, plain, compiled)
+
+    def _run_compiled(self, kernel: Batch, rows: Sequence[int], threads: int) -> list[int]:
         base = resolve_scenario(self._base)
         self._declaration = declare_scenario(base)
         self._places = {name: find_column(name, self._declaration) for name in self._metrics}
@@ -280,7 +325,8 @@ class _Work:
             rows, memory = self._find_memory(kernel, prepared, int(prepared.seeds[stretch[0]]))
             part = asked, cells.values[stretch], cells.reasons[stretch]
             begun = prepared.settings[stretch], prepared.states[stretch], prepared.lines[stretch]
-            kernel.run_rows(begun, rows, (np.zeros(1, FACTS), loops, memory), part)
+            told = np.zeros(1, FACTS), loops, memory
+            self._call(partial(kernel.run_rows, begun, rows, told, part), begun[1])
             _, cells.values[stretch], cells.reasons[stretch] = part
             _, prepared.states[stretch], _ = begun
 
@@ -292,6 +338,18 @@ class _Work:
             for _ in pool.map(run, stretches):
                 pass
         return cells
+
+    def _call(self, run: Callable[[], Any], states: NDArray[Any]) -> None:
+        """Call compiled code; with a law of the user's own where it may never return."""
+        if not self._is_own:
+            run()
+            return
+        local = self._local
+        kept = {name: vars(local).pop(name) for name in ("rows", "memory", "seed")}
+        if not hasattr(local, "watched"):
+            local.watched = WatchedCode(self._step_budget_s)
+        local.watched.call(run, lambda: int(states["now"]["samples"].sum()))
+        vars(local).update(kept)
 
     def _find_memory(self, kernel: Batch, prepared: PreparedRows, seed: int) -> tuple[Any, Any]:
         """Return arrays of this thread: of the loop, with random numbers, and of measuring."""

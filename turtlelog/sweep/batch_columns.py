@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import turtlelog.measure.metrics  # noqa: F401  (enters every metric in the registry)
 from turtlelog.arithmetic import called
-from turtlelog.loops import Declaration
+from turtlelog.loops import PAUSE, Declaration
 from turtlelog.measure.metric import REASONS, Status
 from turtlelog.measure.registry import CUT, LOOP_METRICS, NO_STEP, RUN_METRICS, SMALLEST_STEP
 from turtlelog.simulate.assemble import Function, compile_text
@@ -57,14 +57,16 @@ FACTS: Final = np.dtype(
 `max_duration_s` or the law's timeout ended it, and the limits."""
 
 LOOP: Final = np.dtype(
-    [(name, np.int64) for name in ("phases", "signal", "reference")] + [("turns", np.bool_)],
+    [(name, np.int64) for name in ("phases", "pause", "signal", "reference")]
+    + [("turns", np.bool_)],
     align=True,
 )
-"""A loop: in which phases it acts, one bit each; places in `SIGNALS` and `REFERENCES`; whether its
-command is the turn rate."""
+"""A loop: in which phases it acts, one bit each; the phase that is a pause; places in `SIGNALS` and
+`REFERENCES`; whether its command is the turn rate."""
 
-SPAN: Final = np.dtype([(name, np.int64) for name in ("first", "after", "last")])
-"""The samples of a loop: its first stretch, and the last of all."""
+SPAN: Final = np.dtype([(name, np.int64) for name in ("first", "after", "end", "last")])
+"""Samples: the first of a loop and the one after those of its phases, where its first stretch ends,
+pauses included, and the last of all that are its own."""
 
 FIRST_POSE: Final = slice(-2, None)
 """The last columns: the pose that was read first, x and y [m]."""
@@ -107,7 +109,7 @@ def build_loops(declaration: Declaration) -> NDArray[Any] | None:
             return None
         own = sum(1 << phases.index(phase) for phase in declaration.list_phases(loop.name))
         kinds = SIGNALS.index(loop.signal), REFERENCES.index(loop.reference)
-        rows.append((own, *kinds, loop.command == "turn_rate"))
+        rows.append((own, phases.index(PAUSE), *kinds, loop.command == "turn_rate"))
     return np.array(rows, LOOP)
 
 

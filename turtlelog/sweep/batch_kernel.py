@@ -162,24 +162,27 @@ def _find_spans(samples: Any, loops: Any, spans: Any) -> None:
     """Find the samples of each loop's first stretch, and the last of all its samples."""
     for number in range(len(loops)):
         spans[number].first = spans[number].after = spans[number].last = _NO_SAMPLES
+        spans[number].end = len(samples)
     begin, count = 0, len(samples)
     while begin < count:
         phase, after = samples[begin].phase, begin + 1
         while after < count and samples[after].phase == phase:
             after += 1
         for number in range(len(loops)):
-            if loops[number].phases >> phase & 1 != 0:
-                _add_span(spans[number], begin, after)
+            _add_samples(loops[number], spans[number], phase, begin, after)
         begin = after
 
 
-def _add_span(span: Any, begin: int, after: int) -> None:
-    """Add samples of a loop, which follow the earlier ones of its first stretch or come later."""
-    if span.first < 0:
-        span.first = begin
-    if span.after < 0 or span.after == begin:
-        span.after = after
-    span.last = after - 1
+def _add_samples(loop: Any, span: Any, phase: int, begin: int, after: int) -> None:
+    """Add samples of one phase: what follows on those of a loop, or on a pause, belongs to it."""
+    if loop.phases >> phase & 1 != 0:
+        if span.first < 0:
+            span.first = begin
+        if span.after < 0 or span.after == begin:
+            span.after = after
+        span.last = after - 1
+    elif span.first >= 0 and begin < span.end and phase != loop.pause:
+        span.end = begin
 
 
 def find_stretch(row: Row, number: int) -> tuple[int, int, int]:
@@ -200,8 +203,8 @@ def find_stretch(row: Row, number: int) -> tuple[int, int, int]:
 
 
 def _end_ns(row: Row, span: Any) -> int:
-    goes_on = span.after < len(row.samples)
-    return row.samples[span.after].time_ns if goes_on else row.end_ns
+    goes_on = span.end < len(row.samples)
+    return row.samples[span.end].time_ns if goes_on else row.end_ns
 
 
 @called
@@ -220,9 +223,9 @@ def read_curve(row: Row, number: int, first: int, after: int, band: float) -> Cu
         time_s[place] = max((first + place) * period_ns - start_ns, 0) / 1e9
     for place in range(count - 1):
         step_s[place] = time_s[place + 1] - time_s[place]
-    goes_on = span.after < len(samples)
+    in_pause = span.end < len(samples) or samples[-1].phase == loop.pause
     ended_itself = not (facts.is_cut or facts.is_late) or end_ns < row.end_ns
-    ended_itself = ended_itself or goes_on or _ends_blocked(row)
+    ended_itself = ended_itself or in_pause or _ends_blocked(row)
     limit = facts.turn_limit if loop.turns else facts.speed_limit
     commands = _read_commands(row, loop, span, end_ns)
     answered = min(samples[span.after - 1].time_ns // period_ns + 1, after) - first

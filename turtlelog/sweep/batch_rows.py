@@ -45,6 +45,10 @@ may be any number between two bounds, and is a number of the loop by itself. Of 
 combinations are judged."""
 
 
+_NOT_COMPARED: Final = (dict, list, tuple)
+"""Kinds of values of which hardly two are alike: rows with a schedule, or points, of their own."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PreparedRows:
     """Rows as the compiled loop takes them.
@@ -95,9 +99,9 @@ def find_kind(scenario: Scenario) -> Kind | None:
     Its law has a goal and a loop of the heading, follows what the batch knows, and ends as laws do.
     """
     law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
-    if not (isinstance(law, LawPart) and is_built_in(law)):
+    if not isinstance(law, LawPart):
         return None
-    is_known = declaration.uses_goal and scenario.path is None and not has_own_table(law)
+    is_known = declaration.uses_goal and scenario.path is None
     is_known = is_known and any(loop.signal == "heading" for loop in declaration.loops)
     if not is_known or build_loops(declaration) is None or CUT_SHORT & {*law.stops}:
         return None
@@ -107,11 +111,6 @@ def find_kind(scenario: Scenario) -> Kind | None:
 def is_free(law: LawPart) -> bool:
     """Whether the values of `FREE_KEYS` may be judged one by one."""
     return law.Numbers is SequentialNumbers and is_built_in(law)
-
-
-def has_own_table(law: LawPart) -> bool:
-    """Whether a law has a table that may be another one in each row."""
-    return law.build_table is not None and not is_free(law)
 
 
 class _Case:
@@ -147,8 +146,6 @@ def prepare_rows(
         rows: Numbers of rows.
         plant: On whose clock; None: each row on that of its own plant.
     """
-    if "law.schedule" in columns:  # the memory of the loop holds one
-        return _gather([], [*rows], [], {})
     kind = find_kind(base)
     may_be_free = kind is not None and is_free(kind[0]) and "law.kind" not in columns
     free = [key for key in columns if key in FREE_KEYS] if may_be_free else []
@@ -160,18 +157,28 @@ def prepare_rows(
     found: list[_Case] = []
     for place, row in enumerate(rows):
         key = tuple((type(columns[name][row]), columns[name][row]) for name in joint)
+        if any(kind in _NOT_COMPARED for kind, _ in key):
+            others.append(row)
+            continue
         if key not in cases:
             cases[key] = _judge_case(
                 base, kind, dict(zip(joint, (v for _, v in key), strict=True)), plant
             )
         case = cases[key]
-        if case is None or any(column[place] is None for column in own.values()):
+        # The memory of the loop holds one table.
+        has_other = case is not None and bool(found) and not same_table(case, found[0])
+        if case is None or has_other or any(column[place] is None for column in own.values()):
             others.append(row)
         else:
             taken.append(place)
             found.append(case)
     values = {key: [column[place] for place in taken] for key, column in own.items()}
     return _gather([rows[place] for place in taken], others, found, values)
+
+
+def same_table(case: _Case, other: _Case) -> bool:
+    """Whether the law of two cases has the same table."""
+    return case is other or np.array_equal(case.table, other.table, equal_nan=True)
 
 
 _NONE: Final = np.empty(0)

@@ -189,13 +189,20 @@ def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricK
 def _simulate_batch(base: Scenario, chunk: RowChunk, kinds: Mapping[str, MetricKind]) -> RowResults:
     columns = dict(zip(chunk.keys, zip(*chunk.values, strict=True), strict=True))
     found = measure_rows(
-        base, columns, [*kinds], threads=chunk.threads, first=chunk.first, ahead=chunk.ahead
+        base,
+        columns,
+        [*kinds],
+        threads=chunk.threads,
+        first=chunk.first,
+        ahead=chunk.ahead,
+        step_budget_s=chunk.step_budget_s,
     )
     results = RowResults(
         first=chunk.first,
         stop_reasons=found.stop_reasons,
         failed=found.failed,
         samples=int(found.samples.sum()),
+        notes=[*found.notes],
     )
     if all(reason is not None for reason in found.failed):
         return results
