@@ -16,7 +16,7 @@ SECOND = """
 
 @curve_metric("second_error", "{value}", "Error of the {signal} at the second pose.", better=None)
 def find_second_error(curve: Response) -> Outcome:
-    return curve.error[1], _tell_time(curve, 1), FOUND
+    return curve.error[1], curve.start_s + curve.time_s[1], FOUND
 """
 
 NAME = "rotate.second_error"

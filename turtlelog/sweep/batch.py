@@ -48,7 +48,7 @@ from turtlelog.sweep.batch_rows import Kind, PreparedRows, find_kind, find_line,
 from turtlelog.sweep.plan import build_row_scenario
 
 _MEASURING: Final = "turtlelog.sweep.batch_entry"
-_MEASURING_S: Final = 2.0
+_MEASURING_S: Final = 5.0
 """What compiling the measurement takes, beside the loop, longer than the loop alone [s]."""
 
 _NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])

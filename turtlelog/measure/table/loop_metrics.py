@@ -108,7 +108,7 @@ def find_rise_time(curve: Response) -> Outcome:
 def find_peak(curve: Response) -> Outcome:
     """Return the furthest value."""
     row = find_peak_row(curve.values, curve.initial, curve.reference)
-    return curve.values[row], _tell_time(curve, row), FOUND
+    return curve.values[row], curve.start_s + curve.time_s[row], FOUND
 
 
 @curve_metric(
@@ -123,7 +123,7 @@ def find_peak(curve: Response) -> Outcome:
 def find_peak_time(curve: Response) -> Outcome:
     """Return when the furthest value is."""
     row = find_peak_row(curve.values, curve.initial, curve.reference)
-    return curve.time_s[row], _tell_time(curve, row), FOUND
+    return curve.time_s[row], curve.start_s + curve.time_s[row], FOUND
 
 
 @curve_metric(
@@ -139,7 +139,7 @@ def measure_overshoot(curve: Response) -> Outcome:
     """See `find_overshoot`; taken at the peak."""
     share = find_overshoot(curve.values, curve.initial, curve.reference)
     row = find_peak_row(curve.values, curve.initial, curve.reference)
-    return 100.0 * share, _tell_time(curve, row), FOUND
+    return 100.0 * share, curve.start_s + curve.time_s[row], FOUND
 
 
 @curve_metric(
@@ -154,7 +154,7 @@ def measure_overshoot(curve: Response) -> Outcome:
 def measure_undershoot(curve: Response) -> Outcome:
     """See `find_undershoot`."""
     share, row = find_undershoot(curve.values, curve.initial, curve.reference)
-    return 100.0 * share, _tell_time(curve, row), FOUND
+    return 100.0 * share, curve.start_s + curve.time_s[row], FOUND
 
 
 @curve_metric(
@@ -194,7 +194,7 @@ def find_needed_hold(time_s: Values, values: Values, reference: float, half_widt
 def count_crossings(curve: Response) -> Outcome:
     """Return how often; taken at the first."""
     rows = find_crossing_rows(curve.error, 0.0, curve.memory)
-    at_s = _tell_time(curve, rows[0]) if len(rows) > 0 else math.nan
+    at_s = curve.start_s + curve.time_s[rows[0]] if len(rows) > 0 else math.nan
     return float(len(rows)), at_s, FOUND
 
 
@@ -211,7 +211,7 @@ def measure_decay_ratio(curve: Response) -> Outcome:
     ratio, row = find_decay_ratio(curve.error, curve.initial, curve.reference, curve.memory)
     if math.isnan(ratio):
         return math.nan, math.nan, _NOT_TWICE
-    return ratio, _tell_time(curve, row), FOUND
+    return ratio, curve.start_s + curve.time_s[row], FOUND
 
 
 @curve_metric(
@@ -236,17 +236,13 @@ def judge_stability(curve: Response) -> Outcome:
         return math.nan, math.nan, _SLOW
     if verdict == UNKNOWN:
         return math.nan, math.nan, _UNKNOWN
-    return 1.0 if verdict == RESTS else 0.0, _tell_time(curve, -1), FOUND
-
-
-def _tell_time(curve: Response, row: int) -> float:
-    return curve.start_s + curve.time_s[row]  # type: ignore[no-any-return]
+    return 1.0 if verdict == RESTS else 0.0, curve.start_s + curve.time_s[-1], FOUND
 
 
 @curve_metric("final_error", "{value}", "Magnitude of the error of the {signal} at the end.")
 def find_final_error(curve: Response) -> Outcome:
     """Return the last error's magnitude."""
-    return abs(curve.error[-1]), _tell_time(curve, -1), FOUND
+    return abs(curve.error[-1]), curve.start_s + curve.time_s[-1], FOUND
 
 
 @curve_metric(
@@ -259,14 +255,14 @@ def find_final_error(curve: Response) -> Outcome:
 def find_steady_state_error(curve: Response) -> Outcome:
     """Return the last error, signed in the direction of the step."""
     direction = 1.0 if curve.reference >= curve.initial else -1.0
-    return curve.error[-1] * direction, _tell_time(curve, -1), FOUND
+    return curve.error[-1] * direction, curve.start_s + curve.time_s[-1], FOUND
 
 
 @curve_metric("largest_error", "{value}", "Largest magnitude of {goal} minus {signal}.", grows=True)
 def find_largest_error(curve: Response) -> Outcome:
     """Return the largest error's magnitude."""
     largest, row = find_largest(curve.error)
-    return largest, _tell_time(curve, row), FOUND
+    return largest, curve.start_s + curve.time_s[row], FOUND
 
 
 @curve_metric("rms_error", "{value}", "Root of the mean square over time of that error.")
