@@ -53,7 +53,7 @@ def compile_pair(scenario: Scenario) -> None:
 
 def main(*words: str) -> None:
     """Compile it, on all cores."""
-    measurement = partial(import_module, "turtlelog.sweep.batch_kernel")
+    measurement = partial(import_module, "turtlelog.sweep.batch_entry")
     pairs = [partial(compile_pair, scenario) for scenario in list_pairs(has_all="all" in words)]
     with ProcessPoolExecutor(count_cores()) as pool:
         jobs: list[Callable[[], object]] = [measurement, *pairs]

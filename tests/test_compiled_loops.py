@@ -1,19 +1,13 @@
-import ast
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import partial
 from hashlib import sha1
 from pathlib import Path
-from types import ModuleType
-from typing import Final
 
-import numpy as np
 import pytest
 
 from turtlelog.compiled_loops import CompiledLoops, is_kept, remove_others
-from turtlelog.simulate import compiled_entry
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}"
 COMPILED = """
@@ -108,19 +102,19 @@ def test_a_loop_that_is_compiled_anew_replaces_its_older_versions(tmp_path: Path
         "from numba import types; import small\n"
         "from turtlelog.simulate import compiled_loop\n"
         "kind = types.int64(types.int64)\n"
-        "compiled_loop._compile_entry(small.small, 'rows_p_12', {'STAMP': 2}, kind)\n"
+        "compiled_loop.compile_entry(small.small, 'rows_p_12', {'STAMP': 2}, kind)\n"
     )
-    source = Path(str(compiled_entry.__file__)).parent
-    hashed = sha1(str(source).encode(), usedforsecurity=False).hexdigest()
-    cache = tmp_path / "cache" / f"{source.name}_{hashed}"
+    hashed = sha1(str(tmp_path).encode(), usedforsecurity=False).hexdigest()
+    cache = tmp_path / "cache" / f"{tmp_path.name}_{hashed}"
     cache.mkdir(parents=True)
     names = ["rows_p_11-1.py311.nbi", "rows_p_11-1.py311.1.nbc", "p_11-1.py311.nbi"]
     for name in names:
-        (cache / f"compiled_entry.{name}").touch()
+        (cache / f"small.{name}").touch()
     paths = os.pathsep.join([str(tmp_path), *sys.path])
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": paths}
     subprocess.run([sys.executable, "-c", code], check=True, env=environment)
-    assert [path.name for path in cache.iterdir()] == ["compiled_entry.p_11-1.py311.nbi"]
+    found = {path.name.partition("-")[0] for path in cache.iterdir()}
+    assert found == {"small.rows_p_12", "small.p_11"}
 
 
 def test_loops_are_loaded_once_all_work_together_is_worth_it() -> None:
@@ -244,76 +238,3 @@ def test_modules_compile_side_by_side_and_here_where_no_process_starts(
         found.append((done.stdout.split(), done.stderr))
     of_other = "1" if executable == "sys.executable" else "0"
     assert found == [(["9.0", "0", of_other], ""), (["1.0", "1", "1"], "")]
-
-
-FUNCTION = """
-import constants
-from constants import SIZE
-from numba import njit
-from turtlelog.compiled_loops import sum_up_sources
-
-
-def build(stamp):
-    @njit("float64()", cache=True)
-    def measure():
-        return SIZE if stamp else 0.0
-
-    return measure
-
-
-measure = build(sum_up_sources(constants))
-print(measure(), sum(measure.stats.cache_hits.values()))
-"""
-
-
-@pytest.mark.thorough
-def test_a_constant_of_another_file_is_compiled_anew(tmp_path: Path) -> None:
-    """Functions are compiled, twice."""
-    pytest.importorskip("numba")
-    (tmp_path / "function.py").write_text(FUNCTION, "utf-8")
-    path = os.pathsep.join([str(Path(__file__).parents[1]), str(tmp_path)])
-    found = []
-    for size in (3.0, 3.0, 4.0):
-        (tmp_path / "constants.py").write_text(f"SIZE = {size}\n", "utf-8")
-        done = subprocess.run(
-            [sys.executable, "-B", "-c", "import function"],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": path},
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=True,
-        )
-        found.append(done.stdout.split())
-    assert found == [["3.0", "0"], ["3.0", "1"], ["4.0", "0"]]
-
-
-def test_every_file_that_the_measurement_takes_from_is_summed_up() -> None:
-    """The measurement is compiled where no other test has done so."""
-    kernel = pytest.importorskip("turtlelog.sweep.batch_kernel", exc_type=ImportError)
-    summed_up = {module.__name__ for module in kernel.SOURCES}
-    for module in (kernel, *kernel.SOURCES):
-        if module is kernel or is_compiled(module):
-            assert {*list_taken(module)} <= summed_up
-    assert len(summed_up) > 3
-
-
-def is_compiled(module: ModuleType) -> bool:
-    return any(type(value).__name__ == "CPUDispatcher" for value in vars(module).values())
-
-
-IN_SIGNATURE: Final = ModuleType, np.dtype
-"""What code is not changed by: a module's name alone, and a record's type, which numba's cache
-knows from the signature."""
-
-
-def list_taken(module: ModuleType) -> Iterator[str]:
-    """Yield the modules of which a module takes something by its name."""
-    for node in ast.walk(ast.parse(Path(str(module.__file__)).read_text("utf-8"))):
-        if not isinstance(node, ast.ImportFrom) or node.module == "turtlelog.compiled_loops":
-            continue
-        if not str(node.module).startswith("turtlelog."):
-            continue
-        names = [getattr(module, one.asname or one.name) for one in node.names]
-        if any(not isinstance(name, IN_SIGNATURE) for name in names):
-            yield str(node.module)

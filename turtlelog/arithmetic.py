@@ -31,6 +31,22 @@ def called(function: _Function) -> _Function:
     return function
 
 
+def inlined(function: _Function) -> _Function:
+    """Mark a function that returns an array: it is compiled as a part of what calls it."""
+    function.is_inlined = True  # type: ignore[attr-defined]
+    return function
+
+
+def compiled_as(twin: Callable[..., Any]) -> Callable[[_Function], _Function]:
+    """Have compiled code call another function, a loop over rows, in place of one of numpy's."""
+
+    def mark(function: _Function) -> _Function:
+        function.twin = twin  # type: ignore[attr-defined]
+        return function
+
+    return mark
+
+
 @dataclass(slots=True)
 class Direction:
     """An angle whose cosine and sine were taken last: most are taken of the same again."""

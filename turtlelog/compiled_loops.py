@@ -2,7 +2,6 @@
 
 import os
 import sys
-import zlib
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from functools import cached_property
@@ -10,21 +9,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Event, Lock
-from types import ModuleType
 from typing import Any, Final
-
-
-def sum_up_sources(*modules: ModuleType) -> int:
-    """Return a checksum of the files of modules.
-
-    Numba compiles again where the file of a function changed. Where its constants stand in others,
-    a function that is built around this number is compiled again for these, too.
-    """
-    total = 0
-    for module in modules:
-        total = zlib.crc32(Path(str(module.__file__)).read_bytes(), total)
-    return total
-
 
 COMPILING: Final = Event()
 """Set while loops compile, which takes seconds once: a bar that stands still may say why."""

@@ -9,7 +9,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.measure import swings
-from turtlelog.measure.step_response import find_crossing_rows
+from turtlelog.measure.reductions import find_crossing_rows
 from turtlelog.simulate import simulate_many
 from turtlelog.theory.sampled_loop import compute_stability_gain
 
@@ -29,12 +29,11 @@ def swing(peaks: Sequence[float], *, start: Sequence[float] = START) -> np.ndarr
 def judge(
     peaks: Sequence[float],
     *,
-    clipped: int | None = -1,
+    clipped: int = swings.NEVER,
     start: Sequence[float] = START,
     most: float = math.inf,
 ) -> str:
-    error = swing(peaks, start=start)
-    return swings.judge_swings(error, find_crossing_rows(error, 0.0), clipped, most=most)
+    return judge_errors(swing(peaks, start=start).tolist(), clipped, most)
 
 
 def decay(share: float, count: int = 9, first: float = 0.5) -> list[float]:
@@ -55,7 +54,7 @@ def test_small_swings_go_on_only_where_they_meet_the_limit() -> None:
     small, large = [0.09] * 9, [0.11] * 9
     assert judge(large) == "swings"
     assert judge(small) == "rests"
-    assert judge(small, clipped=None) == "unknown"
+    assert judge(small, clipped=swings.NOBODY_KNOWS) == "unknown"
     # Whole swings begin in rows 3, 5, 7 ...; the third before the last with the fourth, in row 9.
     assert judge(small, clipped=9) == "swings"
     assert judge(small, clipped=8) == "rests"
@@ -101,8 +100,7 @@ def test_nothing_decays_that_swings_further_than_it_began() -> None:
     ],
 )
 def test_less_than_two_swings_rest_where_they_slow_down(error: list[float], verdict: str) -> None:
-    rows = find_crossing_rows(np.array(error), 0.0)
-    assert swings.judge_swings(np.array(error), rows, -1) == verdict
+    assert judge_errors(error) == verdict
 
 
 RATIOS = (0.2, 0.6, 0.9, 0.97, 0.99, 1.01, 1.03, 1.1, 1.5)
@@ -195,6 +193,7 @@ def test_the_swing_that_the_end_cuts_is_no_larger_than_the_last_whole_ones() -> 
     assert judge_errors([1.0, 0.5, -0.02, -0.015, 0.005, 0.004, -0.019]) == "rests"
 
 
-def judge_errors(error: list[float]) -> str:
-    rows = find_crossing_rows(np.array(error), 0.0)
-    return swings.judge_swings(np.array(error), rows, -1)
+def judge_errors(error: list[float], clipped: int = -1, most: float = math.inf) -> str:
+    values = np.array(error)
+    rows = find_crossing_rows(values, 0.0, None)
+    return swings.VERDICTS[swings.judge_swings(values, rows, clipped, most)]

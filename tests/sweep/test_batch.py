@@ -19,12 +19,14 @@ from turtlelog.simulate import simulate_run
 from turtlelog.simulate.many import COST_S
 from turtlelog.sweep import batch
 from turtlelog.sweep.batch import MeasuredRows, measure_rows
+from turtlelog.sweep.batch_columns import COURSES, CURVES, STATUSES
 from turtlelog.sweep.batch_rows import FREE_KEYS, prepare_rows
-from turtlelog.sweep.batch_table import COLUMN_OF, OF_RUN, STATUSES, LoopMetric
 from turtlelog.sweep.plan import build_row_scenario
 
-METRICS: Final = tuple(COLUMN_OF)
+LOOPS: Final = ("rotate", "translate", "reorient")
+METRICS: Final = (*(f"{loop}.{name}" for loop in LOOPS for name in CURVES), *COURSES)
 PAPER: Final = get_preset("paper")
+TRACKING: Final = get_preset("track-square")
 
 
 @cache
@@ -87,20 +89,6 @@ def test_batch_has_every_effect_and_falls_back_nowhere(effect: str) -> None:
     for row in range(3):
         changes = {key: column[row] for key, column in columns.items()}
         require_row(rows, row, override_scenario(base, changes))
-
-
-def test_sums_are_those_of_numpy_of_any_length() -> None:
-    from numba import njit
-
-    from turtlelog.sweep.batch_sums import add_up
-
-    # What the loops are built of is compiled into what calls it: Python itself cannot.
-    add = njit(lambda values, first, count: add_up(values, first, count))
-    values = np.random.default_rng(5).normal(size=3000) * 10.0 ** np.arange(-7, 8).repeat(200)
-    for first in (0, 3):
-        for count in (*range(300), *range(300, 2990, 61)):
-            wanted = float(values[first : first + count].sum())
-            assert add(values.copy(), first, count).hex() == wanted.hex()
 
 
 @pytest.mark.parametrize("preset", ["paper", "lagged"])
@@ -242,7 +230,7 @@ def test_metric_or_law_that_is_not_compiled_takes_the_path_of_a_run() -> None:
     scenario = build_row_scenario(PAPER, ["law.kp_linear"], [2.0], 1)
     wanted = measure_run(simulate_run(scenario), only=["run.iae"])["run.iae"]
     assert rows.values["run.iae"][1] == wanted.value
-    other = measure_rows(get_preset("posture"), {"max_duration_s": [3.0, 4.0]}, ["run.duration"])
+    other = measure_rows(TRACKING, {"max_duration_s": [3.0, 4.0]}, ["run.duration"])
     assert (other.compiled, other.interpreted) == (0, 2)
 
 
@@ -264,19 +252,58 @@ def test_rows_of_another_plant_than_the_base_take_the_path_of_a_run(
         require_row(rows, row, override_scenario(PAPER, {"plant.kind": kind}))
 
 
+OWN: Final = """
+import dataclasses
+import math
+from turtlelog.laws import SequentialP
+
+
+def step(settings, state, row, pose):
+    row.phase = min(state.samples // 200, 1)
+    ahead_m, left_m = settings.goal.x_m - pose[0], settings.goal.y_m - pose[1]
+    row.heading_error_rad = error = math.atan2(left_m, ahead_m) - pose[2]
+    state.samples += 1
+    angle = settings.law.kp_linear
+    while state.samples > 100 and angle > 5.0:
+        angle = math.sin(angle) + 7.0
+    if state.samples > 500:
+        row.stop = 1
+    return 0.3, 2.0 * error
+
+
+@dataclasses.dataclass(slots=True)
+class State:
+    samples: int = 0
+
+
+P = dataclasses.replace(SequentialP, step=step, State=State)
+"""
+
+
 def test_no_batch_is_found_for_laws_that_it_does_not_take(tmp_path: Path) -> None:
     path = tmp_path / "own.py"
-    lines = (
-        *("import dataclasses", "from turtlelog.laws import SequentialP"),
-        "def step(settings, pose):\n    return 0.5, 0.0",
-        "P = dataclasses.replace(SequentialP, step=step)",
-    )
-    path.write_text("\n".join(lines), "utf-8")
+    path.write_text(OWN, "utf-8")
     own = override_scenario(PAPER, {"law.kind": f"{path}:P"})
-    found = [batch.find_batch(one) for one in (PAPER, own, get_preset("posture"))]
-    assert [one is not None for one in found] == [True, False, False]
-    rows = measure_rows(own, {"law.kp_linear": [1.0, 2.0]}, ["run.duration"])
-    assert (rows.compiled, rows.interpreted, rows.failed) == (0, 2, [None, None])
+    found = [batch.find_batch(one) for one in (PAPER, own, TRACKING)]
+    assert [one is not None for one in found] == [True, True, False]
+
+
+@pytest.mark.thorough
+def test_rows_of_a_law_of_the_users_own_are_compiled_and_watched(tmp_path: Path) -> None:
+    """Its loop is compiled."""
+    path = tmp_path / "own.py"
+    path.write_text(OWN, "utf-8")
+    own = override_scenario(PAPER, {"law.kind": f"{path}:P"}, trust_law=True)
+    gains = [1.0, 2.0, 4.0]
+    rows = measure_rows(own, {"law.kp_linear": gains}, METRICS, threads=2)
+    assert (rows.compiled, rows.interpreted, rows.notes) == (3, 0, ())
+    for row, gain in enumerate(gains):
+        require_row(rows, row, override_scenario(own, {"law.kp_linear": gain}))
+    columns = {"law.kp_linear": [1.0, 9.0]}
+    rows = measure_rows(own, columns, ["run.duration"], threads=1, step_budget_s=0.1)
+    assert (rows.compiled, rows.interpreted) == (0, 2)
+    assert "runs plain: when compiled, one step took more than" in rows.notes[0]
+    require_reason((rows.failed[1] or "").partition(" took")[0], "sample 100")
 
 
 def test_columns_of_different_lengths_are_refused() -> None:
@@ -298,9 +325,7 @@ def test_every_status_of_the_batch_is_met() -> None:
 def test_the_page_says_which_metrics_are_compiled() -> None:
     page = (Path(__file__).parents[2] / "docs" / "sweep.md").read_text("utf-8")
     told = page.partition("## How fast")[2].partition("##")[0]
-    assert [
-        name for name in (*(one.ending for one in LoopMetric), *OF_RUN) if f"`{name}`" not in told
-    ] == []
+    assert [name for name in (*CURVES, *COURSES) if f"`{name}`" not in told] == []
 
 
 def test_numbers_of_a_robot_vary_in_the_batch() -> None:

@@ -67,8 +67,8 @@ def measure_path_error(reference: Run, run: Run, *, alignment: str = "first_samp
     return PathError(
         largest_m=float(beside.max()),
         largest_at_s=float(at_s[beside.argmax()]),
-        rms_m=compute_rms(step_s, beside),
+        rms_m=compute_rms(step_s, beside, None),
         largest_apart_m=float(apart.max()),
         largest_apart_at_s=float(at_s[apart.argmax()]),
-        rms_apart_m=compute_rms(step_s, apart),
+        rms_apart_m=compute_rms(step_s, apart, None),
     )

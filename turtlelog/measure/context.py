@@ -1,5 +1,6 @@
 """One run on its way through the table of metrics: what several of them need is computed once."""
 
+import math
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import cached_property
@@ -75,6 +76,67 @@ class RunContext:
         """What the heading should be, as `read_heading_reference`."""
         return read_heading_reference(self.run)
 
+    @property
+    def x_m(self) -> Values:
+        """Of every pose [m]."""
+        return self.run.poses.xy_m[:, 0]
+
+    @property
+    def y_m(self) -> Values:
+        """Of every pose [m]."""
+        return self.run.poses.xy_m[:, 1]
+
+    @property
+    def last_heading_rad(self) -> float:
+        """Of the last pose, in [-pi, pi) [rad]."""
+        return float(self.run.poses.heading_rad[-1])
+
+    @property
+    def goal(self) -> tuple[float, float, float]:
+        """Where the robot should be: x, y [m] and heading [rad], NaN where it is not known."""
+        x_m, y_m = self.run.goal_xy_m or (math.nan, math.nan)
+        heading_rad = self.run.goal_heading_rad
+        return x_m, y_m, math.nan if heading_rad is None else heading_rad
+
+    @property
+    def duration_s(self) -> float:
+        """From the first sample, or else pose, to the last row [s]."""
+        return self.run.duration_s
+
+    @property
+    def first_row(self) -> int:
+        """The first pose at the first sample, which is time zero, or later; else the last."""
+        first = int(np.searchsorted(self.run.poses.time_ns, self.run.start_ns))
+        return min(first, len(self.run.poses) - 1)
+
+    @property
+    def last_pose_s(self) -> float:
+        """Time of the last pose, from the first sample [s]."""
+        return float(self.pose_time_s[-1])
+
+    @property
+    def last_cross_track_m(self) -> float:
+        """Of the last pose, to the left of the line or path [m]; NaN where neither is known."""
+        signal = self.get_signal("cross_track")
+        return math.nan if signal is None else float(signal.values[-1])
+
+    @property
+    def is_robot(self) -> bool:
+        """Whether nothing is known but poses and a goal."""
+        run = self.run
+        is_lawless = not run.declaration.loops and not len(run.samples)
+        return is_lawless and run.goal_xy_m is not None
+
+    @property
+    def sample_count(self) -> int:
+        """How many samples there are; commands where there are none."""
+        return len(self._sample_time_ns)
+
+    @property
+    def memory(self) -> None:
+        """Plain functions make the arrays that they need."""
+        return
+
     @cached_property
     def pose_time_s(self) -> Values:
         """Times of the poses, from the first sample [s]."""
@@ -122,16 +184,16 @@ class RunContext:
         return compute_path_length(self.run.poses.xy_m)
 
     @cached_property
-    def cross_track_m(self) -> Values | None:
+    def cross_track_m(self) -> Values:
         """Distance of every pose from the reference path, or to the left of the line to the goal.
 
-        In m, None where neither is known.
+        In m, empty where neither is known.
         """
         path_xy_m = self.settings.reference_path_xy_m
         if path_xy_m is not None:
             return compute_path_distances(self.run.poses.xy_m, path_xy_m)
         signal = self.get_signal("cross_track")
-        return None if signal is None else signal.values
+        return np.empty(0) if signal is None else signal.values
 
     def find_dead_time_ticks(self, loop: ControlLoop) -> int | Missing:
         """Return the dead time of a loop's commands [ticks], or why it cannot be found."""

@@ -1,6 +1,7 @@
 """What a metric is: a number with a unit, or the reason why there is none."""
 
 import enum
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
@@ -95,7 +96,6 @@ class Missing:
     reason: str
 
 
-NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the goal is not known")
 NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
 ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
 
@@ -114,3 +114,34 @@ class Found:
 
 
 Result = Found | Missing
+
+Outcome = tuple[float, float, int]
+"""What a metric is in numbers, which functions return that run plain and compiled.
+
+The value, its moment from the first sample [s] (NaN: it belongs to none), and `FOUND`; or the
+number of a reason behind two numbers for its text.
+"""
+
+REASONS: Final[list[Missing]] = [Missing(status=Status.OK, reason="")]
+"""Why metrics have no value, by number."""
+
+FOUND: Final = 0
+
+
+def add_reason(status: Status, reason: str) -> int:
+    """Return the number of a reason, whose text may have the two numbers of an outcome in it."""
+    REASONS.append(Missing(status=status, reason=reason))
+    return len(REASONS) - 1
+
+
+def read_outcome(outcome: Outcome) -> Result:
+    """Return what an outcome says."""
+    value, at_s, number = outcome
+    if number:
+        missing = REASONS[number]
+        return Missing(status=missing.status, reason=missing.reason.format(value, at_s))
+    return Found(float(value), None if math.isnan(at_s) else float(at_s))
+
+
+GOAL_UNKNOWN: Final = add_reason(Status.ABSENT, "the goal is not known")
+NO_GOAL: Final = REASONS[GOAL_UNKNOWN]

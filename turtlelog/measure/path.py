@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import MeasureError
+from turtlelog.measure.reductions import measure_way
 from turtlelog.paths import Path as TrackedPath, PathFollower
 from turtlelog.remote.urls import make_path
 from turtlelog.text_files import describe_csv_error, read_text_file
@@ -27,8 +28,7 @@ _BITS: Final = 12
 
 def compute_path_length(xy_m: Values) -> float:
     """Return the length of the line through all points [m]."""
-    steps = np.diff(xy_m, axis=0)
-    return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+    return measure_way(xy_m[:, 0], xy_m[:, 1], None)
 
 
 def compute_straightness(xy_m: Values, length_m: float | None = None) -> float | None:

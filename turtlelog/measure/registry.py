@@ -2,6 +2,9 @@
 
 One function per metric, with its meaning, unit and direction beside it in the decorator. A metric
 of a loop is written once and bound to each loop that a law declares.
+
+A metric of a curve or of a course is a function of numbers: it runs plain on a run, and compiled in
+the batch of `sweep`, for a million rows. Others may use all of Python.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,7 +15,16 @@ from typing import Final, Literal, TypedDict, TypeVar, Unpack
 
 from turtlelog.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.metric import (
+    REASONS,
+    Found,
+    Missing,
+    Outcome,
+    Result,
+    Status,
+    add_reason,
+    read_outcome,
+)
 from turtlelog.measure.response import Response
 
 Better = Literal["lower", "higher"] | None
@@ -20,7 +32,16 @@ OfRun = Callable[[RunContext], Result]
 OfLoop = Callable[[RunContext, Response], Result]
 _OfRun = TypeVar("_OfRun", bound=OfRun)
 
-_CUT: Final = Missing(status=Status.TOO_SHORT, reason="the run was cut in this phase")
+OfCurve = Callable[[Response], Outcome]
+OfCourse = Callable[[RunContext], Outcome]
+_OfCurve = TypeVar("_OfCurve", bound=OfCurve)
+_OfCourse = TypeVar("_OfCourse", bound=OfCourse)
+
+CUT: Final = add_reason(Status.TOO_SHORT, "the run was cut in this phase")
+NO_STEP: Final = add_reason(Status.NO_STEP, "the phase begins at its reference")
+
+SMALLEST_STEP: Final = 1e-6
+"""What counts as a step [rad or m]: poses are published with 32 bits, so less is their rounding."""
 
 _ANY_WORDS: Final = MappingProxyType(
     {"signal": "controlled signal", "goal": "reference", "command": "command"}
@@ -43,6 +64,7 @@ class MetricKind:
             is taken at the end, and what rests on a dead time that is estimated from all rows may
             fall again.
         is_awaited: Whether it is a time since the beginning of its loop, or of the run.
+        numbers: The same of a course, compiled too; None: there is no such function.
     """
 
     unit: str
@@ -52,6 +74,7 @@ class MetricKind:
     floor: float | None = None
     grows: bool = False
     is_awaited: bool = False
+    numbers: OfCourse | None = None
 
     def compute_loss(self, value: float, reference: float) -> float:
         """Return by how much a value is worse than a reference, in the metric's unit.
@@ -90,6 +113,8 @@ class LoopMetricKind:
         needs_whole: Whether a loop that the end of the recording cuts has no value: a sum over half
             of it, or the largest so far, is not its own.
         applies: Of which loops there is such a metric.
+        needs_step: Whether a loop that begins at its reference has no value.
+        numbers: The same of a curve, compiled too; None: there is no such function.
     """
 
     unit: str
@@ -98,6 +123,8 @@ class LoopMetricKind:
     traits: Traits
     needs_whole: bool
     applies: Callable[[ControlLoop], bool]
+    needs_step: bool = False
+    numbers: OfCurve | None = None
 
     def bind(self, loop: ControlLoop) -> MetricKind:
         """Return the metric of one loop."""
@@ -108,7 +135,9 @@ class LoopMetricKind:
             if isinstance(response, Missing):
                 return response
             if self.needs_whole and response.was_cut:
-                return _CUT
+                return REASONS[CUT]
+            if self.needs_step and abs(response.reference - response.initial) <= SMALLEST_STEP:
+                return REASONS[NO_STEP]
             result = self.compute(context, response)
             if unit == "deg" and isinstance(result, Found):
                 return Found(degrees(result.value), result.at_s)
@@ -189,6 +218,37 @@ def loop_metric(
     return enter
 
 
+def curve_metric(
+    name: str,
+    unit: str,
+    meaning: str,
+    *,
+    needs_whole: bool = True,
+    needs_step: bool = False,
+    applies: Callable[[ControlLoop], bool] = lambda _: True,
+    **traits: Unpack[Traits],
+) -> Callable[[_OfCurve], _OfCurve]:
+    """Enter a function of numbers as a metric of every loop, or those it applies to.
+
+    It runs plain and compiled: what it reads of a curve are fields of `Response`.
+    """
+
+    def enter(numbers: _OfCurve) -> _OfCurve:
+        LOOP_METRICS[name] = LoopMetricKind(
+            unit=unit,
+            compute=lambda _, response: read_outcome(numbers(response)),
+            meaning=meaning,
+            traits=traits,
+            needs_whole=needs_whole,
+            applies=applies,
+            needs_step=needs_step,
+            numbers=numbers,
+        )
+        return numbers
+
+    return enter
+
+
 def run_metric(
     name: str, unit: str, meaning: str, **traits: Unpack[Traits]
 ) -> Callable[[_OfRun], _OfRun]:
@@ -197,5 +257,26 @@ def run_metric(
     def enter(compute: _OfRun) -> _OfRun:
         RUN_METRICS[name] = MetricKind(unit=unit, compute=compute, meaning=meaning, **traits)
         return compute
+
+    return enter
+
+
+def course_metric(
+    name: str, unit: str, meaning: str, **traits: Unpack[Traits]
+) -> Callable[[_OfCourse], _OfCourse]:
+    """Enter a function of numbers as a metric of the whole run, or of its end, by its id.
+
+    It runs plain and compiled: what it reads of a course are fields of `RunContext`.
+    """
+
+    def enter(numbers: _OfCourse) -> _OfCourse:
+        RUN_METRICS[name] = MetricKind(
+            unit=unit,
+            compute=lambda course: read_outcome(numbers(course)),
+            meaning=meaning,
+            numbers=numbers,
+            **traits,
+        )
+        return numbers
 
     return enter

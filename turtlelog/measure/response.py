@@ -1,5 +1,6 @@
 """How a loop of a law answers its reference, on the stretch of the run in which it acts."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import dropwhile, takewhile
@@ -13,9 +14,10 @@ from turtlelog.loops import PAUSE, ControlLoop
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.outliers import compute_median
+from turtlelog.measure.reductions import fold_at_zero
 from turtlelog.measure.references import read_controlled_distance, read_reference
 from turtlelog.measure.signals import Signal
-from turtlelog.measure.step_response import fold_at_zero
+from turtlelog.measure.swings import NEVER, NOBODY_KNOWS
 from turtlelog.run import PhaseSpan, Run
 
 Values = NDArray[np.float64]
@@ -35,6 +37,7 @@ class CommandStretch:
         wanted: Before clipping, shape (m,); None where not recorded.
         limit: Magnitude at which they are clipped, None where not recorded.
         end_s: When the last one ceases to hold, from the first sample of the run [s].
+        answered_ns: When the pose of each was answered [ns], shape (m,).
     """
 
     time_s: Values
@@ -42,6 +45,7 @@ class CommandStretch:
     wanted: Values | None
     limit: float | None
     end_s: float
+    answered_ns: NDArray[np.int64]
 
     @cached_property
     def is_saturated(self) -> NDArray[np.bool_] | None:
@@ -66,7 +70,8 @@ class Response:
         loop: Whose it is.
         start_s: Start of its stretch, from the first sample of the run [s].
         rows: Its poses among those of the run.
-        time_s: From the start of the stretch [s], shape (n,), n >= 2.
+        pose_ns: Times of its poses [ns], shape (n,), n >= 2.
+        time_s: From the start of the stretch [s], shape (n,).
         values: Heading without jumps [rad], or a way [m], shape (n,).
         initial: What the step starts from: the first value, or the setting `initial`.
         reference: What the step leads to: what the loop should reach, or the setting `final`.
@@ -80,6 +85,7 @@ class Response:
     loop: ControlLoop
     start_s: float
     rows: slice
+    pose_ns: NDArray[np.int64]
     time_s: Values
     values: Values
     initial: float
@@ -88,11 +94,6 @@ class Response:
     commands: CommandStretch
     was_cut: bool
     ended_itself: bool
-
-    @property
-    def step_ends(self) -> dict[str, float]:
-        """What the step leads from and to, by the names that `step_response` gives them."""
-        return {"initial": self.initial, "reference": self.reference}
 
     @cached_property
     def error(self) -> Values:
@@ -107,8 +108,43 @@ class Response:
     @cached_property
     def folded_error(self) -> tuple[Values, Values, Values]:
         """Times [s], steps of time [s], magnitudes of the error: a row added wherever it is 0."""
-        time_s, magnitude = fold_at_zero(self.time_s, self.error)
-        return time_s, self.step_s if time_s is self.time_s else np.diff(time_s), magnitude
+        return fold_at_zero(self.time_s, self.error, None)
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether the values are headings."""
+        return self.loop.signal == "heading"
+
+    @property
+    def limit(self) -> float:
+        """Magnitude at which commands are clipped, NaN where that is not recorded."""
+        return math.nan if self.commands.limit is None else self.commands.limit
+
+    @property
+    def answered(self) -> int:
+        """How many poses there are up to the last that was answered.
+
+        The way that a robot rolls on in a pause is not the loop's doing.
+        """
+        last_ns = self.commands.answered_ns[-1]
+        return int(np.searchsorted(self.pose_ns, last_ns, side="right"))
+
+    @property
+    def clipped(self) -> int:
+        """The last pose from which on no command was at its limit, as `judge_swings` wants it."""
+        saturated = self.commands.is_saturated
+        if saturated is None:
+            return NOBODY_KNOWS
+        if not saturated.any():
+            return NEVER
+        last = len(saturated) - 1 - int(saturated[::-1].argmax())
+        last_ns = self.commands.answered_ns[last]
+        return int(np.searchsorted(self.pose_ns, last_ns, side="right")) - 1
+
+    @property
+    def memory(self) -> None:
+        """Plain functions make the arrays that they need."""
+        return
 
 
 def find_response(
@@ -139,6 +175,7 @@ def find_response(
         loop=loop,
         start_s=(start_ns - run.start_ns) / 1e9,
         rows=inside,
+        pose_ns=run.poses.time_ns[inside],
         time_s=np.maximum(run.poses.time_ns[inside] - start_ns, 0) / 1e9,
         values=values,
         initial=initial,
@@ -242,6 +279,7 @@ def _find_commands(run: Run, loop: ControlLoop, end_ns: int) -> CommandStretch:
         wanted=None if wanted is None else wanted[rows],
         limit=float(limit) if isinstance(limit, int | float) else None,
         end_s=(end_ns - run.start_ns) / 1e9,
+        answered_ns=samples.time_ns[rows],
     )
 
 

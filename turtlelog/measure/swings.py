@@ -7,14 +7,22 @@ R. M. Murray, Feedback Systems, 2nd ed., section 10.5), which may be small besid
 """
 
 import math
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.arithmetic import least
+from turtlelog.measure.reductions import find_largest, find_largest_change, find_rise_behind_peak
+
 Values = NDArray[np.float64]
 
-Verdict = Literal["rests", "swings", "away", "passing", "slow", "unknown"]
+VERDICTS: Final = ("rests", "swings", "away", "passing", "slow", "unknown")
+"""By number."""
+RESTS, SWINGS, AWAY, PASSING, SLOW, UNKNOWN = range(6)
+
+NEVER, NOBODY_KNOWS = -1, -2
+"""Instead of the last row at which a command was at its limit."""
 
 FEWEST: Final = 6
 """Whole swings from which thirds are compared: two in each, as a loop may swing further to one side
@@ -68,10 +76,8 @@ TURN_RAD: Final = 2.0 * math.pi
 most after one, and beyond they steer to the goal from the other side."""
 
 
-def judge_swings(
-    error: Values, rows: NDArray[np.int64], clipped: int | None, *, most: float = math.inf
-) -> Verdict:
-    """Return what a response does around its reference.
+def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: float) -> int:
+    """Return what a response does around its reference, as a number of `VERDICTS`.
 
     `rests`: its swings die out, or are small and do not grow. `swings`: they go on at their size,
     large or into the limit, or they grow. `away`: it ends further from the reference than it began.
@@ -81,56 +87,48 @@ def judge_swings(
     Args:
         error: Reference minus value, shape (n,), n >= 2.
         rows: Those by which it has come to the other side, as `find_crossing_rows` tells them.
-        clipped: The last row at whose time the command was at its limit, -1 where it never was;
-            None where nobody knows.
+        clipped: The last row at whose time the command was at its limit; or `NEVER`, or
+            `NOBODY_KNOWS`.
         most: Magnitude of an error beyond which no response counts as one that decays.
     """
-    size = np.abs(error)
-    largest, count = float(size.max()), len(rows) - 1
-    decays = largest <= min(BEYOND * float(size[0]), most)
-    rest = size[rows[-1] if len(rows) else 0 :]
-    is_elsewhere = _find_rise(rest) > NEAR * largest
+    count, largest = len(rows) - 1, find_largest(error)[0]
+    decays = largest <= least(BEYOND * abs(error[0]), most)
+    rest = error[rows[count] if count >= 0 else 0 :]
+    is_elsewhere = find_rise_behind_peak(rest) > NEAR * largest
     if count < 2:
-        return _judge_approach(size, largest, decays=decays, is_elsewhere=is_elsewhere)
-    peaks = np.maximum.reduceat(size[: rows[-1]], rows[:-1])
-    third = count // 3 if count >= FEWEST else 1
-    begun = count - 2 * third if count >= FEWEST else 0
-    before, after = peaks[begun : begun + third], peaks[count - third :]
-    dying, going_on = (DYING, GOING_ON) if count >= FEWEST else (HALVED, GROWN)
-    share = float(after.max() / before.max())
-    is_larger = float(rest.max()) > max(float(after.max()), NEAR * largest)
+        return _judge_approach(error, largest, decays, is_elsewhere)
+    is_long = count >= FEWEST
+    third = count // 3 if is_long else 1
+    begun = count - 2 * third if is_long else 0
+    last = count - third
+    before, after = _find_peak(error, rows, begun, third), _find_peak(error, rows, last, third)
+    share = after / before
+    is_larger = find_largest(rest)[0] > max(after, NEAR * largest)
     decays = decays and not is_elsewhere and not is_larger
-    if decays and share < dying and _falls(before) and _falls(after):
-        return "rests"
-    if (clipped is not None and clipped >= rows[begun]) or after.max() >= LARGE * largest:
-        return "swings" if share >= going_on else "unknown"
+    # Swings begin with their largest, on either side, as those do that decay.
+    falls = _find_peak(error, rows, begun, min(third, 2)) >= FALLING * before
+    falls = falls and _find_peak(error, rows, last, min(third, 2)) >= FALLING * after
+    if decays and falls and share < (DYING if is_long else HALVED):
+        return RESTS
+    if clipped >= rows[begun] or after >= LARGE * largest:
+        return SWINGS if share >= (GOING_ON if is_long else GROWN) else UNKNOWN
     # What noise leaves grows now and then; what grows by itself goes on growing.
-    grew = count < FEWEST or before.max() > peaks[:third].max()
-    is_small = decays and clipped is not None and not (grew and share > 1.0 / dying)
-    return "rests" if is_small else "unknown"
+    grew = not is_long or before > _find_peak(error, rows, 0, third)
+    is_growing = grew and share > 1.0 / (DYING if is_long else HALVED)
+    return RESTS if decays and clipped != NOBODY_KNOWS and not is_growing else UNKNOWN
 
 
-def _falls(peaks: Values) -> bool:
-    """Whether swings begin with their largest, on either side, as those do that decay."""
-    return bool(peaks[:2].max() >= FALLING * peaks.max())
+def _find_peak(error: Values, rows: NDArray[np.int64], first: int, count: int) -> float:
+    """Return the largest magnitude of so many whole swings from one on."""
+    return find_largest(error[rows[first] : rows[first + count]])[0]
 
 
-def _find_rise(rest: Values) -> float:
-    """Return how far an error grows again behind its peak, without coming to the other side.
-
-    What decays after its last crossing does not; what swings about something else than its
-    reference does.
-    """
-    falling = rest[int(rest.argmax()) :]
-    return float((falling - np.minimum.accumulate(falling)).max())
-
-
-def _judge_approach(size: Values, largest: float, *, decays: bool, is_elsewhere: bool) -> Verdict:
+def _judge_approach(error: Values, largest: float, decays: bool, is_elsewhere: bool) -> int:  # noqa: FBT001
     """Judge a response that swings less than twice."""
-    end = float(size[-1])
+    end = abs(error[-1])
     if end > NEAR * largest:
-        return "away" if end == largest and end > float(size[0]) else "slow"
+        return AWAY if end == largest and end > abs(error[0]) else SLOW
     if is_elsewhere:
-        return "unknown"
-    steps = np.abs(np.diff(size))
-    return "rests" if decays and steps[-1] <= SLOWED * float(steps.max()) else "passing"
+        return UNKNOWN
+    last_step = abs(end - abs(error[-2]))
+    return RESTS if decays and last_step <= SLOWED * find_largest_change(error) else PASSING

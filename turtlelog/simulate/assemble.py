@@ -97,7 +97,7 @@ def _chain(place: Place, effects: tuple[Effect, ...]) -> Function:
         lines.append(f"    value = do_{effect.name}({_list_arguments(step, _AT_PLACES, **words)})")
         names[f"do_{effect.name}"] = step
     head = f"def {place}(settings, state, rows, number, extra, value):"
-    return _compile(place, [head, *lines, "    return value"], names)
+    return compile_text(place, [head, *lines, "    return value"], names)
 
 
 @lru_cache(maxsize=64)
@@ -115,7 +115,7 @@ def bind_step(step: Function) -> Function:
         )
     call = f"    return step({_list_arguments(step, _OF_LAW)})"
     head = "def decide(settings, state, rows, row, time_ns, pose):"
-    return _compile("decide", [head, call], {"step": step})
+    return compile_text("decide", [head, call], {"step": step})
 
 
 @lru_cache(maxsize=64)
@@ -131,7 +131,7 @@ def bind_states(states: tuple[str, ...]) -> Function:
         lines.append(f"    return {known}")
     from turtlelog.arithmetic import begin_row
 
-    return _compile("record", lines, {"begin_row": begin_row, "math": math})
+    return compile_text("record", lines, {"begin_row": begin_row, "math": math})
 
 
 def _list_arguments(step: Function, known: dict[str, str], **words: str) -> str:
@@ -144,7 +144,8 @@ def list_parameters(step: Function) -> list[str]:
     return [*signature(step).parameters]
 
 
-def _compile(name: str, lines: list[str], names: dict[str, Any]) -> Function:
+def compile_text(name: str, lines: list[str], names: dict[str, Any]) -> Function:
+    """Return the function that lines define, which calls others by names."""
     scope: dict[str, Any] = {**names, "__name__": __name__}
     text = "\n".join(lines)
     exec(compile(text, f"<{name} of the loop>", "exec"), scope)

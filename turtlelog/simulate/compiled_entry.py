@@ -25,14 +25,16 @@ def run_loop(all_settings, states, rows):
     return STAMP
 
 
-def run_rows(simulate, measure, begun, rows, facts, scratch, entries):
-    """Simulate and measure rows, each in the same arrays; numbers and statuses are entered.
+def run_rows(simulate, measure, begun, rows, told, entries):
+    """Simulate and measure rows, each in the same arrays; numbers and reasons are entered.
 
     `simulate` is a loop and `measure` measures its run. Both are pointers here: with their code in
-    this one, both would be compiled anew. `begun` are settings, states and lines of each row.
+    this one, both would be compiled anew. `begun` are settings, states and lines of each row;
+    `told` what `measure` is told beside: facts, loops and memory.
     """
     all_settings, states, lines = begun
-    values, status, asked = entries
+    facts, loops, memory = told
+    asked, values, reasons = entries
     fact = facts[0]
     for number in range(len(all_settings)):
         after = number + 1
@@ -45,6 +47,6 @@ def run_rows(simulate, measure, begun, rows, facts, scratch, entries):
         fact.is_cut, fact.is_late = now.stop < 0, now.stop == TIMEOUT
         fact.speed_limit = settings.limits.speed_m_s
         fact.turn_limit = settings.limits.turn_rate_rad_s
-        entry = (values[number], status[number], asked)
-        measure(facts, rows.ticks, rows.samples, lines[number:after], scratch, entry)
+        entry = (asked, values[number], reasons[number])
+        measure(facts, rows.ticks, rows.samples, lines[number:after], loops, memory, entry)
     return STAMP

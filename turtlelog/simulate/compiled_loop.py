@@ -203,43 +203,37 @@ def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Com
     signature = types.int64(*map(typeof, _list_examples(kinds)))
     name = name_loop(law, plant, states)
     try:
-        run = _compile_entry(compiled_entry.run_loop, name, scope, signature)
+        run = compile_entry(compiled_entry.run_loop, name, scope, signature)
     except NumbaError as err:
         raise TwinError(describe_numba_error(str(err))) from err
     return CompiledLoop(law, plant, states, kinds, run, not run.stats.cache_hits)
 
 
-def compile_rows(loop: CompiledLoop, measure: Any, measures: Any, line: Any, facts: Any) -> Any:
+def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
     """Return what simulates rows by a loop and measures them, compiled.
 
     Args:
         loop: That simulates them.
         measure: That measures a row, compiled.
         measures: Its type.
-        line: Record of a line.
-        facts: Record of what `measure` is told.
     """
-    from numba import from_dtype, typeof, types
+    from numba import typeof, types
 
-    def list_array(kind: Any, dimensions: int = 1) -> Any:
-        return types.Array(from_dtype(np.dtype(kind)), dimensions, "C")
-
-    examples = [*map(typeof, _list_examples(loop.kinds))]
-    entries = list_array(np.float64, 2), list_array(np.int8, 2), list_array(np.bool_)
+    settings, states, rows = map(typeof, _list_examples(loop.kinds))
+    facts, _, _, line, loops, memory, (asked, values, reasons) = measures.args
     signature = types.int64(
-        types.FunctionType(types.int64(*examples)),
+        types.FunctionType(types.int64(settings, states, rows)),
         types.FunctionType(measures),
-        types.Tuple([*examples[:2], list_array(line)]),
-        examples[2],
-        list_array(facts),
-        list_array(np.float64, 2),
-        types.Tuple(entries),
+        types.Tuple([settings, states, line]),
+        rows,
+        types.Tuple([facts, loops, memory]),
+        types.Tuple([asked, values.copy(ndim=2), reasons.copy(ndim=2)]),
     )
     stamp = name_loop(loop.law, loop.plant, loop.states).rpartition("_")[2]
     timeout = loop.law.stops.index("timeout") + 1 if "timeout" in loop.law.stops else 0
     scope = {"STAMP": int(stamp[:12], 16), "TIMEOUT": timeout}
     name = f"rows_{name_loop(loop.law, loop.plant, loop.states)}"
-    made = _compile_entry(compiled_entry.run_rows, name, scope, signature)
+    made = compile_entry(compiled_entry.run_rows, name, scope, signature)
     return partial(made, loop.run, measure)
 
 
@@ -247,19 +241,19 @@ def _list_examples(kinds: Kinds) -> tuple[Any, ...]:
     return np.empty(1, kinds.settings), np.empty(1, kinds.state), kinds.allocate(1, 1)
 
 
-def _compile_entry(entry: Any, name: str, scope: dict[str, Any], signature: Any) -> Any:
+def compile_entry(entry: Any, name: str, scope: dict[str, Any], signature: Any) -> Any:
     """Return an outermost function compiled under a name, by which numba's cache knows it.
 
     What the cache has of older versions is removed.
     """
     from numba import njit
 
-    scope = {**scope, "__name__": compiled_entry.__name__}
+    scope = {**scope, "__name__": entry.__module__}
     bound = FunctionType(entry.__code__, scope, entry.__name__)
-    bound.__qualname__, bound.__module__ = name, compiled_entry.__name__
+    bound.__qualname__, bound.__module__ = name, entry.__module__
     made = njit(signature, nogil=True, cache=True, error_model="numpy", _nrt=False)(bound)
     if not made.stats.cache_hits:
-        remove_others(compiled_entry.__name__, name.rpartition("_")[0], name)
+        remove_others(entry.__module__, name.rpartition("_")[0], name)
     return made
 
 

@@ -55,6 +55,8 @@ def find_globals(function: FunctionType) -> dict[str, Any]:
 
 def take_twin(thing: Any) -> Any:
     """Return what compiled code has in place of a function or another thing."""
+    if isinstance(thing, FunctionType):
+        thing = getattr(thing, "twin", thing)
     return TWINS.get(thing, thing) if callable(thing) else thing
 
 
@@ -101,7 +103,7 @@ class _Stamp:
     def _add_function(self, function: FunctionType) -> None:
         code = function.__code__
         place = f"{code.co_filename}, line {code.co_firstlineno}: {function.__qualname__}"
-        self.add_text(getattr(function, "is_called", False))
+        self.add_text(getattr(function, "is_called", False), hasattr(function, "is_inlined"))
         self._add_code(code, function.__doc__, place)
         for name, one in find_globals(function).items():
             self.add(one, f"{place}: {name}")
@@ -125,8 +127,14 @@ def _describe(thing: Any, place: str) -> tuple[str, Any]:
 class Twins:
     """Compiles functions, and those that they call."""
 
-    def __init__(self) -> None:
-        """Begin. Numba is loaded."""
+    def __init__(self, *, inline: bool = True, wide: frozenset[str] = frozenset()) -> None:
+        """Begin. Numba is loaded.
+
+        Args:
+            inline: Whether functions are repeated where they are called; LLVM's choice otherwise.
+            wide: Names of first parameters with dozens of fields: to hand them over takes longer to
+                compile than the function, which becomes a part of what calls it.
+        """
         from numba import njit
 
         # No Python calls these functions, which would crash: that would take a third longer.
@@ -138,8 +146,10 @@ class Twins:
             "no_cfunc_wrapper": True,
             "_nrt": False,
         }
-        self._inline, self._call = njit(forceinline=True, **options), njit(**options)
-        self._known: dict[Function, Any] = {}
+        self._call = njit(**options)
+        self._inline = njit(forceinline=True, **options) if inline else self._call
+        self._part = njit(inline="always", **options)
+        self._wide, self._known = wide, dict[Function, Any]()
 
     def compile(self, function: Function) -> Any:
         """Return the compiled twin of a function.
@@ -152,11 +162,18 @@ class Twins:
             if not isinstance(source, FunctionType):
                 raise TwinError(f"expected a function of Python, found {source!r:.60}")
             scope = {name: self._take(thing) for name, thing in find_globals(source).items()}
-            scope |= {"__name__": source.__module__ or __name__, "__builtins__": builtins}
+            # Code from the cache asks for its module: a law's own may be another one by then.
+            scope |= {"__name__": __name__, "__builtins__": builtins}
             bound = FunctionType(source.__code__, scope, source.__name__)
-            make = self._call if getattr(source, "is_called", False) else self._inline
-            self._known[function] = make(bound)
+            self._known[function] = self._choose(source)(bound)
         return self._known[function]
+
+    def _choose(self, source: FunctionType) -> Any:
+        """Return what compiles a function."""
+        if getattr(source, "is_called", False):
+            return self._call
+        is_wide = not self._wide.isdisjoint(source.__code__.co_varnames[:1])
+        return self._part if is_wide or hasattr(source, "is_inlined") else self._inline
 
     def _take(self, thing: Any) -> Any:
         is_ours = isinstance(thing, FunctionType) or (callable(thing) and thing in TWINS)

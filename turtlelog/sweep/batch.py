@@ -4,8 +4,9 @@ What is not compiled, of a law, a metric or a row that fails, takes the path of 
 Either way a row has the numbers of a single run, bit for bit.
 """
 
+import math
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
@@ -21,36 +22,33 @@ from turtlelog.measure import measure_run
 from turtlelog.parts import Plant
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import simulate_run
-from turtlelog.simulate.compiled_run import draw_streams, name_stop
-from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, find_saving
-from turtlelog.sweep.batch_rows import (
+from turtlelog.simulate import declare_scenario, simulate_run
+from turtlelog.simulate.compiled_run import CompiledRunner, draw_streams, name_stop
+from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
+from turtlelog.simulate.scenario_law import is_built_in
+from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
+from turtlelog.sweep.batch_columns import (
     FACTS,
-    LINE,
-    Kind,
-    PreparedRows,
-    find_kind,
-    find_line,
-    prepare_rows,
-)
-from turtlelog.sweep.batch_table import (
-    ABSENT,
-    COLUMN_OF,
-    COLUMNS,
-    NO_PHASE,
-    OF_LOOPS,
+    FIRST_POSE,
     OK,
-    POSITION_ERROR,
-    RUN_AT,
+    STATUS_OF,
     STATUSES,
     TOO_LARGE,
-    TOO_SHORT,
-    RunColumn,
+    allocate_memory,
+    build_loops,
+    count_columns,
+    find_column,
+    is_angle,
+    is_covered,
+    name_measurement,
+    type_measurement,
 )
+from turtlelog.sweep.batch_kernel import NO_PHASE
+from turtlelog.sweep.batch_rows import Kind, PreparedRows, find_kind, find_line, prepare_rows
 from turtlelog.sweep.plan import build_row_scenario
 
-_MEASURING: Final = "turtlelog.sweep.batch_kernel"
-_MEASURING_S: Final = 2.0
+_MEASURING: Final = "turtlelog.sweep.batch_entry"
+_MEASURING_S: Final = 5.0
 """What compiling the measurement takes, beside the loop, longer than the loop alone [s]."""
 
 _NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])
@@ -58,8 +56,9 @@ _NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])
 _STRETCH: Final = 32
 """Rows in one call: long enough to cost nothing, short enough that all cores end together."""
 
-_WHERE_NONE: Final = {"final.goal_heading_error": ABSENT, "run.largest_gap": TOO_SHORT}
-"""Status of a metric of the run that is NaN: no heading is wanted, or there is one sample."""
+
+_COMPARED: Final[set[CompiledLoops]] = set()
+"""Code of laws of the user's own that this process has compared with plain runs."""
 
 
 class Batch(NamedTuple):
@@ -84,16 +83,19 @@ def _load(kind: Kind) -> Batch:
     from turtlelog.simulate.compiled_loop import compile_loop, compile_rows
 
     loop = compile_loop(*kind)
-    kernel = import_beside(_MEASURING)
-    rows = compile_rows(loop, kernel.measure_row, kernel.MEASURE, LINE, FACTS)
-    return Batch(loop, rows)
+    measurement = import_beside(_MEASURING)
+    return Batch(loop, compile_rows(loop, measurement.MEASURE, type_measurement()))
 
 
 def _is_kept(kind: Kind) -> bool:
     from turtlelog.simulate.compiled_loop import name_loop
 
-    name = name_loop(*kind)
-    return is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}") and is_kept(_MEASURING)
+    try:
+        name = name_loop(*kind)
+    except TypeError:  # it cannot be compiled, which is said where that is tried
+        return False
+    is_measured = is_kept(_MEASURING, name_measurement())
+    return is_measured and is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}")
 
 
 def find_batch(base: Scenario) -> CompiledLoops | None:
@@ -117,6 +119,7 @@ class MeasuredRows:
         samples: How many each row had, shape (n,).
         compiled: How many rows the compiled loop simulated and measured.
         interpreted: How many took the path of a single run.
+        notes: On the compiled code of a law of the user's own, one line each.
     """
 
     values: Mapping[str, NDArray[np.float64]]
@@ -126,6 +129,7 @@ class MeasuredRows:
     samples: NDArray[np.int64]
     compiled: int = 0
     interpreted: int = 0
+    notes: tuple[str, ...] = ()
 
 
 def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
@@ -137,6 +141,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     threads: int | None = None,
     first: int = 0,
     ahead: int = 0,
+    step_budget_s: float = STEP_BUDGET_S,
 ) -> MeasuredRows:
     """Simulate rows that vary a scenario, and return their metrics.
 
@@ -149,6 +154,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
         first: Number of the first row, after which its scenario is named.
         ahead: How many rows this process has before it, about: whether compiled loops are worth
             loading.
+        step_budget_s: Time that a law may compute for one answer [s].
 
     Raises:
         SweepError: Where columns have different lengths, or there are none.
@@ -157,33 +163,36 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     counts = {len(column) for column in columns.values()}
     if len(counts) != 1:
         raise SweepError(f"rows: expected columns of one length, found {sorted(counts) or 'none'}")
-    work = _Work(base, columns, metrics, plant, first)
+    work = _Work(base, columns, metrics, plant, first, step_budget_s)
     rest: Sequence[int] = range(work.count)
-    if COLUMN_OF.keys() >= {*metrics}:
-        batch = find_batch(base)
-        kernel = None if batch is None else batch.find()
-        if kernel is None and batch is not None and work.count:
+    batch = find_batch(base) if all(map(is_covered, metrics)) else None
+    if batch is not None:
+        kernel = batch.find()
+        if kernel is None and work.count:
             work.measure_alone(0)
             rest = range(1, work.count)
             rows = max(work.count, ahead)
             kernel = batch.expect(int(work.result.samples[0]) * rows, find_saving(base))
         if kernel is not None:
-            rest = work.run_compiled(kernel, rest, count_cores() if threads is None else threads)
+            threads = count_cores() if threads is None else threads
+            rest = work.run_compiled(batch, kernel, rest, threads)
+        if batch.problem is not None:
+            work.notes.append(f"law {base.law.kind} runs plain: {batch.problem}")
     for row in rest:
         work.measure_alone(row)
     return work.finish()
 
 
 class _Cells(NamedTuple):
-    """What the compiled code enters of rows, in the columns of `batch_table`.
+    """What the compiled code enters of rows, in the columns of `batch_columns`.
 
     Attributes:
-        values: NaN where nothing was entered, shape (n, `COLUMNS`).
-        status: Numbers of `STATUSES`, shape (n, `COLUMNS`).
+        values: NaN where nothing was entered, shape (n, columns).
+        reasons: Numbers of the reasons why there is none, shape (n, columns).
     """
 
     values: NDArray[np.float64]
-    status: NDArray[np.int8]
+    reasons: NDArray[np.int16]
 
 
 class _Work:
@@ -196,10 +205,13 @@ class _Work:
         metrics: Sequence[str],
         plant: Plant | None,
         first: int,
+        step_budget_s: float,
     ) -> None:
         self.count = count = len(next(iter(columns.values())))
         self._base, self._columns, self._metrics = base, columns, tuple(metrics)
-        self._plant, self._first = plant, first
+        self._plant, self._first, self._step_budget_s = plant, first, step_budget_s
+        self._is_own = False
+        self.notes: list[str] = []
         self._compiled = 0
         self._local = threading.local()
         self.result = MeasuredRows(
@@ -221,17 +233,15 @@ class _Work:
             samples=result.samples,
             compiled=self._compiled,
             interpreted=self.count - self._compiled,
+            notes=tuple(self.notes),
         )
 
     def measure_alone(self, row: int) -> None:
         """Simulate and measure a row as a single run."""
         result = self.result
-        keys = tuple(self._columns)
-        values = [column[row] for column in self._columns.values()]
         try:
-            scenario = build_row_scenario(self._base, keys, values, self._first + row)
-            scenario = resolve_scenario(scenario)
-            run = simulate_run(scenario, self._plant)
+            scenario = self._build_scenario(row)
+            run = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
         except TurtlelogError as err:
             if isinstance(err, SimulationError) and err.run is not None:
                 result.samples[row] = len(err.run.samples)
@@ -243,9 +253,42 @@ class _Work:
             if metric.value is not None:
                 result.values[name][row] = metric.value
 
-    def run_compiled(self, kernel: Any, rows: Sequence[int], threads: int) -> list[int]:
+    def _build_scenario(self, row: int) -> Scenario:
+        keys, values = tuple(self._columns), [column[row] for column in self._columns.values()]
+        scenario = build_row_scenario(self._base, keys, values, self._first + row)
+        return resolve_scenario(scenario)
+
+    def run_compiled(
+        self, batch: CompiledLoops, kernel: Batch, rows: Sequence[int], threads: int
+    ) -> Sequence[int]:
         """Simulate and measure what is compiled; return the rows that are not."""
+        self._is_own = not is_built_in(kernel.loop.law)
+        try:
+            if self._is_own and rows and batch not in _COMPARED:
+                _COMPARED.add(batch)
+                self._compare(kernel, rows[0])
+            return self._run_compiled(kernel, rows, threads)
+        except StepBudgetError as err:
+            batch.give_up(f"when compiled, one step {err}")
+            return rows
+
+    def _compare(self, kernel: Batch, row: int) -> None:
+        """Note by how much a row of a law of the user's own differs when compiled."""
+        try:
+            scenario = self._build_scenario(row)
+            plain = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
+        except TurtlelogError:  # the row says so
+            return
+        plant = scenario.plant.facts if self._plant is None else self._plant
+        runner = CompiledRunner(self._step_budget_s)
+        compiled = runner.simulate(kernel.loop, scenario, plant)
+        if compiled is not None:
+            self.notes += describe_difference(scenario.law.kind, plain, compiled)
+
+    def _run_compiled(self, kernel: Batch, rows: Sequence[int], threads: int) -> list[int]:
         base = resolve_scenario(self._base)
+        self._declaration = declare_scenario(base)
+        self._places = {name: find_column(name, self._declaration) for name in self._metrics}
         prepared = prepare_rows(base, self._columns, rows, self._plant)
         cells = self._run_all(kernel, prepared, threads)
         # The line from start to goal is known before, unless the robot is pushed as it waits.
@@ -253,7 +296,7 @@ class _Work:
         if len(moved):
             again = prepared.take(moved)
             part = self._run_all(kernel, again, threads)
-            cells.values[moved], cells.status[moved] = part
+            cells.values[moved], cells.reasons[moved] = part
             prepared.states[moved] = again.states
         now = prepared.states["now"] if len(prepared.rows) else _NO_ROWS
         good = (now["failure"] == 0) & (now["samples"] > 0)
@@ -263,10 +306,13 @@ class _Work:
 
     def _run_all(self, kernel: Any, prepared: PreparedRows, threads: int) -> _Cells:
         """Simulate and measure prepared rows from their starts; their states are how they end."""
-        shape = len(prepared.rows), COLUMNS
-        cells = _Cells(np.full(shape, np.nan), np.full(shape, OK, np.int8))
+        loops = build_loops(self._declaration)
+        assert loops is not None
+        shape = len(prepared.rows), count_columns(len(loops))
+        cells = _Cells(np.full(shape, np.nan), np.zeros(shape, np.int16))
         prepared.begin()
-        asked = np.isin(np.arange(COLUMNS), [COLUMN_OF[name] for name in self._metrics])
+        asked = np.zeros(shape[1], np.bool_)
+        asked[[place for place in self._places.values() if place is not None]] = True
         order = np.argsort(prepared.seeds, kind="stable")
         cuts = np.flatnonzero(np.diff(prepared.seeds[order])) + 1
         stretches = [
@@ -276,13 +322,13 @@ class _Work:
         ]
 
         def run(stretch: NDArray[np.int64]) -> None:
-            memory, scratch = self._find_memory(kernel, prepared, int(prepared.seeds[stretch[0]]))
-            part = cells.values[stretch], cells.status[stretch], asked
-            states = prepared.states[stretch]
-            settings, lines = prepared.settings[stretch], prepared.lines[stretch]
-            kernel.run_rows((settings, states, lines), memory, np.zeros(1, FACTS), scratch, part)
-            cells.values[stretch], cells.status[stretch] = part[:2]
-            prepared.states[stretch] = states
+            rows, memory = self._find_memory(kernel, prepared, int(prepared.seeds[stretch[0]]))
+            part = asked, cells.values[stretch], cells.reasons[stretch]
+            begun = prepared.settings[stretch], prepared.states[stretch], prepared.lines[stretch]
+            told = np.zeros(1, FACTS), loops, memory
+            self._call(partial(kernel.run_rows, begun, rows, told, part), begun[1])
+            _, cells.values[stretch], cells.reasons[stretch] = part
+            _, prepared.states[stretch], _ = begun
 
         if threads == 1 or len(stretches) == 1:
             for stretch in stretches:
@@ -293,29 +339,38 @@ class _Work:
                 pass
         return cells
 
-    def _find_memory(
-        self, kernel: Batch, prepared: PreparedRows, seed: int
-    ) -> tuple[Any, NDArray[np.float64]]:
-        """Return arrays of this thread, with the random numbers of a seed."""
+    def _call(self, run: Callable[[], Any], states: NDArray[Any]) -> None:
+        """Call compiled code; with a law of the user's own where it may never return."""
+        if not self._is_own:
+            run()
+            return
+        local = self._local
+        kept = {name: vars(local).pop(name) for name in ("rows", "memory", "seed")}
+        if not hasattr(local, "watched"):
+            local.watched = WatchedCode(self._step_budget_s)
+        local.watched.call(run, lambda: int(states["now"]["samples"].sum()))
+        vars(local).update(kept)
+
+    def _find_memory(self, kernel: Batch, prepared: PreparedRows, seed: int) -> tuple[Any, Any]:
+        """Return arrays of this thread: of the loop, with random numbers, and of measuring."""
         local = self._local
         ticks, samples = prepared.ticks, prepared.samples
         if (
-            not hasattr(local, "memory")
-            or len(local.memory.ticks) < ticks
-            or (len(local.memory.samples) < samples)
+            not hasattr(local, "rows")
+            or len(local.rows.ticks) < ticks
+            or (len(local.rows.samples) < samples)
         ):
-            memory = kernel.loop.kinds.allocate(ticks, samples)
-            local.memory = memory._replace(table=prepared.table)
-            local.scratch = np.empty((4, ticks))
+            local.rows = kernel.loop.kinds.allocate(ticks, samples)._replace(table=prepared.table)
+            local.memory = allocate_memory(ticks, samples, len(self._declaration.loops))
             local.seed = None
         if local.seed != seed:
-            draw_streams(local.memory, prepared.streams, seed, ticks, samples)
+            draw_streams(local.rows, prepared.streams, seed, ticks, samples)
             local.seed = seed
-        return local.memory, local.scratch
+        return local.rows, local.memory
 
     def _correct_lines(self, prepared: PreparedRows, cells: _Cells) -> NDArray[np.int64]:
         """Give rows the line from where they were first read; return those that had another."""
-        read = cells.values[:, [RUN_AT + RunColumn.FIRST_X_M, RUN_AT + RunColumn.FIRST_Y_M]]
+        read = cells.values[:, FIRST_POSE]
         lines = prepared.lines
         other = (read[:, 0] != lines["x_m"]) | (read[:, 1] != lines["y_m"])
         other &= ~np.isnan(read[:, 0])
@@ -338,24 +393,13 @@ class _Work:
         for row, reason in zip(rows, now["stop"][good].tolist(), strict=True):
             result.stop_reasons[row] = name_stop(law, reason)
         for name in self._metrics:
-            place = good, COLUMN_OF[name]
-            column, found = cells.values[place], cells.status[place]
-            if name == POSITION_ERROR:
-                column = _find_position_error(cells.values[good], prepared.settings[good])
-            if name not in OF_LOOPS:
-                found = np.where(np.isfinite(column), OK, TOO_LARGE).astype(np.int8)
-                if name in _WHERE_NONE:
-                    found[np.isnan(column)] = _WHERE_NONE[name]
-            if name.startswith("reorient."):
-                found = np.where(prepared.settings["law"]["reorient"][good], found, NO_PHASE)
-            result.values[name][rows] = np.where(found == OK, column, np.nan)
-            result.statuses[name][rows] = found
-
-
-def _find_position_error(
-    values: NDArray[np.float64], settings: NDArray[Any]
-) -> NDArray[np.float64]:
-    """Return how far from the goal the last pose is [m]."""
-    ahead_m = settings["goal"]["x_m"] - values[:, RUN_AT + RunColumn.X_M]
-    left_m = settings["goal"]["y_m"] - values[:, RUN_AT + RunColumn.Y_M]
-    return np.asarray(np.hypot(ahead_m, left_m))
+            place = self._places[name]
+            if place is None:
+                result.statuses[name][rows] = STATUS_OF[NO_PHASE]
+                continue
+            column, status = cells.values[good, place], STATUS_OF[cells.reasons[good, place]]
+            if is_angle(name, self._declaration):
+                column *= math.degrees(1.0)
+            status[(status == OK) & ~np.isfinite(column)] = TOO_LARGE
+            result.values[name][rows] = np.where(status == OK, column, np.nan)
+            result.statuses[name][rows] = status

@@ -1,295 +1,385 @@
-"""Many rows in one call: each simulated by a compiled loop, then measured from its arrays.
+"""What the batch reads of a simulated row: the curve of each loop, and the course of the run.
 
-The numbers are those of `measure`, operation by operation, so that they are the same bit for bit:
-here the stretch of a loop, as `response` finds it; beside it the metrics of its curve
-(`batch_step_response`), whether its swings die out (`batch_swings`), and sums and searches along
-the rows (`batch_sums`). What rests on the cosine or the root of a library is left to numpy, as
-there: the line from start to goal is given, and of the end the places are returned.
+The functions are compiled, as those of `measure` that they call: the metrics themselves stand
+there. Fields are called as those of `Response` and `RunContext`, and are the same bit for bit. What
+rests on the cosine of a library is left to numpy, as there: the line from start to goal is given.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
-import numpy as np
-from numba import njit, types
+from numpy import arctan2, fmod, hypot, rint
 
-from turtlelog import arithmetic
-from turtlelog.compiled_loops import sum_up_sources
-from turtlelog.laws import sequential
-from turtlelog.laws.sequential import REORIENT, ROTATE, TRANSLATE
-from turtlelog.measure import metric, registry, step_response, swings
-from turtlelog.measure.registry import LOOP_METRICS
-from turtlelog.measure.table import loop_metrics
-from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
-from turtlelog.simulate import compiled_arithmetic, rows, twins
-from turtlelog.simulate.compiled_loop import SAMPLE, TICK
-from turtlelog.sweep import (
-    batch_functions,
-    batch_rows,
-    batch_step_response,
-    batch_sums,
-    batch_swings,
-    batch_table,
-)
-from turtlelog.sweep.batch_functions import list_array, measure, wrap_angle
-from turtlelog.sweep.batch_rows import FACTS, LINE
-from turtlelog.sweep.batch_step_response import measure_response
-from turtlelog.sweep.batch_sums import (
-    find_cross_track,
-    find_largest_gap,
-    find_sample,
-    measure_way,
-    share_saturated,
-)
-from turtlelog.sweep.batch_swings import judge_swings
-from turtlelog.sweep.batch_table import (
-    NO_PHASE,
-    NO_STEP,
-    OK,
-    RUN_AT,
-    TOO_SHORT,
-    LoopMetric,
-    RunColumn,
-)
+from turtlelog.arithmetic import called, wrap_angle
+from turtlelog.measure.metric import Status, add_reason
+from turtlelog.measure.reductions import USES
 
-_COUNT = len(LoopMetric)
-_IS_ANGLE = np.array([LOOP_METRICS[metric.ending].unit == "{value}" for metric in LoopMetric])
-_TO_DEGREES = 180.0 / math.pi
-_TURN_RAD = 2.0 * math.pi
+NO_PHASE: Final = add_reason(Status.NO_PHASE, "the run has no such phase")
+_TOO_SHORT: Final = add_reason(Status.TOO_SHORT, "less than two poses in the loop")
+_NO_REFERENCE: Final = add_reason(Status.ABSENT, "the reference is not known")
+_NO_SAMPLES: Final = -1
+
+SIGNALS: Final = ("heading", "along_track", "cross_track", "distance")
+REFERENCES: Final = ("zero", "goal_bearing", "goal_distance", "goal_heading", "bearing_now")
+"""What loops may control and follow, by number."""
+_HEADING, _ALONG, _CROSS, _DISTANCE = range(4)
+_ZERO, _GOAL_BEARING, _GOAL_DISTANCE, _GOAL_HEADING, _BEARING_NOW = range(5)
+
+_TURN_RAD: Final = 2.0 * math.pi
 
 
-class _Stretch(NamedTuple):
-    """Where a loop acts: from the first pose to the one after the last, from when [ns].
+class Memory(NamedTuple):
+    """Arrays that are filled anew for every row, as long as it may have poses or samples.
 
-    `is_cut` and `is_own` are `was_cut` and `ended_itself` of a `Response`; no poses: no phase.
+    Attributes:
+        numbers: One row of each use: those of `reductions`, then those that are named here.
+        rows: Numbers of rows.
+        spans: Of `SPAN`, of each loop.
     """
 
-    first: int
-    after: int
-    start_ns: int
-    period_ns: int
-    is_cut: bool
-    is_own: bool
+    numbers: Any
+    rows: Any
+    spans: Any
 
 
-class _Step(NamedTuple):
-    """What a loop should do."""
+_HEADINGS, _VALUES, _ERROR, _TIMES, _STEPS, _COMMAND_TIMES, _COMMANDS = range(USES, USES + 7)
+USES_OF_ROW: Final = USES + 7
 
+
+class Commands(NamedTuple):
+    """As of a `CommandStretch`."""
+
+    time_s: Any
+    values: Any
+
+
+class Curve(NamedTuple):
+    """As of a `Response`."""
+
+    time_s: Any
+    step_s: Any
+    values: Any
+    error: Any
     initial: float
     reference: float
     band: float
+    start_s: float
+    ended_itself: bool
+    was_cut: bool
+    is_angle: bool
+    answered: int
+    clipped: int
+    limit: float
+    commands: Commands
+    memory: Memory
 
 
-class _Row(NamedTuple):
-    """What a row is measured from."""
+class Course(NamedTuple):
+    """As of a `RunContext`."""
+
+    x_m: Any
+    y_m: Any
+    samples: Any
+    goal: tuple[float, float, float]
+    line: tuple[float, float, float, float]
+    start_ns: int
+    period_ns: int
+    first_row: int
+    sample_count: int
+    duration_s: float
+    last_pose_s: float
+    last_heading_rad: float
+    last_cross_track_m: float
+    heading_error_rad: float
+    is_robot: bool
+    memory: Memory
+
+
+class Row(NamedTuple):
+    """What a row is measured from.
+
+    Attributes:
+        facts: Of the run.
+        ticks: Its poses.
+        samples: Its samples.
+        line: From start to goal.
+        loops: Of its law.
+        memory: To work in.
+        start_ns: Time of the first sample.
+        end_ns: Time of the last row of any column.
+    """
 
     facts: Any
     ticks: Any
     samples: Any
     line: Any
+    loops: Any
+    memory: Memory
+    start_ns: int
+    end_ns: int
 
 
-class _Entry(NamedTuple):
-    """The columns of a loop, or of a row: values, statuses, and which are asked for."""
+def is_any(asked: Any, first: int, after: int) -> bool:
+    """Return whether any column is asked for between two."""
+    count = 0
+    for column in range(first, after):
+        count += asked[column]
+    return count > 0
 
-    values: Any
-    status: Any
-    asked: Any
+
+def prepare_row(facts: Any, ticks: Any, samples: Any, loops: Any, memory: Any) -> tuple[int, int]:
+    """Unwrap the headings, find the samples of loops; return when the run begins and ends [ns]."""
+    end_ns = max((facts.ticks - 1) * facts.period_ns, samples[-1].time_ns)
+    if facts.published > 0:
+        end_ns = max(end_ns, samples[facts.published - 1].published_ns)
+    _unwrap(ticks, memory.numbers[_HEADINGS])
+    _find_spans(samples, loops, memory.spans)
+    return samples[0].time_ns, end_ns
 
 
-@measure
-def _unwrap(ticks: Any, count: int, heading_rad: Any) -> None:
+def _unwrap(ticks: Any, heading_rad: Any) -> None:
     """Count the heading through full turns, as numpy's unwrap."""
     turned = 0.0
-    heading_rad[0] = ticks[0].heading_rad
-    for row in range(1, count):
-        step = ticks[row].heading_rad - ticks[row - 1].heading_rad
-        if abs(step) > math.pi:
-            rest = np.fmod(step + math.pi, _TURN_RAD)
-            if rest < 0.0:
-                rest += _TURN_RAD
-            turned += (rest - math.pi) - step
-        heading_rad[row] = ticks[row].heading_rad + turned
+    before = heading_rad[0] = ticks[0].heading_rad
+    for row in range(1, len(ticks)):
+        now = ticks[row].heading_rad
+        turned += _find_turn(now - before)
+        heading_rad[row] = now + turned
+        before = now
 
 
-@measure
-def _project(ticks: Any, count: int, line: Any, along_m: Any) -> None:
-    for row in range(count):
-        x_m, y_m = ticks[row].x_m - line.x_m, ticks[row].y_m - line.y_m
-        along_m[row] = x_m * line.cos + y_m * line.sin
+def _find_turn(step_rad: float) -> float:
+    """Return what numpy's unwrap adds to an angle from a step on."""
+    if abs(step_rad) <= math.pi:
+        return 0.0
+    rest: float = fmod(step_rad + math.pi, _TURN_RAD)
+    if rest < 0.0:
+        rest += _TURN_RAD
+    return rest - math.pi - step_rad
 
 
-@measure
-def _find_stretch(row: Any, end_ns: int, phase: int) -> Any:
-    """Return where the loop of a phase acts; -1 as its first row without such samples."""
-    facts, samples, period_ns = row.facts, row.samples, row.facts.period_ns
-    first = find_sample(samples, facts.samples, phase)
-    after = find_sample(samples, facts.samples, phase + 1)
-    if first == after:
-        return _Stretch(-1, -1, 0, period_ns, False, False)  # noqa: FBT003
-    start_ns, goes_on = samples[first].time_ns, after < facts.samples
-    last_ns = samples[after].time_ns if goes_on else end_ns
+def _find_spans(samples: Any, loops: Any, spans: Any) -> None:
+    """Find the samples of each loop's first stretch, and the last of all its samples."""
+    for number in range(len(loops)):
+        spans[number].first = spans[number].after = spans[number].last = _NO_SAMPLES
+        spans[number].end = len(samples)
+    begin, count = 0, len(samples)
+    while begin < count:
+        phase, after = samples[begin].phase, begin + 1
+        while after < count and samples[after].phase == phase:
+            after += 1
+        for number in range(len(loops)):
+            _add_samples(loops[number], spans[number], phase, begin, after)
+        begin = after
+
+
+def _add_samples(loop: Any, span: Any, phase: int, begin: int, after: int) -> None:
+    """Add samples of one phase: what follows on those of a loop, or on a pause, belongs to it."""
+    if loop.phases >> phase & 1 != 0:
+        if span.first < 0:
+            span.first = begin
+        if span.after < 0 or span.after == begin:
+            span.after = after
+        span.last = after - 1
+    elif span.first >= 0 and begin < span.end and phase != loop.pause:
+        span.end = begin
+
+
+def find_stretch(row: Row, number: int) -> tuple[int, int, int]:
+    """Return the first pose of a loop, the one after its last, and why there is no curve, or 0."""
+    facts, span, period_ns = row.facts, row.memory.spans[number], row.facts.period_ns
+    if span.first < 0:
+        return 0, 0, NO_PHASE
+    start_ns = row.samples[span.first].time_ns
     pose = -(-start_ns // period_ns)
     if 0 < pose < facts.ticks and pose * period_ns != start_ns:
         pose -= 1
-    is_own = not (facts.is_cut or facts.is_late) or last_ns < end_ns
-    is_own = is_own or goes_on or _ends_blocked(facts, samples, end_ns)
-    is_cut = facts.is_cut and last_ns == end_ns
-    end = min(last_ns // period_ns + 1, facts.ticks)
-    return _Stretch(min(pose, facts.ticks), end, start_ns, period_ns, is_cut, is_own)
+    first, after = min(pose, facts.ticks), min(_end_ns(row, span) // period_ns + 1, facts.ticks)
+    if after - first < 2:
+        return first, after, _TOO_SHORT
+    loop = row.loops[number]
+    is_unknown = loop.reference == _GOAL_HEADING and math.isnan(row.line.goal_heading_rad)
+    return first, after, _NO_REFERENCE if is_unknown else 0
 
 
-@measure
-def _ends_blocked(facts: Any, samples: Any, end_ns: int) -> bool:
-    """Whether the last sample's command went out later than its pose was answered, or never."""
-    last_ns = samples[facts.samples - 1].time_ns
-    if facts.published < facts.samples:
-        return end_ns > last_ns  # type: ignore[no-any-return]
-    return samples[facts.published - 1].published_ns > last_ns  # type: ignore[no-any-return]
+def _end_ns(row: Row, span: Any) -> int:
+    goes_on = span.end < len(row.samples)
+    return row.samples[span.end].time_ns if goes_on else row.end_ns
 
 
-@measure
-def _measure_loop(row: Any, values: Any, pieces: Any, end_ns: int, phase: int, entry: Any) -> None:
-    """Find the stretch of a loop and measure it there."""
-    stretch, line = _find_stretch(row, end_ns, phase), row.line
-    if stretch.after - stretch.first < 2:
-        entry.status[:] = NO_PHASE if stretch.first < 0 else TOO_SHORT
-        return
-    reference = line.length_m
-    if phase != TRANSLATE:
-        reference = line.bearing_rad if phase == ROTATE else line.goal_heading_rad
-        turns = np.rint((values[stretch.after - 1] - reference) / _TURN_RAD)
-        reference += turns * 2.0 * math.pi
-    step = _Step(values[stretch.first], reference, line.band)
-    measure_response(values, stretch, step, pieces, entry)
-    if entry.asked[LoopMetric.STABLE]:
-        found, status = _find_stable(row, values, stretch, step, phase)
-        entry.values[LoopMetric.STABLE], entry.status[LoopMetric.STABLE] = found, status
-    samples, axis = row.samples, 0 if phase == TRANSLATE else 1
-    own = (
-        find_sample(samples, row.facts.samples, phase),
-        find_sample(samples, row.facts.samples, phase + 1),
+@called
+def read_curve(row: Row, number: int, first: int, after: int, band: float) -> Curve:
+    """Return the curve of a loop between two poses."""
+    facts, memory, samples, loop = row.facts, row.memory, row.samples, row.loops[number]
+    span = memory.spans[number]
+    start_ns, end_ns = samples[span.first].time_ns, _end_ns(row, span)
+    count, period_ns = after - first, facts.period_ns
+    values = _read_values(row, loop, first, after)
+    reference = _read_target(row, loop, first, values)
+    error, time_s = memory.numbers[_ERROR][:count], memory.numbers[_TIMES][:count]
+    step_s = memory.numbers[_STEPS][: count - 1]
+    for place in range(count):
+        error[place] = reference - values[place]
+        time_s[place] = max((first + place) * period_ns - start_ns, 0) / 1e9
+    for place in range(count - 1):
+        step_s[place] = time_s[place + 1] - time_s[place]
+    in_pause = span.end < len(samples) or samples[-1].phase == loop.pause
+    ended_itself = not (facts.is_cut or facts.is_late) or end_ns < row.end_ns
+    ended_itself = ended_itself or in_pause or _ends_blocked(row)
+    limit = facts.turn_limit if loop.turns else facts.speed_limit
+    commands = _read_commands(row, loop, span, end_ns)
+    answered = min(samples[span.after - 1].time_ns // period_ns + 1, after) - first
+    clipped = len(commands.values) - 1
+    while clipped >= 0 and abs(commands.values[clipped]) < limit:
+        clipped -= 1
+    if clipped >= 0:
+        pose = min(samples[span.first + clipped].time_ns // period_ns, after - 1)
+        clipped = max(pose - first, -1)
+    return Curve(
+        time_s,
+        step_s,
+        values,
+        error,
+        values[0],
+        reference,
+        band,
+        (start_ns - row.start_ns) / 1e9,
+        ended_itself,
+        facts.is_cut and end_ns == row.end_ns,
+        loop.signal == _HEADING,
+        answered,
+        clipped,
+        limit,
+        commands,
+        memory,
     )
-    share = share_saturated(samples, own, axis, _find_limit(row.facts, phase))
-    entry.values[LoopMetric.SATURATED_SHARE] = share
-    entry.status[LoopMetric.SATURATED_SHARE] = OK
-    if phase != TRANSLATE:
-        for place in range(_COUNT):
-            if _IS_ANGLE[place]:
-                entry.values[place] *= _TO_DEGREES
 
 
-@measure
-def _find_stable(row: Any, values: Any, stretch: Any, step: Any, phase: int) -> tuple[float, int]:
-    """Return whether the swings die out, at the poses up to the last that was answered."""
-    if abs(step.reference - step.initial) <= SMALLEST_STEP:
-        return np.nan, NO_STEP
-    samples, turns = row.samples, phase != TRANSLATE
-    after = find_sample(samples, row.facts.samples, phase + 1)
-    answered_ns = samples[after - 1].time_ns
-    end = min(answered_ns // stretch.period_ns + 1, stretch.after)
-    if end - stretch.first < 2:
-        return np.nan, TOO_SHORT
-    limit = _find_limit(row.facts, phase)
-    sample = after - 1
-    while sample >= 0 and samples[sample].phase == phase:
-        command = samples[sample].turn_rate_rad_s if turns else samples[sample].speed_m_s
-        if abs(command) >= limit:
-            break
-        sample -= 1
-    clipped = -1
-    if sample >= 0 and samples[sample].phase == phase:
-        clipped = min(samples[sample].time_ns // stretch.period_ns, end - 1)
-    answered = _Stretch(stretch.first, end, 0, stretch.period_ns, False, False)  # noqa: FBT003
-    most = swings.TURN_RAD if turns else math.inf
-    return judge_swings(values, answered, step.reference, clipped, most)  # type: ignore[no-any-return]
+def _ends_blocked(row: Row) -> bool:
+    """Whether the last sample's command went out later than its pose was answered, or never."""
+    last_ns, published = row.samples[-1].time_ns, row.facts.published
+    if published < len(row.samples):
+        return row.end_ns > last_ns  # type: ignore[no-any-return]
+    return row.samples[published - 1].published_ns > last_ns  # type: ignore[no-any-return]
 
 
-@measure
-def _find_limit(facts: Any, phase: int) -> float:
-    """Return where the command of a phase is clipped."""
-    return facts.speed_limit if phase == TRANSLATE else facts.turn_limit  # type: ignore[no-any-return]
+def _read_commands(row: Row, loop: Any, span: Any, end_ns: int) -> Commands:
+    count, samples = span.after - span.first, row.samples
+    values = row.memory.numbers[_COMMANDS][:count]
+    time_s = row.memory.numbers[_COMMAND_TIMES][:count]
+    is_out = row.facts.published == len(samples)
+    for place in range(count):
+        sample = samples[span.first + place]
+        values[place] = sample.turn_rate_rad_s if loop.turns else sample.speed_m_s
+        at_ns = sample.published_ns if is_out else sample.time_ns
+        time_s[place] = (min(at_ns, end_ns) - row.start_ns) / 1e9
+    return Commands(time_s, values)
 
 
-@measure
-def _find_end_ns(row: Any) -> int:
-    """Return the time of the last row of any column [ns]."""
-    facts, samples = row.facts, row.samples
-    end_ns = max((facts.ticks - 1) * facts.period_ns, samples[facts.samples - 1].time_ns)
-    if facts.published:
-        end_ns = max(end_ns, samples[facts.published - 1].published_ns)
-    return end_ns  # type: ignore[no-any-return]
+def _read_values(row: Row, loop: Any, first: int, after: int) -> Any:
+    """Return what a loop controls at poses; of a moving reference as if it stood still."""
+    memory, ticks, line = row.memory, row.ticks, row.line
+    if loop.signal == _HEADING and loop.reference != _BEARING_NOW:
+        return memory.numbers[_HEADINGS][first:after]
+    values = memory.numbers[_VALUES][: after - first]
+    if loop.signal == _HEADING:
+        _follow_bearing(row, first, values)
+        return values
+    for place in range(after - first):
+        tick = ticks[first + place]
+        if loop.signal == _DISTANCE:
+            values[place] = hypot(line.goal_x_m - tick.x_m, line.goal_y_m - tick.y_m)
+        else:
+            x_m, y_m = tick.x_m - line.x_m, tick.y_m - line.y_m
+            along = loop.signal == _ALONG
+            values[place] = (
+                x_m * line.cos + y_m * line.sin if along else y_m * line.cos - x_m * line.sin
+            )
+    return values
 
 
-@measure
-def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
-    ticks, samples, line = row.ticks, row.samples, row.line
-    count, end_ns, pieces = row.facts.ticks, _find_end_ns(row), scratch[2:].reshape(-1)
-    _unwrap(ticks, count, scratch[0])
-    _project(ticks, count, line, scratch[1])
-    for number in range(3):
-        phase = ROTATE if number == 0 else TRANSLATE if number == 1 else REORIENT
-        part = slice(number * _COUNT, number * _COUNT + _COUNT)
-        values = scratch[1] if phase == TRANSLATE else scratch[0]
-        own = _Entry(entry.values[part], entry.status[part], entry.asked[part])
-        if own.asked.any():
-            _measure_loop(row, values, pieces, end_ns, phase, own)
-    turns_last = find_sample(samples, row.facts.samples, REORIENT) < row.facts.samples
-    wanted_rad = line.goal_heading_rad if turns_last else line.bearing_rad
-    pose, first = ticks[count - 1], ticks[samples[0].pose_sequence]
-    end, asked = entry.values[RUN_AT:], entry.asked[RUN_AT:]
-    end[RunColumn.DURATION] = (end_ns - samples[0].time_ns) / 1e9
-    end[RunColumn.HEADING_ERROR] = abs(wrap_angle(wanted_rad - scratch[0, count - 1])) * _TO_DEGREES
-    end[RunColumn.X_M], end[RunColumn.Y_M] = pose.x_m, pose.y_m
-    error_rad = abs(wrap_angle(line.goal_heading_rad - pose.heading_rad))
-    end[RunColumn.GOAL_HEADING_ERROR] = error_rad * _TO_DEGREES
-    end[RunColumn.FIRST_X_M], end[RunColumn.FIRST_Y_M] = first.x_m, first.y_m
-    x_m, y_m = pose.x_m - line.x_m, pose.y_m - line.y_m
-    end[RunColumn.CROSS_TRACK] = y_m * line.cos - x_m * line.sin
-    if asked[RunColumn.CROSS_TRACK_MAX]:
-        first_row = -(-samples[0].time_ns // row.facts.period_ns)
-        end[RunColumn.CROSS_TRACK_MAX] = find_cross_track(ticks, first_row, count, line)
-    if asked[RunColumn.LARGEST_GAP]:
-        end[RunColumn.LARGEST_GAP] = find_largest_gap(samples, row.facts.samples)
-    if asked[RunColumn.PATH_LENGTH]:
-        end[RunColumn.PATH_LENGTH] = measure_way(ticks, count, pieces)
+def _find_bearing(row: Row, place: int) -> float:
+    """Return the bearing of the goal from a pose [rad]."""
+    tick, line = row.ticks[place], row.line
+    return arctan2(line.goal_y_m - tick.y_m, line.goal_x_m - tick.x_m)  # type: ignore[no-any-return]
 
 
-SOURCES = (
-    *(batch_functions, batch_rows, batch_step_response, batch_sums, batch_swings, batch_table),
-    *(arithmetic, compiled_arithmetic, rows, sequential, twins),
-    *(loop_metrics, metric, registry, step_response, swings),
-)
-"""Whose code and constants stand in the machine code."""
-
-MEASURE = types.int64(
-    list_array(FACTS),
-    list_array(TICK),
-    list_array(SAMPLE),
-    list_array(LINE),
-    list_array(np.float64, 2),
-    types.Tuple([list_array(np.float64), list_array(np.int8), list_array(np.bool_)]),
-)
-"""What measures a row, whatever simulated it."""
+def _follow_bearing(row: Row, first: int, values: Any) -> None:
+    """Enter the heading as if the bearing of the goal stood still where it begins."""
+    heading_rad, turned = row.memory.numbers[_HEADINGS], 0.0
+    before = wrap_angle(_find_bearing(row, first) - heading_rad[first])
+    values[0] = before
+    for place in range(1, len(values)):
+        now = wrap_angle(_find_bearing(row, first + place) - heading_rad[first + place])
+        turned += _find_turn(now - before)
+        values[place] = now + turned
+        before = now
+    turns_rad = _TURN_RAD * rint(values[-1] / _TURN_RAD)
+    target_rad = _find_bearing(row, first)
+    for place in range(len(values)):
+        values[place] = target_rad - (values[place] - turns_rad)
 
 
-def _build(stamp: int) -> Any:
-    """Return the compiled function, whose cache knows the code that it was compiled with."""
-
-    @njit(MEASURE, nogil=True, cache=True, error_model="numpy", _nrt=False)
-    def measure_row(
-        facts: Any, ticks: Any, samples: Any, line: Any, scratch: Any, entry: Any
-    ) -> int:
-        """Measure a row: numbers and statuses are entered.
-
-        `entry` are values, statuses, and which of their columns are asked for: what takes a pass of
-        its own is not computed otherwise.
-        """
-        row = _Row(facts[0], ticks, samples, line[0])
-        _measure_row(row, scratch, _Entry(entry[0], entry[1], entry[2]))
-        return stamp
-
-    return measure_row
+def _read_target(row: Row, loop: Any, first: int, values: Any) -> float:
+    """Return what a curve should come to; of a heading with the turns of the last value."""
+    if loop.reference == _BEARING_NOW:
+        return _find_bearing(row, first)
+    wanted = _read_constant(row, loop)
+    if loop.signal != _HEADING:
+        return wanted
+    return wanted + rint((values[-1] - wanted) / _TURN_RAD) * 2.0 * math.pi  # type: ignore[no-any-return]
 
 
-measure_row = _build(sum_up_sources(*SOURCES))
+def _read_constant(row: Row, loop: Any) -> float:
+    line, wanted = row.line, 0.0
+    if loop.reference == _GOAL_BEARING:
+        wanted = line.bearing_rad
+    elif loop.reference == _GOAL_DISTANCE:
+        wanted = line.length_m
+    elif loop.reference == _GOAL_HEADING:
+        wanted = line.goal_heading_rad
+    return wanted
+
+
+def read_course(row: Row) -> Course:
+    """Return the course of a row."""
+    facts, ticks, line = row.facts, row.ticks, row.line
+    last = ticks[-1]
+    x_m, y_m = last.x_m - line.x_m, last.y_m - line.y_m
+    return Course(
+        ticks.x_m,
+        ticks.y_m,
+        row.samples,
+        (line.goal_x_m, line.goal_y_m, line.goal_heading_rad),
+        (line.x_m, line.y_m, line.cos, line.sin),
+        row.start_ns,
+        facts.period_ns,
+        min(-(-row.start_ns // facts.period_ns), facts.ticks - 1),
+        len(row.samples),
+        (row.end_ns - row.start_ns) / 1e9,
+        ((facts.ticks - 1) * facts.period_ns - row.start_ns) / 1e9,
+        last.heading_rad,
+        y_m * line.cos - x_m * line.sin,
+        _find_heading_error(row),
+        False,  # noqa: FBT003
+        row.memory,
+    )
+
+
+def _find_heading_error(row: Row) -> float:
+    """Return what the heading should be at the end, by the loop that acted last, minus the heading.
+
+    Before any acts it is the first that is declared.
+    """
+    acting, spans = -1, row.memory.spans
+    for number in range(len(row.loops)):
+        loop = row.loops[number]
+        is_known = loop.reference != _GOAL_HEADING or not math.isnan(row.line.goal_heading_rad)
+        if loop.signal == _HEADING and is_known:
+            acting = number if acting < 0 or spans[number].last > spans[acting].last else acting
+    if acting < 0:
+        return math.nan
+    loop, last = row.loops[acting], len(row.ticks) - 1
+    is_bearing = loop.reference == _BEARING_NOW
+    wanted_rad = _find_bearing(row, last) if is_bearing else _read_constant(row, loop)
+    return wrap_angle(wanted_rad - row.memory.numbers[_HEADINGS][last])

@@ -15,6 +15,7 @@ from turtlelog.laws.sequential import SequentialNumbers
 from turtlelog.measure.measure_settings import SETTLING_BAND
 from turtlelog.parts import Plant, PlantPart
 from turtlelog.plants.kinds import PLANTS
+from turtlelog.run import CUT_SHORT
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.compiled_loop import find_kinds
@@ -24,6 +25,7 @@ from turtlelog.simulate.scenario_law import is_built_in
 from turtlelog.simulate.settings import build_settings, count_rows
 from turtlelog.simulate.streams import list_streams
 from turtlelog.simulate.twins import as_record
+from turtlelog.sweep.batch_columns import LINE, build_loops
 from turtlelog.sweep.plan import build_row_scenario
 
 _OF_LAW: Final = (
@@ -42,25 +44,9 @@ FREE_KEYS: Final = frozenset({*_OF_LAW, *_OF_PLANT, "seed"})
 may be any number between two bounds, and is a number of the loop by itself. Of all other keys the
 combinations are judged."""
 
-LINE: Final = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            *("x_m", "y_m", "cos", "sin", "length_m", "bearing_rad", "goal_heading_rad", "band"),
-        )
-    ]
-)
-"""The line from start to goal, and what else of a scenario only measuring needs."""
 
-
-FACTS: Final = np.dtype(
-    [(name, np.int64) for name in ("period_ns", "ticks", "samples", "published")]
-    + [("is_cut", np.bool_), ("is_late", np.bool_)]
-    + [("speed_limit", np.float64), ("turn_limit", np.float64)],
-    align=True,
-)
-"""What measuring reads of a run beside its rows: the clock [ns], how many rows there are, whether
-`max_duration_s` or the law's timeout ended it, and the limits."""
+_NOT_COMPARED: Final = (dict, list, tuple)
+"""Kinds of values of which hardly two are alike: rows with a schedule, or points, of their own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -108,11 +94,23 @@ Kind = tuple[LawPart, PlantPart, tuple[str, ...]]
 
 
 def find_kind(scenario: Scenario) -> Kind | None:
-    """Return what compiles rows of a scenario: of the sequential laws; None: nothing does."""
-    law = find_law(scenario.law.kind)
-    if not (isinstance(law, LawPart) and law.Numbers is SequentialNumbers and is_built_in(law)):
+    """Return what compiles rows of a scenario; None: nothing does.
+
+    Its law has a goal and a loop of the heading, follows what the batch knows, and ends as laws do.
+    """
+    law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
+    if not isinstance(law, LawPart):
         return None
-    return law, PLANTS[scenario.plant.kind], declare_scenario(scenario).states
+    is_known = declaration.uses_goal and scenario.path is None
+    is_known = is_known and any(loop.signal == "heading" for loop in declaration.loops)
+    if not is_known or build_loops(declaration) is None or CUT_SHORT & {*law.stops}:
+        return None
+    return law, PLANTS[scenario.plant.kind], declaration.states
+
+
+def is_free(law: LawPart) -> bool:
+    """Whether the values of `FREE_KEYS` may be judged one by one."""
+    return law.Numbers is SequentialNumbers and is_built_in(law)
 
 
 class _Case:
@@ -120,7 +118,8 @@ class _Case:
 
     def __init__(self, scenario: Scenario, plant: Plant, kind: Kind) -> None:
         law, part, _ = kind
-        _, settings, start = build_settings(scenario, law, declare_scenario(scenario), plant)
+        declaration = declare_scenario(scenario)
+        _, settings, start = build_settings(scenario, law, declaration, plant)
         kinds = find_kinds(*kind)
         self.settings = as_record(settings, kinds.settings)
         self.state, self.seed = as_record(start, kinds.state), scenario.seed
@@ -131,8 +130,9 @@ class _Case:
         exact = scenario.loop.pose_precision == "float64"
         start_xy_m = (x_m, y_m) if exact else (to_float32(x_m), to_float32(y_m))
         line = find_line(start_xy_m, (scenario.goal.x_m, scenario.goal.y_m))
-        heading_rad = scenario.goal.heading_rad
-        self.line = (*line.values(), math.nan if heading_rad is None else heading_rad)
+        heading_rad = math.nan if scenario.goal.heading_rad is None else scenario.goal.heading_rad
+        goal = scenario.goal.x_m, scenario.goal.y_m, heading_rad
+        self.line = (*line.values(), *goal, SETTLING_BAND)
 
 
 def prepare_rows(
@@ -146,30 +146,39 @@ def prepare_rows(
         rows: Numbers of rows.
         plant: On whose clock; None: each row on that of its own plant.
     """
-    if "law.schedule" in columns:  # the memory of the loop holds one
-        return _gather([], [*rows], [], {})
-    free = [] if "law.kind" in columns else [key for key in columns if key in FREE_KEYS]
+    kind = find_kind(base)
+    may_be_free = kind is not None and is_free(kind[0]) and "law.kind" not in columns
+    free = [key for key in columns if key in FREE_KEYS] if may_be_free else []
     joint = [key for key in columns if key not in free]
     cases: dict[tuple[Any, ...], _Case | None] = {}
-    kind = find_kind(base)
     own = {key: _judge_column(base, key, [columns[key][row] for row in rows]) for key in free}
     taken: list[int] = []
     others: list[int] = []
     found: list[_Case] = []
     for place, row in enumerate(rows):
         key = tuple((type(columns[name][row]), columns[name][row]) for name in joint)
+        if any(kind in _NOT_COMPARED for kind, _ in key):
+            others.append(row)
+            continue
         if key not in cases:
             cases[key] = _judge_case(
                 base, kind, dict(zip(joint, (v for _, v in key), strict=True)), plant
             )
         case = cases[key]
-        if case is None or any(column[place] is None for column in own.values()):
+        # The memory of the loop holds one table.
+        has_other = case is not None and bool(found) and not same_table(case, found[0])
+        if case is None or has_other or any(column[place] is None for column in own.values()):
             others.append(row)
         else:
             taken.append(place)
             found.append(case)
     values = {key: [column[place] for place in taken] for key, column in own.items()}
     return _gather([rows[place] for place in taken], others, found, values)
+
+
+def same_table(case: _Case, other: _Case) -> bool:
+    """Whether the law of two cases has the same table."""
+    return case is other or np.array_equal(case.table, other.table, equal_nan=True)
 
 
 _NONE: Final = np.empty(0)
@@ -189,7 +198,7 @@ def _gather(
         else:
             table, name = key.split(".")
             settings[table][name] = column
-    lines = np.array([(*case.line, SETTLING_BAND) for case in unique], LINE)[of_case]
+    lines = np.array([case.line for case in unique], LINE)[of_case]
     starts = np.concatenate([case.state for case in unique] or [_NONE])[of_case]
     return PreparedRows(
         rows=np.array(taken, np.int64),
@@ -217,11 +226,13 @@ def _judge_case(
     clock = scenario.plant.facts if plant is None else plant
     if kind is None or find_kind(scenario) != kind or find_loop(scenario, clock) is None:
         return None
+    if declare_scenario(scenario).loops != declare_scenario(base).loops:
+        return None
     return _Case(scenario, clock, kind)
 
 
 def is_batched(scenario: Scenario, plant: Plant) -> bool:
-    """Whether the batch covers a scenario: a sequential law, by a compiled loop."""
+    """Whether the batch covers a scenario."""
     return find_kind(scenario) is not None and find_loop(scenario, plant) is not None
 
 

@@ -28,8 +28,8 @@ from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_many
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late
 from turtlelog.sweep.batch import measure_rows
+from turtlelog.sweep.batch_columns import OK, STATUSES, is_covered
 from turtlelog.sweep.batch_rows import is_batched
-from turtlelog.sweep.batch_table import COLUMN_OF, OK, STATUSES
 from turtlelog.sweep.plan import build_row_scenario
 
 
@@ -181,7 +181,7 @@ def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricK
         return {}
     declaration = declare_scenario(scenario)
     names, known = list_row_metrics(declaration, chunk.metrics), list_metrics(declaration)
-    if not all(name in known and name in COLUMN_OF for name in names):
+    if not all(name in known and is_covered(name) for name in names):
         return {}
     return {name: known[name] for name in names}
 
@@ -189,13 +189,20 @@ def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricK
 def _simulate_batch(base: Scenario, chunk: RowChunk, kinds: Mapping[str, MetricKind]) -> RowResults:
     columns = dict(zip(chunk.keys, zip(*chunk.values, strict=True), strict=True))
     found = measure_rows(
-        base, columns, [*kinds], threads=chunk.threads, first=chunk.first, ahead=chunk.ahead
+        base,
+        columns,
+        [*kinds],
+        threads=chunk.threads,
+        first=chunk.first,
+        ahead=chunk.ahead,
+        step_budget_s=chunk.step_budget_s,
     )
     results = RowResults(
         first=chunk.first,
         stop_reasons=found.stop_reasons,
         failed=found.failed,
         samples=int(found.samples.sum()),
+        notes=[*found.notes],
     )
     if all(reason is not None for reason in found.failed):
         return results

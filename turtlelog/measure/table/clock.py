@@ -6,21 +6,36 @@ period. So the mean is the length over the count whatever happens in between, th
 the loop mostly does, and the percentiles show pause and burst at either end.
 """
 
+import math
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.arithmetic import compiled_as
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.metric import (
+    FOUND,
+    ONE_POSE,
+    REASONS,
+    Found,
+    Missing,
+    Outcome,
+    Result,
+    Status,
+    add_reason,
+)
 from turtlelog.measure.outliers import compute_median
-from turtlelog.measure.registry import run_metric
+from turtlelog.measure.reductions import PIECES, find_furthest_row
+from turtlelog.measure.registry import course_metric, run_metric
 
 Values = NDArray[np.float64]
 Rows = Literal["sample", "pose"]
 
-_NO_ROWS: Final = Missing(status=Status.ABSENT, reason="neither samples nor commands were read")
+_ROWS_UNKNOWN: Final = add_reason(Status.ABSENT, "neither samples nor commands were read")
+_NO_ROWS: Final = REASONS[_ROWS_UNKNOWN]
+_ONE_SAMPLE: Final = add_reason(Status.TOO_SHORT, "1 sample")
 _NO_SAMPLES: Final = Missing(status=Status.ABSENT, reason="no samples of a controller were read")
 
 
@@ -43,20 +58,6 @@ def _on_periods(
     return compute_on_periods
 
 
-def _find_largest_gap(rows: Rows) -> Callable[[RunContext], Result]:
-    def find(context: RunContext) -> Result:
-        periods_s = _get_periods(context, rows)
-        if isinstance(periods_s, Missing):
-            return periods_s
-        if not len(periods_s):
-            return Missing(status=Status.TOO_SHORT, reason=f"1 {rows}")
-        time_s = context.sample_time_s if rows == "sample" else context.pose_time_s
-        row = int(periods_s.argmax())
-        return Found(float(periods_s[row]), float(time_s[row]))
-
-    return find
-
-
 def _get_periods(context: RunContext, rows: Rows) -> Values | Missing:
     if rows == "pose":
         return context.pose_period_s
@@ -71,7 +72,7 @@ def _pick(percent: int) -> Callable[[RunContext], Result]:
         if isinstance(periods_s, Missing):
             return periods_s
         if not len(periods_s):
-            return Missing(status=Status.TOO_SHORT, reason="1 sample")
+            return REASONS[_ONE_SAMPLE]
         ordered_s = context.recall("ordered periods", lambda: np.sort(periods_s))
         return Found(find_percentile(ordered_s, percent))
 
@@ -166,9 +167,41 @@ run_metric(
     "run.sample_jitter", "s", "Root mean square of the change from one such time to the next."
 )(_on_periods("sample", compute_jitter, fewest=2))
 
-run_metric("run.largest_gap", "s", "Longest time without a sample.", grows=True)(
-    _find_largest_gap("sample")
-)
+
+def _list_periods(course: Any) -> Values:
+    samples, periods_s = course.samples, course.memory.numbers[PIECES]
+    for row in range(len(samples) - 1):
+        periods_s[row] = (samples[row + 1].time_ns - samples[row].time_ns) / 1e9
+    return periods_s[: len(samples) - 1]  # type: ignore[no-any-return]
+
+
+@compiled_as(_list_periods)
+def get_sample_periods(course: RunContext) -> Values:
+    """Return the time from each sample to the next [s]."""
+    return course.sample_period_s
+
+
+def _tell_row(course: Any, row: int) -> float:
+    return (course.samples[row].time_ns - course.start_ns) / 1e9  # type: ignore[no-any-return]
+
+
+@compiled_as(_tell_row)
+def tell_sample(course: RunContext, row: int) -> float:
+    """Return the time of a sample, from the first [s]."""
+    return float(course.sample_time_s[row])
+
+
+@course_metric("run.largest_gap", "s", "Longest time without a sample.", grows=True)
+def measure_largest_gap(course: RunContext) -> Outcome:
+    """Return the longest time; taken at its beginning."""
+    if course.sample_count == 0:
+        return math.nan, math.nan, _ROWS_UNKNOWN
+    periods_s = get_sample_periods(course)
+    if len(periods_s) == 0:
+        return math.nan, math.nan, _ONE_SAMPLE
+    row = find_furthest_row(periods_s, 1.0)
+    return periods_s[row], tell_sample(course, row), FOUND
+
 
 run_metric(
     "run.burst_samples", "1", "Samples that share their time with the one before.", grows=True
@@ -189,9 +222,15 @@ run_metric("run.pose_period_std", "s", "Standard deviation of the time from one 
     _on_periods("pose", compute_spread)
 )
 
-run_metric("run.largest_pose_gap", "s", "Longest time without a pose.", grows=True)(
-    _find_largest_gap("pose")
-)
+
+@run_metric("run.largest_pose_gap", "s", "Longest time without a pose.", grows=True)
+def _find_largest_pose_gap(context: RunContext) -> Result:
+    periods_s = context.pose_period_s
+    if not len(periods_s):
+        return ONE_POSE
+    row = int(periods_s.argmax())
+    return Found(float(periods_s[row]), float(context.pose_time_s[row]))
+
 
 run_metric(
     "run.duplicates",

@@ -6,6 +6,7 @@ and is none. A response is judged by its initial and its final value: a robot th
 times as fast as it is asked has no steady-state error here.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -151,17 +152,17 @@ def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures |
     time_s = np.concatenate([[step.time_s], time_s])
     inside = np.concatenate([[initial], inside])
     share, quantum = scatter / abs(size), _find_quantum(inside, initial, final) / abs(size)
-    rise = find_rise(time_s, inside, initial=initial, reference=final)
+    rise_begin_s, rise_end_s = find_rise(time_s, inside, initial, final)
     is_seen = share <= 2.0 * _WIDEST and quantum <= _MARK
-    rise_s = rise[1] - rise[0] if rise is not None and is_seen else None
+    rise_s = None if math.isnan(rise_end_s) or not is_seen else rise_end_s - rise_begin_s
     if share > _WIDEST or quantum > max(band, _BAND):
         return StepFigures(rise_time_s=rise_s, settling_time_s=None, overshoot=None)
     band = max(band, _BAND, share)
-    settled_s = find_settling_time(time_s, inside, initial=initial, reference=final, band=band)
-    overshoot = find_overshoot(inside, initial=initial, reference=final)
+    settled_s = find_settling_time(time_s, inside, initial, final, band)
+    overshoot = find_overshoot(inside, initial, final)
     return StepFigures(
         rise_time_s=rise_s,
-        settling_time_s=None if settled_s is None else settled_s - float(time_s[0]),
+        settling_time_s=None if math.isnan(settled_s) else settled_s - float(time_s[0]),
         overshoot=overshoot if overshoot > band else 0.0,
     )
 

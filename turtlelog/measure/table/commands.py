@@ -6,6 +6,7 @@ where commands are counted (variation, jumps, reversals) and not where time is (
 slew rate).
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -13,10 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.metric import Found, Missing, Result, Status
-from turtlelog.measure.registry import loop_metric
+from turtlelog.measure.metric import (
+    FOUND,
+    REASONS,
+    Found,
+    Missing,
+    Outcome,
+    Result,
+    Status,
+    add_reason,
+)
+from turtlelog.measure.reductions import count_beyond, sum_products
+from turtlelog.measure.registry import curve_metric, loop_metric
 from turtlelog.measure.response import CommandStretch, Response
-from turtlelog.measure.sums import sum_products
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,7 +49,8 @@ def _command_metric(
     return enter
 
 
-_NO_LIMIT: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the limit")
+_LIMIT_UNKNOWN: Final = add_reason(Status.ABSENT, "the recording does not hold the limit")
+_NO_LIMIT: Final = REASONS[_LIMIT_UNKNOWN]
 _NO_WANTED: Final = Missing(
     status=Status.ABSENT, reason="the recording does not hold the unclipped command"
 )
@@ -105,18 +116,19 @@ def measure_largest_wanted(commands: CommandStretch) -> Result:
     return Found(abs(float(wanted[row])), float(commands.time_s[row]))
 
 
-@_command_metric(
+@curve_metric(
     "saturated_share",
     "1",
     "Share of the samples whose {command} is at its limit.",
     needs_whole=False,
 )
-def measure_saturated_share(commands: CommandStretch) -> Result:
+def measure_saturated_share(curve: Response) -> Outcome:
     """By samples; taken at the first that is saturated."""
-    saturated = commands.is_saturated
-    if saturated is None:
-        return _NO_LIMIT
-    return Found(float(saturated.mean()), _tell_first(commands))
+    if math.isnan(curve.limit):
+        return math.nan, math.nan, _LIMIT_UNKNOWN
+    count, first = count_beyond(curve.commands.values, curve.limit)
+    at_s = curve.commands.time_s[first] if count > 0 else math.nan
+    return count / len(curve.commands.values), at_s, FOUND
 
 
 @_command_metric(

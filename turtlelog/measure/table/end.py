@@ -1,15 +1,28 @@
 """The metrics of the end of a run."""
 
-from math import degrees
-from typing import Final
+import math
+from typing import Any, Final
 
 import numpy as np
+from numpy import hypot
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings, wrap_angle
+from turtlelog.arithmetic import compiled_as
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.metric import NO_GOAL, Found, Missing, Result, Status
-from turtlelog.measure.registry import run_metric
+from turtlelog.measure.metric import (
+    FOUND,
+    GOAL_UNKNOWN,
+    NO_GOAL,
+    REASONS,
+    Found,
+    Missing,
+    Outcome,
+    Result,
+    Status,
+    add_reason,
+)
+from turtlelog.measure.registry import course_metric, run_metric
 
 PAPER_WINDOW_S: Final = 15.0
 """The paper's Table 1 reads its errors at this time after the first sample [s]."""
@@ -17,60 +30,70 @@ PAPER_WINDOW_S: Final = 15.0
 Values = NDArray[np.float64]
 
 
-_NO_BEARING: Final = Missing(status=Status.ABSENT, reason="the goal bearing is not known")
-_NO_HEADING: Final = Missing(status=Status.ABSENT, reason="the goal has no heading")
+_NO_BEARING: Final = add_reason(Status.ABSENT, "the goal bearing is not known")
+_NO_HEADING: Final = add_reason(Status.ABSENT, "the goal has no heading")
+_NO_WANTED_HEADING: Final = add_reason(Status.ABSENT, "the goal asks for no heading")
 
 
-@run_metric(
+def _get_heading_error(course: Any) -> float:
+    return course.heading_error_rad  # type: ignore[no-any-return]
+
+
+@compiled_as(_get_heading_error)
+def get_heading_error(course: RunContext) -> float:
+    """Return what the heading should be minus the heading at the end [rad], NaN if not known."""
+    error_rad = _find_heading_error(course, None)
+    return math.nan if error_rad is None else error_rad
+
+
+@course_metric(
     "final.heading_error",
     "deg",
     "Magnitude of reference heading minus heading at the end.",
 )
-def _compute_heading_error(context: RunContext, at_s: float | None = None) -> Result:
-    error_rad = _find_heading_error(context, at_s)
-    if error_rad is None:
-        run = context.run
-        is_robot = run.goal_xy_m is not None and not run.declaration.loops and not len(run.samples)
-        return _NO_HEADING if is_robot else _NO_BEARING
-    return _find_cut(context, at_s) or Found(degrees(abs(error_rad)), _tell_time(context, at_s))
+def measure_heading_error(course: RunContext) -> Outcome:
+    """Return the error's magnitude."""
+    error_rad = get_heading_error(course)
+    if math.isnan(error_rad):
+        return math.nan, math.nan, _NO_HEADING if course.is_robot else _NO_BEARING
+    return math.degrees(abs(error_rad)), course.last_pose_s, FOUND
 
 
-@run_metric("final.position_error", "m", "Distance to the goal at the end.")
-def _compute_position_error(context: RunContext, at_s: float | None = None) -> Result:
-    goal_xy_m = context.run.goal_xy_m
-    if goal_xy_m is None:
-        return NO_GOAL
-    x_m, y_m = (_read_at(context.pose_time_s, column, at_s) for column in context.run.poses.xy_m.T)
-    error_m = float(np.hypot(goal_xy_m[0] - x_m, goal_xy_m[1] - y_m))
-    return _find_cut(context, at_s) or Found(error_m, _tell_time(context, at_s))
+@course_metric("final.position_error", "m", "Distance to the goal at the end.")
+def measure_position_error(course: RunContext) -> Outcome:
+    """Return the distance of the last pose."""
+    x_m, y_m, _ = course.goal
+    if math.isnan(x_m):
+        return math.nan, math.nan, GOAL_UNKNOWN
+    return hypot(x_m - course.x_m[-1], y_m - course.y_m[-1]), course.last_pose_s, FOUND
 
 
-@run_metric(
+@course_metric(
     "final.cross_track",
     "m",
     "Where the turtle ends, to the left of the line from start to goal.",
     better=None,
 )
-def _compute_cross_track(context: RunContext) -> Result:
-    signal = context.get_signal("cross_track")
-    return (
-        _NO_BEARING
-        if signal is None
-        else Found(float(signal.values[-1]), _tell_time(context, None))
-    )
+def measure_last_cross_track(course: RunContext) -> Outcome:
+    """Return the signed distance of the last pose."""
+    offset_m = course.last_cross_track_m
+    if math.isnan(offset_m):
+        return math.nan, math.nan, _NO_BEARING
+    return offset_m, course.last_pose_s, FOUND
 
 
-@run_metric(
+@course_metric(
     "final.goal_heading_error",
     "deg",
     "Magnitude of the goal's heading minus heading at the end.",
 )
-def _compute_goal_heading_error(context: RunContext) -> Result:
-    goal_rad = context.run.goal_heading_rad
-    if goal_rad is None:
-        return Missing(status=Status.ABSENT, reason="the goal asks for no heading")
-    error_rad = abs(wrap_angle(goal_rad - float(context.run.poses.heading_rad[-1])))
-    return Found(degrees(error_rad), _tell_time(context, None))
+def measure_goal_heading_error(course: RunContext) -> Outcome:
+    """Return the error's magnitude."""
+    wanted_rad = course.goal[2]
+    if math.isnan(wanted_rad):
+        return math.nan, math.nan, _NO_WANTED_HEADING
+    error_rad = abs(wrap_angle(wanted_rad - course.last_heading_rad))
+    return math.degrees(error_rad), course.last_pose_s, FOUND
 
 
 @run_metric(
@@ -79,7 +102,10 @@ def _compute_goal_heading_error(context: RunContext) -> Result:
     "Heading error 15 s after the first sample, or at the end: the paper's definition.",
 )
 def _compute_heading_error_at_15s(context: RunContext) -> Result:
-    return _compute_heading_error(context, PAPER_WINDOW_S)
+    error_rad = _find_heading_error(context, PAPER_WINDOW_S)
+    if error_rad is None:
+        return REASONS[_NO_HEADING if context.is_robot else _NO_BEARING]
+    return _find_cut(context) or Found(math.degrees(abs(error_rad)), _tell_time(context))
 
 
 @run_metric(
@@ -88,7 +114,12 @@ def _compute_heading_error_at_15s(context: RunContext) -> Result:
     "Distance to the goal 15 s after the first sample, or at the end: the paper's.",
 )
 def _compute_position_error_at_15s(context: RunContext) -> Result:
-    return _compute_position_error(context, PAPER_WINDOW_S)
+    goal_xy_m, time_s = context.run.goal_xy_m, context.pose_time_s
+    if goal_xy_m is None:
+        return NO_GOAL
+    x_m, y_m = (float(np.interp(PAPER_WINDOW_S, time_s, at)) for at in context.run.poses.xy_m.T)
+    error_m = float(np.hypot(goal_xy_m[0] - x_m, goal_xy_m[1] - y_m))
+    return _find_cut(context) or Found(error_m, _tell_time(context))
 
 
 def _find_heading_error(context: RunContext, at_s: float | None) -> float | None:
@@ -131,15 +162,14 @@ def _read_at(time_s: Values, values: Values, at_s: float | None) -> float:
     return float(values[-1]) if at_s is None else float(np.interp(at_s, time_s, values))
 
 
-def _tell_time(context: RunContext, at_s: float | None) -> float:
-    end_s = float(context.pose_time_s[-1])
-    return end_s if at_s is None else min(at_s, end_s)
+def _tell_time(context: RunContext) -> float:
+    return min(PAPER_WINDOW_S, float(context.pose_time_s[-1]))
 
 
-def _find_cut(context: RunContext, at_s: float | None) -> Missing | None:
+def _find_cut(context: RunContext) -> Missing | None:
     """A run that has come to its own end holds its last value; one that was cut does not."""
     run = context.run
     length_s = (run.end_ns - run.start_ns) / 1e9
-    if at_s is None or run.is_complete or length_s >= at_s:
+    if run.is_complete or length_s >= PAPER_WINDOW_S:
         return None
     return Missing(status=Status.TOO_SHORT, reason=f"the run was cut at {length_s:.2f} s")

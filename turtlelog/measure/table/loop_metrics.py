@@ -1,307 +1,306 @@
-"""Step and error metrics of a loop: from its response to a value or the reason for none."""
+"""Step and error metrics of a loop: each a function of its curve, plain and compiled."""
 
 import math
-from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
+from turtlelog.arithmetic import compiled_as
+from turtlelog.measure.metric import FOUND, Outcome, Status, add_reason
+from turtlelog.measure.reductions import (
+    Values,
+    find_crossing_rows,
+    find_largest,
+    fold_at_zero,
+    integrate,
+)
+from turtlelog.measure.registry import curve_metric, has_sides, has_step
+from turtlelog.measure.response import Response
+from turtlelog.measure.step_response import (
+    SHORTEST_HOLD_S,
+    compute_rms,
+    find_decay_ratio,
+    find_level_time,
+    find_overshoot,
+    find_peak_row,
+    find_rise,
+    find_settling_time,
+    find_swing_period,
+    find_undershoot,
+    integrate_square,
+    integrate_time_weighted,
+)
+from turtlelog.measure.swings import PASSING, RESTS, SLOW, TURN_RAD, UNKNOWN, judge_swings
 
-from turtlelog.measure import step_response
-from turtlelog.measure.context import RunContext
-from turtlelog.measure.metric import Found, Missing, Result, Status
-from turtlelog.measure.registry import has_sides, has_step, loop_metric
-from turtlelog.measure.response import Response, Values, find_loop_samples
-from turtlelog.measure.step_response import find_largest
-
-SMALLEST_STEP: Final = 1e-6
-"""What counts as a step [rad or m]: poses are published with 32 bits, so less is their rounding."""
-
-_NO_STEP: Final = Missing(status=Status.NO_STEP, reason="the phase begins at its reference")
-
-
-OfStep = Callable[[Response], Result]
-
-
-def _step_metric(name: str, unit: str, meaning: str, **more: Any) -> Callable[[OfStep], OfStep]:
-    """Enter a function of a response in the registry: a metric of the loops that answer a step."""
-
-    def enter(compute: OfStep) -> OfStep:
-        def compute_of_loop(_: RunContext, response: Response) -> Result:
-            if abs(response.reference - response.initial) <= SMALLEST_STEP:
-                return _NO_STEP
-            return compute(response)
-
-        loop_metric(name, unit, meaning, **{"applies": has_step, **more})(compute_of_loop)
-        return compute
-
-    return enter
+_NEVER_HALF: Final = add_reason(Status.NOT_REACHED, "the response never reaches 50 % of the step")
+_NEVER_NEAR: Final = add_reason(Status.NOT_REACHED, "the response never reaches 90 % of the step")
+_BEGINS_BEYOND: Final = add_reason(
+    Status.NOT_REACHED, "the response begins beyond 10 % of the step"
+)
+_ENDS_OUTSIDE: Final = add_reason(Status.NOT_REACHED, "the phase ends outside the {0:g} % band")
+LEFT_SOON: Final = add_reason(
+    Status.NOT_REACHED,
+    "the run was stopped {0:.3g} s after the response came into the band: it settles where it stays"
+    " for {1:.3g} s",
+)
+_NOT_TWICE: Final = add_reason(Status.NOT_REACHED, "the response does not overshoot twice")
+_ONE_ANSWER: Final = add_reason(Status.TOO_SHORT, "one pose was answered in this phase")
+_PASSING: Final = add_reason(
+    Status.UNDETERMINED, "the phase ends as the response passes its reference"
+)
+_SLOW: Final = add_reason(
+    Status.NOT_REACHED, "the phase ends before the response is near its reference"
+)
+_UNKNOWN: Final = add_reason(
+    Status.UNDETERMINED,
+    "the swings are too few, or change too little, to say whether they die out",
+)
 
 
-@loop_metric("duration", "s", "Length of the stretch in which the loop acts.", is_awaited=True)
-def _compute_duration(_: RunContext, response: Response) -> Result:
-    return Found(float(response.time_s[-1]))
+@curve_metric("duration", "s", "Length of the stretch in which the loop acts.", is_awaited=True)
+def find_duration(curve: Response) -> Outcome:
+    """Return when the last pose is."""
+    return curve.time_s[-1], math.nan, FOUND
 
 
-@_step_metric(
+@curve_metric(
     "delay_time",
     "s",
     "Time until the {signal} reaches 50 % of the step.",
+    needs_step=True,
+    applies=has_step,
     is_awaited=True,
     needs_whole=False,
 )
-def _compute_delay_time(response: Response) -> Result:
-    half_s = step_response.find_level_time(
-        response.time_s, response.values, level=0.5, **response.step_ends
-    )
-    return _miss("50 %") if half_s is None else Found(half_s, response.start_s + half_s)
+def find_delay_time(curve: Response) -> Outcome:
+    """Return when half of the step is reached."""
+    half_s = find_level_time(curve.time_s, curve.values, 0.5, curve.initial, curve.reference)
+    if math.isnan(half_s):
+        return math.nan, math.nan, _NEVER_HALF
+    return half_s, curve.start_s + half_s, FOUND
 
 
-@_step_metric(
+@curve_metric(
     "rise_time",
     "s",
     "Time from 10 % to 90 % of the step, each first reached.",
+    needs_step=True,
+    applies=has_step,
     is_awaited=True,
     needs_whole=False,
 )
-def _compute_rise_time(response: Response) -> Result:
-    step_size = response.reference - response.initial
-    if (float(response.values[0]) - response.initial) / step_size > 0.1:
-        reason = "the response begins beyond 10 % of the step"
-        return Missing(status=Status.NOT_REACHED, reason=reason)
-    rise = step_response.find_rise(response.time_s, response.values, **response.step_ends)
-    if rise is None:
-        return _miss("90 %")
-    return Found(rise[1] - rise[0], response.start_s + rise[1])
+def find_rise_time(curve: Response) -> Outcome:
+    """Return the time between the two; taken at its end."""
+    if (curve.values[0] - curve.initial) / (curve.reference - curve.initial) > 0.1:
+        return math.nan, math.nan, _BEGINS_BEYOND
+    begin_s, end_s = find_rise(curve.time_s, curve.values, curve.initial, curve.reference)
+    if math.isnan(end_s):
+        return math.nan, math.nan, _NEVER_NEAR
+    return end_s - begin_s, curve.start_s + end_s, FOUND
 
 
-@_step_metric(
+@curve_metric(
     "peak",
     "{value}",
     "The {signal} where it is furthest in the direction of the step.",
+    needs_step=True,
+    applies=has_step,
     better=None,
 )
-def _compute_peak(response: Response) -> Result:
-    row = _find_peak_row(response)
-    return Found(float(response.values[row]), _tell_time(response, row))
+def find_peak(curve: Response) -> Outcome:
+    """Return the furthest value."""
+    row = find_peak_row(curve.values, curve.initial, curve.reference)
+    return curve.values[row], curve.start_s + curve.time_s[row], FOUND
 
 
-@_step_metric(
-    "peak_time", "s", "Time until the {signal} is at its peak.", better=None, is_awaited=True
+@curve_metric(
+    "peak_time",
+    "s",
+    "Time until the {signal} is at its peak.",
+    needs_step=True,
+    applies=has_step,
+    better=None,
+    is_awaited=True,
 )
-def _compute_peak_time(response: Response) -> Result:
-    row = _find_peak_row(response)
-    return Found(float(response.time_s[row]), _tell_time(response, row))
+def find_peak_time(curve: Response) -> Outcome:
+    """Return when the furthest value is."""
+    row = find_peak_row(curve.values, curve.initial, curve.reference)
+    return curve.time_s[row], curve.start_s + curve.time_s[row], FOUND
 
 
-@_step_metric(
+@curve_metric(
     "overshoot",
     "%",
     "Furthest {signal} beyond the {goal}, of the step; negative where it stays short.",
+    needs_step=True,
     floor=0.0,
     grows=True,
     applies=has_sides,
 )
-def _compute_overshoot(response: Response) -> Result:
-    share = step_response.find_overshoot(response.values, **response.step_ends)
-    return Found(100.0 * share, _tell_time(response, _find_peak_row(response)))
+def measure_overshoot(curve: Response) -> Outcome:
+    """See `find_overshoot`; taken at the peak."""
+    share = find_overshoot(curve.values, curve.initial, curve.reference)
+    row = find_peak_row(curve.values, curve.initial, curve.reference)
+    return 100.0 * share, curve.start_s + curve.time_s[row], FOUND
 
 
-@_step_metric(
+@curve_metric(
     "undershoot",
     "%",
     "Furthest {signal} behind its initial value, of the step; negative where it is never.",
+    needs_step=True,
+    applies=has_step,
     floor=0.0,
     grows=True,
 )
-def _compute_undershoot(response: Response) -> Result:
-    share, row = step_response.find_undershoot(response.values, **response.step_ends)
-    return Found(100.0 * share, _tell_time(response, row))
+def measure_undershoot(curve: Response) -> Outcome:
+    """See `find_undershoot`."""
+    share, row = find_undershoot(curve.values, curve.initial, curve.reference)
+    return 100.0 * share, curve.start_s + curve.time_s[row], FOUND
 
 
-@_step_metric(
+@curve_metric(
     "settling_time",
     "s",
     "Time after which the {signal} stays within 2 % (or `band`) of the step around the {goal}.",
+    needs_step=True,
+    applies=has_step,
     is_awaited=True,
     needs_whole=False,
 )
-def _compute_settling_time(response: Response) -> Result:
-    time_s, values, band = response.time_s, response.values, response.band
-    settled_s = step_response.find_settling_time(time_s, values, band=band, **response.step_ends)
-    if settled_s is None:
-        reason = f"the phase ends outside the {100.0 * band:g} % band"
-        return Missing(status=Status.NOT_REACHED, reason=reason)
-    if not response.ended_itself:
-        reference, half_width = (
-            response.reference,
-            band * abs(response.reference - response.initial),
-        )
-        missing = require_hold(
-            time_s, values, settled_s, reference=reference, half_width=half_width
-        )
-        if missing is not None:
-            return missing
-    return Found(settled_s, response.start_s + settled_s)
+def measure_settling_time(curve: Response) -> Outcome:
+    """See `find_settling_time`; a response that somebody else ended has to have stayed there."""
+    time_s, values, reference = curve.time_s, curve.values, curve.reference
+    settled_s = find_settling_time(time_s, values, curve.initial, reference, curve.band)
+    if math.isnan(settled_s):
+        return 100.0 * curve.band, math.nan, _ENDS_OUTSIDE
+    if not curve.ended_itself:
+        half_width = curve.band * abs(reference - curve.initial)
+        needed_s = find_needed_hold(time_s, values, reference, half_width)
+        if time_s[-1] - settled_s < needed_s:
+            return time_s[-1] - settled_s, needed_s, LEFT_SOON
+    return settled_s, curve.start_s + settled_s, FOUND
 
 
-def require_hold(
-    time_s: Values, values: Values, settled_s: float, *, reference: float, half_width: float
-) -> Missing | None:
-    """Return why a response that entered the band may leave it again, None where it has settled.
+def find_needed_hold(time_s: Values, values: Values, reference: float, half_width: float) -> float:
+    """Return how long a response that somebody else ended stays in the band if it has settled [s].
 
-    Somebody else ended it: it has settled where it stayed in the band for at least
-    `step_response.SHORTEST_HOLD_S`, and for a period of the oscillation that remains.
+    At least `step_response.SHORTEST_HOLD_S`, and a period of the oscillation that remains.
     """
-    period_s = step_response.find_swing_period(
-        time_s, values, reference=reference, half_width=half_width
-    )
-    held_s, needed_s = float(time_s[-1]) - settled_s, max(step_response.SHORTEST_HOLD_S, period_s)
-    if held_s >= needed_s:
-        return None
-    reason = (
-        f"the run was stopped {held_s:.3g} s after the response came into the band: it settles"
-        f" where it stays for {needed_s:.3g} s"
-    )
-    return Missing(status=Status.NOT_REACHED, reason=reason)
+    return max(SHORTEST_HOLD_S, find_swing_period(time_s, values, reference, half_width))
 
 
-@loop_metric(
+@curve_metric(
     "crossings", "1", "How often the {signal} passes the {goal}.", grows=True, applies=has_sides
 )
-def _compute_crossings(_: RunContext, response: Response) -> Result:
-    rows = step_response.find_crossing_rows(response.values, response.reference)
-    return Found(float(len(rows)), _tell_time(response, int(rows[0])) if len(rows) else None)
+def count_crossings(curve: Response) -> Outcome:
+    """Return how often; taken at the first."""
+    rows = find_crossing_rows(curve.error, 0.0, curve.memory)
+    at_s = curve.start_s + curve.time_s[rows[0]] if len(rows) > 0 else math.nan
+    return float(len(rows)), at_s, FOUND
 
 
-@_step_metric(
+@curve_metric(
     "decay_ratio",
     "1",
     "Second overshoot of the {goal} as a share of the first.",
+    needs_step=True,
     needs_whole=False,
     applies=has_sides,
 )
-def _compute_decay_ratio(response: Response) -> Result:
-    found = step_response.find_decay_ratio(response.values, **response.step_ends)
-    if found is None:
-        reason = "the response does not overshoot twice"
-        return Missing(status=Status.NOT_REACHED, reason=reason)
-    return Found(found[0], _tell_time(response, found[1]))
+def measure_decay_ratio(curve: Response) -> Outcome:
+    """See `find_decay_ratio`."""
+    ratio, row = find_decay_ratio(curve.error, curve.initial, curve.reference, curve.memory)
+    if math.isnan(ratio):
+        return math.nan, math.nan, _NOT_TWICE
+    return ratio, curve.start_s + curve.time_s[row], FOUND
 
 
-@loop_metric(
+@curve_metric(
     "stable",
     "1",
     "1 where swings of the {signal} around the {goal} die out, 0 where they go on or grow.",
     better="higher",
+    needs_step=True,
     needs_whole=False,
     applies=has_sides,
 )
-def _compute_stable(context: RunContext, response: Response) -> Result:
-    from turtlelog.measure.swings import TURN_RAD, judge_swings  # not among those shown first
-
-    error, clipped = _take_answered(context, response)
-    if abs(response.reference - response.initial) <= SMALLEST_STEP:
-        return _NO_STEP
+def judge_stability(curve: Response) -> Outcome:
+    """See `judge_swings`, of the poses up to the last that was answered."""
+    error = curve.error[: curve.answered]
     if len(error) < 2:
-        return Missing(status=Status.TOO_SHORT, reason="one pose was answered in this phase")
-    crossings = step_response.find_crossing_rows(error, 0.0)
-    most = TURN_RAD if response.loop.signal == "heading" else math.inf
-    verdict = judge_swings(error, crossings, clipped, most=most)
-    if verdict in _UNTOLD:
-        return _UNTOLD[verdict]
-    return Found(float(verdict == "rests"), _tell_time(response))
+        return math.nan, math.nan, _ONE_ANSWER
+    rows = find_crossing_rows(error, 0.0, curve.memory)
+    verdict = judge_swings(error, rows, curve.clipped, TURN_RAD if curve.is_angle else math.inf)
+    if verdict == PASSING:
+        return math.nan, math.nan, _PASSING
+    if verdict == SLOW:
+        return math.nan, math.nan, _SLOW
+    if verdict == UNKNOWN:
+        return math.nan, math.nan, _UNKNOWN
+    return 1.0 if verdict == RESTS else 0.0, curve.start_s + curve.time_s[-1], FOUND
 
 
-_UNTOLD: Final = {
-    "passing": Missing(
-        status=Status.UNDETERMINED, reason="the phase ends as the response passes its reference"
-    ),
-    "slow": Missing(
-        status=Status.NOT_REACHED, reason="the phase ends before the response is near its reference"
-    ),
-    "unknown": Missing(
-        status=Status.UNDETERMINED,
-        reason="the swings are too few, or change too little, to say whether they die out",
-    ),
-}
+@curve_metric("final_error", "{value}", "Magnitude of the error of the {signal} at the end.")
+def find_final_error(curve: Response) -> Outcome:
+    """Return the last error's magnitude."""
+    return abs(curve.error[-1]), curve.start_s + curve.time_s[-1], FOUND
 
 
-def _take_answered(context: RunContext, response: Response) -> tuple[Values, int | None]:
-    """Return the error at the poses up to the last that was answered, and where it was clipped.
-
-    That is the last row, from which on no command was at its limit; -1 where none was, None where
-    the limit is not known. The way that a robot rolls on in a pause is not the loop's doing.
-    """
-    run = context.run
-    rows = find_loop_samples(run, response.loop)
-    answered_ns = run.samples.time_ns[rows]
-    poses_ns = run.poses.time_ns[response.rows]
-    error = response.error[: int(np.searchsorted(poses_ns, answered_ns[-1], side="right"))]
-    saturated = response.commands.is_saturated
-    if saturated is None:
-        return error, None
-    if not saturated.any():
-        return error, -1
-    last_ns = answered_ns[len(saturated) - 1 - int(saturated[::-1].argmax())]
-    return error, int(np.searchsorted(poses_ns, last_ns, side="right")) - 1
-
-
-def _find_peak_row(response: Response) -> int:
-    return step_response.find_peak_row(response.values, **response.step_ends)
-
-
-def _tell_time(response: Response, row: int = -1) -> float:
-    return response.start_s + float(response.time_s[row])
-
-
-def _miss(share: str) -> Missing:
-    reason = f"the response never reaches {share} of the step"
-    return Missing(status=Status.NOT_REACHED, reason=reason)
-
-
-@loop_metric("final_error", "{value}", "Magnitude of the error of the {signal} at the end.")
-def _compute_final_error(_: RunContext, response: Response) -> Result:
-    return Found(abs(float(response.error[-1])), _tell_time(response))
-
-
-@loop_metric(
+@curve_metric(
     "steady_state_error",
     "{value}",
     "Reference minus final {signal}: positive if short of it, negative if past it.",
     better=None,
     applies=has_step,
 )
-def _compute_steady_state_error(_: RunContext, response: Response) -> Result:
-    direction = 1.0 if response.reference >= response.initial else -1.0
-    return Found(float(response.error[-1]) * direction, _tell_time(response))
+def find_steady_state_error(curve: Response) -> Outcome:
+    """Return the last error, signed in the direction of the step."""
+    direction = 1.0 if curve.reference >= curve.initial else -1.0
+    return curve.error[-1] * direction, curve.start_s + curve.time_s[-1], FOUND
 
 
-@loop_metric("largest_error", "{value}", "Largest magnitude of {goal} minus {signal}.", grows=True)
-def _compute_largest_error(_: RunContext, response: Response) -> Result:
-    largest, row = find_largest(response.error)
-    return Found(largest, _tell_time(response, row))
+@curve_metric("largest_error", "{value}", "Largest magnitude of {goal} minus {signal}.", grows=True)
+def find_largest_error(curve: Response) -> Outcome:
+    """Return the largest error's magnitude."""
+    largest, row = find_largest(curve.error)
+    return largest, curve.start_s + curve.time_s[row], FOUND
 
 
-@loop_metric("rms_error", "{value}", "Root of the mean square over time of that error.")
-def _compute_rms_error(_: RunContext, response: Response) -> Result:
-    return Found(step_response.compute_rms(response.step_s, response.error))
+@curve_metric("rms_error", "{value}", "Root of the mean square over time of that error.")
+def compute_rms_error(curve: Response) -> Outcome:
+    """See `compute_rms`."""
+    return compute_rms(curve.step_s, curve.error, curve.memory), math.nan, FOUND
 
 
-@loop_metric("iae", "{signal} s", "Integral of the magnitude of the error.", grows=True)
-def _compute_iae(_: RunContext, response: Response) -> Result:
-    return Found(step_response.integrate(*response.folded_error[1:]))
+def _fold_error(curve: Response) -> tuple[Values, Values, Values]:
+    return fold_at_zero(curve.time_s, curve.error, curve.memory)
 
 
-@loop_metric("ise", "{signal}^2 s", "Integral of the square of the error.", grows=True)
-def _compute_ise(_: RunContext, response: Response) -> Result:
-    return Found(step_response.integrate_square(response.step_s, response.error))
+@compiled_as(_fold_error)
+def fold_error(curve: Response) -> tuple[Values, Values, Values]:
+    """Return times, steps of time and magnitudes of the error, as the run keeps them."""
+    return curve.folded_error
 
 
-@loop_metric(
+@curve_metric("iae", "{signal} s", "Integral of the magnitude of the error.", grows=True)
+def compute_iae(curve: Response) -> Outcome:
+    """See `integrate`."""
+    _, step_s, sizes = fold_error(curve)
+    return integrate(step_s, sizes, curve.memory), math.nan, FOUND
+
+
+@curve_metric("ise", "{signal}^2 s", "Integral of the square of the error.", grows=True)
+def compute_ise(curve: Response) -> Outcome:
+    """See `integrate_square`."""
+    return integrate_square(curve.step_s, curve.error), math.nan, FOUND
+
+
+@curve_metric(
     "itae",
     "{signal} s^2",
     "Integral of time in the stretch times the magnitude of the error.",
     grows=True,
 )
-def _compute_itae(_: RunContext, response: Response) -> Result:
-    return Found(step_response.integrate_time_weighted(*response.folded_error))
+def compute_itae(curve: Response) -> Outcome:
+    """See `integrate_time_weighted`."""
+    time_s, step_s, sizes = fold_error(curve)
+    return integrate_time_weighted(time_s, step_s, sizes), math.nan, FOUND

@@ -22,9 +22,10 @@ from turtlelog.loops import ControlLoop
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.measure_settings import MOST_TICKS
 from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.reductions import find_largest
 from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import Response
-from turtlelog.measure.step_response import compute_rms, find_largest
+from turtlelog.measure.step_response import compute_rms
 from turtlelog.theory import compute_step_response
 from turtlelog.theory.sampled_loop import LARGEST_DEVIATION, interpolate_sampled_response
 
@@ -76,7 +77,7 @@ def _deviate_by(theory: str, figure: str) -> Callable[[RunContext, Response], Re
         if isinstance(found, Missing):
             return found
         if figure == "rms":
-            return Found(compute_rms(response.step_s, found))
+            return Found(compute_rms(response.step_s, found, None))
         largest, row = find_largest(found)
         return Found(largest, response.start_s + float(response.time_s[row]))
 

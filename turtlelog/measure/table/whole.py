@@ -1,18 +1,38 @@
 """The metrics of a whole run: its length, its way, its distance to the goal, its commands."""
 
+import math
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.arithmetic import compiled_as
 from turtlelog.loops import ControlLoop
-from turtlelog.measure import path, step_response
+from turtlelog.measure import path
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.metric import NO_COMMANDS, NO_GOAL, Found, Missing, Result, Status
-from turtlelog.measure.registry import loop_metric, run_metric
+from turtlelog.measure.metric import (
+    FOUND,
+    NO_COMMANDS,
+    NO_GOAL,
+    REASONS,
+    Found,
+    Missing,
+    Outcome,
+    Result,
+    Status,
+    add_reason,
+    read_outcome,
+)
+from turtlelog.measure.reductions import PIECES, find_largest, integrate, measure_way
+from turtlelog.measure.registry import course_metric, loop_metric, run_metric
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
-from turtlelog.measure.step_response import find_largest
+from turtlelog.measure.step_response import (
+    compute_rms,
+    find_settling_time,
+    integrate_square,
+    integrate_time_weighted,
+)
 from turtlelog.measure.table.commands import (
     measure_effort,
     measure_largest_jump,
@@ -20,21 +40,23 @@ from turtlelog.measure.table.commands import (
     measure_reversals,
     measure_total_variation,
 )
-from turtlelog.measure.table.loop_metrics import require_hold
+from turtlelog.measure.table.loop_metrics import LEFT_SOON, find_needed_hold
 
 Values = NDArray[np.float64]
 
-NO_LINE: Final = Missing(status=Status.ABSENT, reason="the line from start to goal is not known")
+_LINE_UNKNOWN: Final = add_reason(Status.ABSENT, "the line from start to goal is not known")
+NO_LINE: Final = REASONS[_LINE_UNKNOWN]
 
 
-@run_metric(
+@course_metric(
     "run.duration",
     "s",
     "From the first sample, or without samples the first pose, to the last row of the run.",
     is_awaited=True,
 )
-def _compute_duration(context: RunContext) -> Result:
-    return Found(context.run.duration_s)
+def measure_duration(course: RunContext) -> Outcome:
+    """Return how long the run is."""
+    return course.duration_s, math.nan, FOUND
 
 
 def _on_distance(
@@ -46,8 +68,7 @@ def _on_distance(
         signal = context.get_signal("distance")
         if signal is None:
             return NO_GOAL
-        first = int(np.searchsorted(signal.time_ns, context.run.start_ns))
-        first = min(first, len(signal.values) - 1)
+        first = context.first_row
         return compute(context, context.pose_time_s[first:], signal.values[first:])
 
     return compute_on_distance
@@ -64,28 +85,25 @@ def _on_distance(
 def _compute_time_to_goal(context: RunContext, time_s: Values, distance_m: Values) -> Result:
     first_m, band = float(distance_m[0]), context.settings.band
     near_m = context.settings.goal_tolerance_m
-    arrived_s = step_response.find_settling_time(
-        time_s,
-        distance_m,
-        initial=first_m if near_m is None else 1.0,
-        reference=0.0,
-        band=band if near_m is None else near_m,
-    )
-    if arrived_s is None:
+    initial_m, half_width = (first_m, band) if near_m is None else (1.0, near_m)
+    arrived_s = float(find_settling_time(time_s, distance_m, initial_m, 0.0, half_width))
+    if math.isnan(arrived_s):
         far = f"{100.0 * band:g} % of its first distance" if near_m is None else f"{near_m:g} m"
         reason = f"the run ends further from the goal than {far}"
         return Missing(status=Status.NOT_REACHED, reason=reason)
     if not came_to_rest(context.run):
         half_width = band * first_m if near_m is None else near_m
-        missing = require_hold(time_s, distance_m, arrived_s, reference=0.0, half_width=half_width)
-        if missing is not None:
-            return missing
+        needed_s = find_needed_hold(time_s, distance_m, 0.0, half_width)
+        held_s = float(time_s[-1]) - arrived_s
+        if held_s < needed_s:
+            return read_outcome((held_s, needed_s, LEFT_SOON))
     return Found(arrived_s, arrived_s)
 
 
-@run_metric("run.path_length", "m", "Length of the line through all poses.", grows=True)
-def _compute_length(context: RunContext) -> Result:
-    return Found(context.path_length_m)
+@course_metric("run.path_length", "m", "Length of the line through all poses.", grows=True)
+def measure_path_length(course: RunContext) -> Outcome:
+    """See `measure_way`."""
+    return measure_way(course.x_m, course.y_m, course.memory), math.nan, FOUND
 
 
 @run_metric(
@@ -103,62 +121,80 @@ def _compute_straightness(context: RunContext) -> Result:
 
 def find_largest_cross_track(context: RunContext, rows: slice) -> Result:
     """Return the largest magnitude among rows of the poses."""
-    cross_track_m = context.cross_track_m
-    if cross_track_m is None:
+    if not len(context.cross_track_m):
         return NO_LINE
-    largest_m, row = find_largest(cross_track_m[rows])
+    largest_m, row = find_largest(context.cross_track_m[rows])
     return Found(largest_m, float(context.pose_time_s[rows][row]))
 
 
 def compute_rms_cross_track(context: RunContext, rows: slice) -> Result:
     """Return the root of the mean square over time among rows of the poses."""
-    cross_track_m = context.cross_track_m
-    if cross_track_m is None:
+    if not len(context.cross_track_m):
         return NO_LINE
-    return Found(step_response.compute_rms(np.diff(context.pose_time_s[rows]), cross_track_m[rows]))
+    step_s = np.diff(context.pose_time_s[rows])
+    return Found(float(compute_rms(step_s, context.cross_track_m[rows], None)))
 
 
-def _from_first_sample(
-    compute: Callable[[RunContext, slice], Result],
-) -> Callable[[RunContext], Result]:
-    """Compute on the poses from the first sample on: time zero of the run."""
-
-    def compute_from_first_sample(context: RunContext) -> Result:
-        run = context.run
-        first = int(np.searchsorted(run.poses.time_ns, run.start_ns))
-        return compute(context, slice(min(first, len(run.poses) - 1), None))
-
-    return compute_from_first_sample
+def _project(course: Any) -> Values:
+    (at_x_m, at_y_m, cos, sin), offset_m = course.line, course.memory.numbers[PIECES]
+    for row in range(len(course.x_m)):
+        x_m, y_m = course.x_m[row] - at_x_m, course.y_m[row] - at_y_m
+        offset_m[row] = y_m * cos - x_m * sin
+    return offset_m[: len(course.x_m)]  # type: ignore[no-any-return]
 
 
-run_metric(
+@compiled_as(_project)
+def get_cross_track(course: RunContext) -> Values:
+    """Return the distance of every pose to the left of the line, or from a path [m]."""
+    return course.cross_track_m
+
+
+def _tell_row(course: Any, row: int) -> float:
+    return (row * course.period_ns - course.start_ns) / 1e9  # type: ignore[no-any-return]
+
+
+@compiled_as(_tell_row)
+def tell_pose(course: RunContext, row: int) -> float:
+    """Return the time of a pose, from the first sample [s]."""
+    return float(course.pose_time_s[row])
+
+
+@course_metric(
     "run.cross_track_max",
     "m",
     "Largest distance from the line from start to goal, or from the path given.",
     grows=True,
-)(_from_first_sample(find_largest_cross_track))
-
-run_metric("run.cross_track_rms", "m", "Root of the mean square of that distance over time.")(
-    _from_first_sample(compute_rms_cross_track)
 )
+def measure_largest_cross_track(course: RunContext) -> Outcome:
+    """Return the largest magnitude from the first sample on: time zero of the run."""
+    offset_m, first = get_cross_track(course), course.first_row
+    if len(offset_m) == 0:
+        return math.nan, math.nan, _LINE_UNKNOWN
+    largest_m, row = find_largest(offset_m[first:])
+    return largest_m, tell_pose(course, first + row), FOUND
+
+
+@run_metric("run.cross_track_rms", "m", "Root of the mean square of that distance over time.")
+def _compute_rms_of_run(context: RunContext) -> Result:
+    return compute_rms_cross_track(context, slice(context.first_row, None))
 
 
 @run_metric("run.iae", "m s", "Integral of the distance to the goal.", grows=True)
 @_on_distance
 def _compute_iae(_: RunContext, time_s: Values, distance_m: Values) -> Result:
-    return Found(step_response.integrate(np.diff(time_s), distance_m))
+    return Found(integrate(np.diff(time_s), distance_m, None))
 
 
 @run_metric("run.ise", "m^2 s", "Integral of the square of the distance to the goal.", grows=True)
 @_on_distance
 def _compute_ise(_: RunContext, time_s: Values, distance_m: Values) -> Result:
-    return Found(step_response.integrate_square(np.diff(time_s), distance_m))
+    return Found(integrate_square(np.diff(time_s), distance_m))
 
 
 @run_metric("run.itae", "m s^2", "Integral of time times the distance to the goal.", grows=True)
 @_on_distance
 def _compute_itae(_: RunContext, time_s: Values, distance_m: Values) -> Result:
-    return Found(step_response.integrate_time_weighted(time_s, np.diff(time_s), distance_m))
+    return Found(integrate_time_weighted(time_s, np.diff(time_s), distance_m))
 
 
 def _on_commands(
@@ -181,6 +217,7 @@ def _take_commands(context: RunContext, column: str) -> CommandStretch:
         wanted=None,
         limit=None,
         end_s=(context.run.end_ns - context.run.start_ns) / 1e9,
+        answered_ns=context.run.commands.time_ns,
     )
 
 
