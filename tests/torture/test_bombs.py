@@ -164,7 +164,7 @@ def test_messages_beyond_what_a_file_may_hold_are_told(tmp_path: Path) -> None:
 
 
 def test_a_small_file_may_have_a_chunk_a_second_for_an_hour(tmp_path: Path) -> None:
-    """Thousands of chunks are walked twice."""
+    """Thousands of chunks are walked four times, and written once."""
     path, one = tmp_path / "chunks.mcap", chunk([pose_messages(1, 1)])
     front, most = chunk([describe("/a"), pose_messages(1, 1)]), 4096
     path.write_bytes(whole(front + one * (most - 1)))
@@ -174,6 +174,11 @@ def test_a_small_file_may_have_a_chunk_a_second_for_an_hour(tmp_path: Path) -> N
     allowed = most + path.stat().st_size // 1000
     with pytest.raises(LogError, match=rf"expected up to {allowed} chunks in a file of"):
         read_info(path)
+    report = recover_recording(path, tmp_path / "out.mcap")
+    assert report.recovered == {"/a": allowed}
+    advice = "found more; mcap filter FILE -o NEW.mcap writes larger ones"
+    assert [loss.reason.endswith(advice) for loss in report.lost] == [True]
+    assert read_info(tmp_path / "out.mcap").topics[0].count == allowed
 
 
 def test_what_a_file_asks_for_beyond_its_size_ends_what_is_read_of_it(tmp_path: Path) -> None:

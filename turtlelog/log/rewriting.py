@@ -18,10 +18,11 @@ from turtlelog.log.container import LIBRARY, McapFile
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, NOTES, Allowance
 from turtlelog.log.engine.parsing import RecordStretch, parse_body
-from turtlelog.log.records import ChunkRows
+from turtlelog.log.records import ChunkRows, merge_chunks
 
 _CHANNEL: Final = 9  # where in a message record the number of its channel stands, u16
 _MOST_FAULTS: Final = 100  # that are told of one stretch
+_SMALL_CHUNK: Final = 2**16  # bytes of records
 
 Numbers = NDArray[np.int64]
 
@@ -148,6 +149,8 @@ class Rewriter:
         self._file, self._is_begun, self._allowance = McapFile(output), False, allowance
         # What each id meant last, by kind: some writers say it again in every chunk.
         self._last: dict[int, dict[bytes, bytes]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
+        self._small: list[ChunkRows] = []
+        self._small_size = 0  # bytes of their records
 
     def take_stretch(self, stretch: RecordStretch, byte: int, *, is_checked: bool) -> list[str]:
         """Write records that stand at a byte of the source; return what is wrong with them.
@@ -183,6 +186,7 @@ class Rewriter:
     def finish(self, notes: Mapping[str, Mapping[str, str]]) -> None:
         """Write metadata records of our own, and the summary."""
         self._begin()
+        self._write_small()
         # Those without a message stand in no chunk.
         pairs = self.numbering.channels.values()
         self._file.describe(self.numbering.schemas.values(), [channel for _, channel in pairs])
@@ -213,11 +217,13 @@ class Rewriter:
             self._allowance.spend(NOTES)
             metadata = parse_exact_record(Metadata, body)
             self._begin()
+            self._write_small()
             self._file.add_metadata(metadata.name, metadata.metadata)
         elif opcode == Opcode.ATTACHMENT:
             self._allowance.spend(NOTES)
             attachment = parse_exact_record(Attachment, body)
             self._begin()
+            self._write_small()
             self._file.add_attachment_record(attachment)
 
     def _begin(self, header: Header | None = None) -> None:
@@ -240,9 +246,27 @@ class Rewriter:
                 continue
             places = np.cumsum(ends - starts) - (ends - starts)
             chunk = self._build_chunk(_join(stretch.data, starts, ends), places, heads)
-            self._begin()
-            self._file.add_chunk(chunk)
+            self._add_chunk(chunk)
             self._count(chunk, is_checked=is_checked)
+
+    def _add_chunk(self, chunk: ChunkRows) -> None:
+        """Write a chunk; small ones become one, for a reader refuses a file of very many."""
+        self._begin()
+        if len(chunk.records) >= _SMALL_CHUNK:
+            self._write_small()
+            self._file.add_chunk(chunk)
+            return
+        # As a view the records would keep in memory all that their own chunk unpacked to.
+        self._small.append(replace(chunk, records=bytes(chunk.records)))
+        self._small_size += len(chunk.records)
+        if self._small_size >= _SMALL_CHUNK:
+            self._write_small()
+
+    def _write_small(self) -> None:
+        """Write the small chunks that wait."""
+        if self._small:
+            self._file.add_chunk(merge_chunks(self._small))
+        self._small, self._small_size = [], 0
 
     def _note_unknown(self, numbers: NDArray[np.uint16], byte: int) -> list[int]:
         """Count messages of channels that nobody describes; return these."""

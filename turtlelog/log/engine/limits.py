@@ -85,6 +85,8 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
 _COLUMNS: Final = 40_000_000
 _COLUMNS_SHARE: Final = 16  # of what is beyond
 
+_LARGER_CHUNKS: Final = "mcap filter FILE -o NEW.mcap writes larger ones"
+
 _CHANNEL: Final = 500  # bytes in memory beside its letters
 _ENTRY: Final = 200  # the same of an entry of its table
 
@@ -123,7 +125,8 @@ class Allowance:
     def _describe_most(self, kind: str) -> str:
         most, size = self._most[kind], self._file_size
         if kind != COLUMNS:
-            return f"expected up to {most} {kind} in a file of {size} bytes, found more"
+            reason = f"expected up to {most} {kind} in a file of {size} bytes, found more"
+            return f"{reason}; {_LARGER_CHUNKS}" if kind == CHUNKS else reason
         return (
             f"its messages take more than {most:,} bytes as columns, the most for a file of"
             f" {size:,} bytes. Cut the file into parts, or store it without compression"
