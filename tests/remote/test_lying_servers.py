@@ -75,6 +75,13 @@ def run(words: list[str]) -> int | str | None:
         (lies.huge_file, "expected at most 2 MiB, found a file that is longer"),
         (lies.web_page, "expected a file, found a web page; nothing more of it was fetched"),
         (lies.long_web_page, "expected an MCAP file"),
+        (lies.several_parts, "expected a range with the size of the file from the server, found"),
+        (lies.interim_answers, "expected an answer within 0.5 s, found none: the server hangs"),
+        (lies.huge_chunk, "expected an answer in http, found one that breaks its rules"),
+        (lies.endless_trailers, "expected an answer in http, found one that breaks its rules"),
+        (lies.escapes_in_range, r"found Content-Range bytes \x1b[2J\x1b]0;x\x07 0-1/5"),
+        (lies.immense_size, f"found Content-Range bytes 0-16383/{2**62}"),
+        (lies.come_again_in_a_century, "expected all of the bytes asked for, found the server's"),
     ],
     ids=lambda value: getattr(value, "__name__", ""),
 )
@@ -84,7 +91,7 @@ def test_an_answer_that_lies_is_one_line(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    if answer is lies.slow_headers:
+    if answer in {lies.slow_headers, lies.interim_answers}:
         monkeypatch.setattr(requests, "STALL_S", 0.5)
     with LyingServer(answer=answer) as server:
         assert run(["info", server.url(), "--max-download", "2MiB"]) == 2
