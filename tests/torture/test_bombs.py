@@ -11,6 +11,7 @@ import pytest
 from tests.torture.bombs import (
     BOMBS,
     MIB,
+    attachment,
     chunk,
     cut,
     describe,
@@ -200,3 +201,16 @@ def test_a_note_lists_a_hundred_topics_at_most(count: int, end: str, tmp_path: P
     said = b"".join(message(number, pose, number) for number in range(1, count + 1))
     path.write_bytes(whole(chunk([describe(*topics), said])))
     assert read_run(path).notes["other_pose_topics"].endswith(end)
+
+
+def test_a_small_file_may_have_some_thousand_attachments(tmp_path: Path) -> None:
+    path, one = tmp_path / "notes.mcap", attachment("", b"")
+    poses = chunk([describe("/turtle1/pose"), pose_messages(1, 100)])
+    path.write_bytes(whole(poses + one * 4096))
+    assert read_info(path).topics[0].count == 100
+    path.write_bytes(whole(poses + one * 5000))
+    allowed = 4096 + path.stat().st_size // 1000
+    with pytest.raises(LogError, match=f"expected up to {allowed} metadata records and attach"):
+        read_info(path)
+    assert recover_recording(path, tmp_path / "out.mcap").recovered == {"/turtle1/pose": 100}
+    assert read_info(tmp_path / "out.mcap").topics[0].count == 100

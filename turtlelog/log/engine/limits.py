@@ -64,8 +64,9 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
         CHANNEL_BYTES: (80 * 2**20, 1),
         # Of types that differ, about 1 kB each in memory; 200 types of 50 fields are many.
         FIELDS: (50_000, 1 / 1000),
-        # And the entries of the summary that name them; recordings have a handful.
-        NOTES: (2**16, 1 / 1000),
+        # And the entries of the summary that name them; recordings have a handful, and each
+        # attachment costs 200 us in every pass.
+        NOTES: (2**12, 1 / 1000),
         # Each is noted, with the reason.
         DAMAGES: (10_000, 1 / 1000),
         # One a second for an hour; those with poses of a second and all schemas pack to 1 kB;
