@@ -347,7 +347,7 @@ def test_small_chunks_of_many_channels_become_one(tmp_path: Path) -> None:
     channels = [writer.register_channel(f"/{name}", "cdr", schema) for name in "abc"]
     for number in range(300):
         writer.add_message(channels[number % 3], number, bytes([number % 256]) * 500, number)
-    writer.finish()
+    writer.finish()  # type: ignore[no-untyped-call]
     report, recovered = recover(stream.getvalue(), tmp_path)
     assert report.complete
     assert list_messages(recovered) == list_messages(stream.getvalue())
