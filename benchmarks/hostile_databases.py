@@ -140,6 +140,33 @@ def _alternate_order() -> bytes:
     return bag.finish()
 
 
+def _with(*statements: str) -> Make:
+    """Make a sound bag on which some statements were run."""
+
+    def make(folder: Path) -> Path:
+        import sqlite3
+
+        path = folder / "file.db3"
+        path.write_bytes(_bag().finish())
+        connection = sqlite3.connect(path)
+        for statement in statements:
+            connection.execute(statement)
+        connection.commit()
+        connection.close()
+        return path
+
+    return make
+
+
+def _free_circle() -> bytes:
+    """A list of free pages whose only page comes after itself."""
+    content = bytearray(_bag().finish())
+    size = struct.unpack_from(">H", content, 16)[0]
+    page = len(content) // size + 1
+    struct.pack_into(">III", content, 28, page, page, 2**31)
+    return bytes(content) + struct.pack(">II", page, 0) + bytes(size - 8)
+
+
 def _own_rowid(folder: Path) -> Path:
     import sqlite3
 
@@ -243,6 +270,13 @@ FILES: Final[Mapping[str, Make]] = MappingProxyType(
         "sqlite: damage in every other page": put_file("file.db3", _damaged_leaves),
         "sqlite: rows up and down": put_file("file.db3", _alternate_order),
         "sqlite: column rowid": _own_rowid,
+        "sqlite: free pages in a circle": put_file("file.db3", _free_circle),
+        "sqlite: 1,000 tables more": _with(*(f"CREATE TABLE t{n}(a)" for n in range(1000))),
+        "sqlite: view without end": _with(
+            "ALTER TABLE messages RENAME TO m",
+            "CREATE VIEW messages AS WITH RECURSIVE c(id) AS (SELECT 1 UNION ALL SELECT id + 1"
+            " FROM c) SELECT id, 1 AS topic_id, id AS timestamp, zeroblob(24) AS data FROM c",
+        ),
         "sqlite: shared pages in a -wal": _wal,
         "sqlite: journal of 2^32 pages": _journal,
         "sqlite: 600,000 rows in .db3.zstd": put_file("file.db3.zstd", _compressed_bag),

@@ -4,13 +4,20 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from benchmarks import hostile_databases, hostile_folders, hostile_mcap, hostile_tables
+from benchmarks import (
+    hostile_databases,
+    hostile_folders,
+    hostile_mcap,
+    hostile_records,
+    hostile_tables,
+)
 from benchmarks.put_files import Make
 
 FILES: Final[Mapping[str, Make]] = MappingProxyType(
     {
         **hostile_databases.FILES,
         **hostile_mcap.FILES,
+        **hostile_records.FILES,
         **hostile_tables.FILES,
         **hostile_folders.FILES,
     }

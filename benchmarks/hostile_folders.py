@@ -84,6 +84,21 @@ FILES: Final[Mapping[str, Make]] = MappingProxyType(
             + "  a0: &a0 [x, x]\n"
             + "".join(f"  a{n + 1}: &a{n + 1} [*a{n}, *a{n}]\n" for n in range(64))
         ),
+        "yaml: tags": _describe(
+            f"{_YAML}  x: !!python/object/apply:os.abort []\n  y: !!binary {'A' * 4_000_000}\n"
+        ),
+        "yaml: 2 M documents": _describe(_YAML + "---\n" * 2_000_000),
+        "yaml: merges": _describe(
+            "a0: &a0 {x: 1}\n"
+            + "".join(f"a{n + 1}: &a{n + 1} {{<<: [*a{n}, *a{n}]}}\n" for n in range(60))
+            + _YAML
+        ),
+        "yaml: numbers of 4 M digits": _describe(
+            f"{_YAML}  x: {'9' * 4_000_000}\n  y: 1:{'59:' * 500_000}59\n"
+        ),
+        "yaml: 300,000 keys": _describe(
+            _YAML + "".join(f"  k{n}: [{n}]\n" for n in range(300_000))
+        ),
         "yaml: lists in lists": _describe(_YAML + "  x: " + "[" * 9_000_000),
         "yaml: 100,000 files": _name_files(*(f"bag_{n}.mcap" for n in range(100_000))),
         "yaml: a file 100,000 times": _name_files(*["bag_0.mcap"] * 100_000),

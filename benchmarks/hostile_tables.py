@@ -1,5 +1,6 @@
 """Hostile tables and logs: CSV, TUM, JSON and Parquet."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -27,6 +28,22 @@ def _parquet_columns(folder: Path) -> Path:
     path = folder / "file.parquet"
     parquet.write_table(pa.table({f"c{n}": [0.0] for n in range(20_000)}), path)
     return path
+
+
+def _own_parquet(**facts: str) -> Make:
+    """Make a table of turtlelog's poses with some facts in its footer."""
+
+    def make(folder: Path) -> Path:
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        columns = {name: [0.0, 1.0] for name in ("x_m", "y_m", "heading_rad")}
+        table = pa.table({"time_ns": [0, 1], **columns})
+        metadata = {f"turtlelog.{name}": said for name, said in facts.items()}
+        parquet.write_table(table.replace_schema_metadata(metadata), folder / "file.parquet")
+        return folder / "file.parquet"
+
+    return make
 
 
 def _paper_json(rows: str) -> str:
@@ -91,6 +108,28 @@ FILES: Final[Mapping[str, Make]] = MappingProxyType(
             "file.json", lambda: _paper_json("[" + "{}," * 3_200_000 + "{}]")
         ),
         "json: number of 9 M digits": put_file("file.json", lambda: _paper_json("1" * 9_800_000)),
+        "csv: a quote that does not close": put_file(
+            "file.csv",
+            lambda: (
+                "t,x,y,heading\n" + "0,0,0,0\n" * 200_000 + '0,"0,0,0\n' + "0,0,0,0\n" * 900_000
+            ),
+        ),
+        "csv: zero bytes": put_file("file.csv", lambda: "t,x,y,heading\n" + "\0" * 9_000_000),
+        "csv: 9,000 columns of one name": put_file(
+            "file.csv",
+            lambda: f"t,x,y,heading,{','.join(['x'] * 9000)}\n" + ("0," * 9003 + "0\n") * 400,
+        ),
+        "csv: a row each 12 days": put_file(
+            "file.csv",
+            lambda: "t,x,y,heading\n" + "".join(f"{n}000000,{n % 7},0,0\n" for n in range(3000)),
+        ),
+        "parquet: scenario of lists in lists": _own_parquet(scenario="[" * 1_500_000),
+        "parquet: scenario of 100,000 keys": _own_parquet(
+            scenario=json.dumps({f"law.k{n}": n for n in range(100_000)})
+        ),
+        "parquet: declaration of 100,000 phases": _own_parquet(
+            declaration=json.dumps({"loops": [], "phases": {f"p{n}": [] for n in range(100_000)}})
+        ),
         "parquet: 5 M rows of zeros": _parquet,
         "parquet: 20,000 columns": _parquet_columns,
     }

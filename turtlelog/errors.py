@@ -19,12 +19,16 @@ class TurtlelogError(Exception):
     """Root of every error that turtlelog raises on purpose."""
 
     def __str__(self) -> str:
-        """Return the message; names cannot break, steer or flood a line, and URLs keep secrets."""
-        text = super().__str__()
-        shown = hide_secrets(cut_text(text, 2 * _LONGEST))
-        if len(text) > _LONGEST:
-            shown = f"{shown[:_LONGEST]}... ({len(text) - _LONGEST:,} letters more)"
-        return escape_controls(shown)
+        """Return the message in one line."""
+        return format_line(super().__str__())
+
+
+def format_line(text: str) -> str:
+    """Return text in one line that names cannot break, steer or flood; URLs keep secrets."""
+    shown = hide_secrets(cut_text(text, 2 * _LONGEST))
+    if len(text) > _LONGEST:
+        shown = f"{shown[:_LONGEST]}... ({len(text) - _LONGEST:,} letters more)"
+    return escape_controls(shown)
 
 
 def describe_error(err: BaseException) -> str:

@@ -12,8 +12,9 @@ from pyarrow import parquet
 from tests.log.runs import simulate_short_run
 from turtlelog.errors import LogError
 from turtlelog.log.exporters import export_csv, export_parquet
-from turtlelog.log.importers.exported_tables import import_tables
-from turtlelog.run import Event, Run
+from turtlelog.log.importers.exported_tables import import_tables, require_read_back
+from turtlelog.log.parquet_file import MOST_ROWS
+from turtlelog.run import Event, PoseColumns, Run
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -144,3 +145,21 @@ def test_odd_metadata_are_one_line_without_python(
     )
     with pytest.raises(LogError, match=re.escape(said)):
         import_tables(path)
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_a_table_of_more_rows_than_a_small_file_may_have_is_read_back(
+    more: int, tmp_path: Path
+) -> None:
+    count = MOST_ROWS + more
+    poses = PoseColumns(
+        time_ns=np.arange(count), xy_m=np.zeros((count, 2)), heading_rad=np.zeros(count)
+    )
+    run = replace(simulate_short_run(), poses=poses)
+    written = export_parquet(run, tmp_path / "poses.parquet")
+    require_read_back(run, written, None)
+    groups = parquet.read_metadata(written[0])
+    assert groups.num_row_groups == -(-count // 2**16)
+    assert groups.row_group(0).column(0).compression == ("UNCOMPRESSED" if more else "ZSTD")
+    with pytest.raises(LogError, match="found other values in x_m of poses"):
+        require_read_back(replace(run, poses=replace(poses, xy_m=poses.xy_m + 1)), written, None)

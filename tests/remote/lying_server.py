@@ -241,6 +241,40 @@ def drip(count: int) -> Answer:
     return answer
 
 
+def several_parts(asked: Request) -> Iterator[bytes]:
+    part = b"--x\r\nContent-Range: bytes 0-9/1000008\r\n\r\n" + DATA[:10] + b"\r\n--x--\r\n"
+    kind = "Content-Type: multipart/byteranges; boundary=x"
+    yield say(206, kind, f"Content-Length: {len(part)}") + part
+
+
+def interim_answers(_: Request) -> Iterator[bytes]:
+    yield from repeat(b"HTTP/1.1 103 Early Hints\r\nLink: </a>\r\n\r\n" * 10)
+
+
+def huge_chunk(_: Request) -> Iterator[bytes]:
+    yield first_range("Transfer-Encoding: chunked") + b"FFFFFFFFFFFFFFFFF\r\n"
+    yield DATA[:16384]
+
+
+def endless_trailers(_: Request) -> Iterator[bytes]:
+    body = f"{16384:x}\r\n".encode() + DATA[:16384] + b"\r\n0\r\n"
+    yield first_range("Transfer-Encoding: chunked") + body
+    yield from repeat(b"X-More: a\r\n" * 100)
+
+
+def escapes_in_range(_: Request) -> Iterator[bytes]:
+    yield say(206, "Content-Range: bytes \x1b[2J\x1b]0;x\x07 0-1/5", "Content-Length: 2") + b"ab"
+
+
+def immense_size(asked: Request) -> Iterator[bytes]:
+    yield say(206, f"Content-Range: bytes 0-16383/{2**62}", "Content-Length: 16384")
+    yield DATA[:16384]
+
+
+def come_again_in_a_century(_: Request) -> Iterator[bytes]:
+    yield say(429, "Retry-After: 3153600000", "Content-Length: 0")
+
+
 def whole_file(_: Request) -> Iterator[bytes]:
     yield say(200, f"Content-Length: {len(DATA)}") + DATA
 

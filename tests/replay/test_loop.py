@@ -10,7 +10,15 @@ from tests.replay.changes import change_scenario, change_value, scenarios
 from turtlelog.errors import ScenarioError
 from turtlelog.log import export_rosbag2, read_bag, read_recording, read_run, write_recording
 from turtlelog.plants.turtlesim import TICK_NS
-from turtlelog.replay import LoopReplay, PoseError, ReplayError, RowCount, replay_law, replay_loop
+from turtlelog.replay import (
+    LoopReplay,
+    PoseError,
+    ReplayError,
+    RowCount,
+    loop_replay,
+    replay_law,
+    replay_loop,
+)
 from turtlelog.run import Run, SampleColumns, take_rows
 from turtlelog.scenario import Scenario, complete_scenario, get_preset, override_scenario
 from turtlelog.simulate import simulate_run
@@ -173,6 +181,29 @@ def test_a_log_without_its_whole_scenario_is_refused() -> None:
     run = read_run(find_shared("paper", "kp4_210_main.csv"))
     with pytest.raises(ScenarioError, match=r"without law\.heading_tolerance_rad, law\.kind"):
         replay_loop(run)
+
+
+@pytest.mark.parametrize(("most_s", "is_simulated"), [(1.0, True), (20.0, True), (20.1, False)])
+def test_a_recording_asks_for_no_run_that_is_much_longer_than_itself(
+    kp10: Run, monkeypatch: pytest.MonkeyPatch, most_s: float, *, is_simulated: bool
+) -> None:
+    monkeypatch.setattr(loop_replay, "_LONGEST_S", 20.0)
+    # A law that never ends: it is slow, and reaches nothing before the time is up.
+    slow = {"law.kp_linear": 1e-3, "law.kp_angular": 1e-3, "max_duration_s": most_s}
+    run = replace(kp10, parameters={**kp10.parameters, **slow})
+    if is_simulated:
+        assert replay_loop(run).run.stop_reason == "max_duration"
+        return
+    said = r"the replay goes on after 20 s, .* ends after 12\..* --set max_duration_s=20\.1 sim"
+    with pytest.raises(ReplayError, match=said):
+        replay_loop(run)
+
+
+def test_a_long_time_limit_that_is_not_reached_changes_nothing(kp10: Run) -> None:
+    run = replace(kp10, parameters={**kp10.parameters, "max_duration_s": 1e6})
+    found = replay_loop(run)
+    assert_equal(found, signals=SIGNALS)
+    assert (found.scenario.max_duration_s, found.run.parameters["max_duration_s"]) == (1e6, 1e6)
 
 
 def test_a_tolerance_is_a_number(kp10: Run) -> None:

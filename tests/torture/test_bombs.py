@@ -11,6 +11,7 @@ import pytest
 from tests.torture.bombs import (
     BOMBS,
     MIB,
+    attachment,
     chunk,
     cut,
     describe,
@@ -166,7 +167,7 @@ def test_messages_beyond_what_a_file_may_hold_are_told(tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 def test_a_small_file_may_have_a_chunk_a_second_for_an_hour(tmp_path: Path) -> None:
-    """Thousands of chunks are walked twice."""
+    """Thousands of chunks are walked four times, and written once."""
     path, one = tmp_path / "chunks.mcap", chunk([pose_messages(1, 1)])
     front, most = chunk([describe("/a"), pose_messages(1, 1)]), 4096
     path.write_bytes(whole(front + one * (most - 1)))
@@ -176,6 +177,11 @@ def test_a_small_file_may_have_a_chunk_a_second_for_an_hour(tmp_path: Path) -> N
     allowed = most + path.stat().st_size // 1000
     with pytest.raises(LogError, match=rf"expected up to {allowed} chunks in a file of"):
         read_info(path)
+    report = recover_recording(path, tmp_path / "out.mcap")
+    assert report.recovered == {"/a": allowed}
+    advice = "found more; mcap filter FILE -o NEW.mcap writes larger ones"
+    assert [loss.reason.endswith(advice) for loss in report.lost] == [True]
+    assert read_info(tmp_path / "out.mcap").topics[0].count == allowed
 
 
 def test_what_a_file_asks_for_beyond_its_size_ends_what_is_read_of_it(tmp_path: Path) -> None:
@@ -197,3 +203,16 @@ def test_a_note_lists_a_hundred_topics_at_most(count: int, end: str, tmp_path: P
     said = b"".join(message(number, pose, number) for number in range(1, count + 1))
     path.write_bytes(whole(chunk([describe(*topics), said])))
     assert read_run(path).notes["other_pose_topics"].endswith(end)
+
+
+def test_a_small_file_may_have_some_thousand_attachments(tmp_path: Path) -> None:
+    path, one = tmp_path / "notes.mcap", attachment("", b"")
+    poses = chunk([describe("/turtle1/pose"), pose_messages(1, 100)])
+    path.write_bytes(whole(poses + one * 4096))
+    assert read_info(path).topics[0].count == 100
+    path.write_bytes(whole(poses + one * 5000))
+    allowed = 4096 + path.stat().st_size // 1000
+    with pytest.raises(LogError, match=f"expected up to {allowed} metadata records and attach"):
+        read_info(path)
+    assert recover_recording(path, tmp_path / "out.mcap").recovered == {"/turtle1/pose": 100}
+    assert read_info(tmp_path / "out.mcap").topics[0].count == 100

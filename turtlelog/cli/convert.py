@@ -183,7 +183,7 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
             written = tl.log.export_parquet(run, path, table=tables.table)
     with show_progress("reading back"):
         if kind == "tum":
-            require_same_poses(path, run, tl.log.import_plain_table(path))
+            require_same_poses(path, run)
             return written
         is_run = kind in {"mcap", "rosbag2"}
         require_read_back(run, written, tl.read_run(path) if is_run else None)

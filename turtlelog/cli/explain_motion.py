@@ -107,7 +107,12 @@ def format_motion(file: Path, run: "Run", found: "MotionFacts") -> str:
     ]
     if found.replay is not None:
         sentences += [f"At {line}." for line in list_breaks(run, found.replay)]
-    lines = [textwrap.fill(line, _WIDTH, break_on_hyphens=False) for line in sentences if line]
+    # A name of a million letters would be broken in a time that grows with its square.
+    lines = [
+        textwrap.fill(line, _WIDTH, break_on_hyphens=False, break_long_words=False)
+        for line in sentences
+        if line
+    ]
     return "\n".join([*lines, "", textwrap.fill(_NEEDS, _WIDTH, break_on_hyphens=False)])
 
 

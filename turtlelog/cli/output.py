@@ -20,7 +20,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, TextIO
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.errors import UsageError
+from turtlelog.errors import UsageError, format_line
 from turtlelog.escapes import escape_controls, guard_cell, hide_secrets
 
 if TYPE_CHECKING:
@@ -207,9 +207,9 @@ def format_table(table: "Table", *, indent: int = 0) -> str:
 
 
 def print_note(text: str) -> None:
-    """Print a note, in one line; a URL in it without what is secret."""
+    """Print a note, in one line that names cannot flood; a URL in it without what is secret."""
     try:
-        sys.stderr.write(escape_controls(hide_secrets(text)) + "\n")
+        sys.stderr.write(format_line(text) + "\n")
         sys.stderr.flush()
     except OSError:
         # The result and the exit code still tell. Python 3.14 tries again at its end, and has 120

@@ -4,6 +4,7 @@ import csv
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,10 +16,12 @@ from turtlelog.escapes import guard_cell
 from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.info import survey_file
+from turtlelog.log.parquet_file import MOST_ROWS
 from turtlelog.log.recording.run_writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagPart, BagTopic, format_bag_metadata
 from turtlelog.remote.urls import make_path
 from turtlelog.run import TABLES, Run, tabulate_run
+from turtlelog.run.tables import iterate_arrow
 
 _LONGEST_NAME: Final = 255  # bytes; what file systems take
 
@@ -26,6 +29,9 @@ _DEFAULT_TABLE: Final = "poses"
 
 _ROWS: Final = 4096
 """Rows that are values of Python at once: as those they take five times their bytes."""
+
+_ROWS_GROUPED: Final = 2**16
+"""Rows of a Parquet file that are encoded at once: a row takes 160 bytes meanwhile."""
 
 _Write = Callable[[Run, str, Path], None]
 
@@ -186,7 +192,17 @@ def _write_csv(run: Run, table: str, path: Path) -> None:
 
 
 def _write_parquet(run: Run, table: str, path: Path) -> None:
-    columns = run.to_arrow(table)
     parquet = load_library("pyarrow.parquet")
-    with path.open("wb") as stream:
-        parquet.write_table(columns, stream, compression="zstd")
+    parts = iterate_arrow(run, table, _ROWS_GROUPED)
+    first = next(parts)
+    # A reader believes a table of more rows only where the file has the bytes for them.
+    is_packed = len(tabulate_run(run, table)["time_ns"]) <= MOST_ROWS
+    compression = "zstd" if is_packed else "none"
+    with (
+        path.open("wb") as stream,
+        parquet.ParquetWriter(
+            stream, first.schema, compression=compression, use_dictionary=is_packed
+        ) as writer,
+    ):
+        for part in chain([first], parts):
+            writer.write_table(part)

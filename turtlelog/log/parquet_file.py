@@ -93,11 +93,11 @@ class ParquetFile:
             LogError: Without the file's name, where it is no Parquet file, or claims too much.
             LibraryError: Where pyarrow is not installed.
         """
-        self._path = path
+        self._path = make_path(path)
         parquet = load_library("pyarrow.parquet")
-        with open_file(path) as stream:
+        with open_file(self._path) as stream:
             self._size = stream.seek(0, 2)
-            is_remote = isinstance(make_path(path), RemotePath)
+            is_remote = isinstance(self._path, RemotePath)
             # What a server says of the size justifies nothing.
             self._believed = min(self._size, SMALL_FILE - 1) if is_remote else self._size
             self._advice = _DOWNLOAD if is_remote else ""
@@ -155,13 +155,17 @@ class ParquetFile:
     def require_rows(self) -> None:
         """Refuse a table of more rows than one run may have.
 
+        Behind a URL a long one is fetched as a whole before its rows are believed.
+
         Raises:
             LogError: Without the file's name: how many there are, how many may be, what to do.
         """
-        most = count_most_rows(self._believed)
+        most = count_most_rows(self._size)
         if self.row_count > most:
             told = describe_rows(f"{self.row_count:,}", most, self._size)
-            raise LogError(f"{told}, or write it without compression{self._advice}")
+            raise LogError(f"{told}, or write it without compression")
+        if self.row_count > MOST_ROWS and isinstance(self._path, RemotePath):
+            self._believed = self._path.file.fetch_whole()
 
     def require_cells(self, columns: int, rows: int | None = None) -> None:
         """Refuse to read more cells than may be in memory at once.

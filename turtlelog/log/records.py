@@ -86,6 +86,28 @@ class ChunkRows:
     end_ns: int
 
 
+def merge_chunks(chunks: Sequence[ChunkRows]) -> ChunkRows:
+    """Return chunks as one; a channel's number means the same in each."""
+    if len(chunks) == 1:
+        return chunks[0]
+    channels: dict[int, tuple[Schema | None, Channel]] = {}
+    index: dict[int, list[NDArray[np.uint64]]] = {}
+    size = 0
+    for chunk in chunks:
+        channels |= {channel.id: (schema, channel) for schema, channel in chunk.channels}
+        for number, entries in chunk.index.items():
+            moved = entries + np.array([0, size], np.uint64)
+            index.setdefault(number, []).append(moved)
+        size += len(chunk.records)
+    return ChunkRows(
+        channels=[*channels.values()],
+        records=b"".join(chunk.records for chunk in chunks),
+        index={number: np.concatenate(entries) for number, entries in index.items()},
+        start_ns=min(chunk.start_ns for chunk in chunks),
+        end_ns=max(chunk.end_ns for chunk in chunks),
+    )
+
+
 def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> ChannelRecords:
     """Return the messages of a topic as records in order of log time.
 

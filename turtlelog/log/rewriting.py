@@ -16,12 +16,16 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.container import LIBRARY, McapFile
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, NOTES, Allowance
+from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, Allowance
 from turtlelog.log.engine.parsing import RecordStretch, parse_body
-from turtlelog.log.records import ChunkRows
+from turtlelog.log.records import ChunkRows, merge_chunks
 
 _CHANNEL: Final = 9  # where in a message record the number of its channel stands, u16
 _MOST_FAULTS: Final = 100  # that are told of one stretch
+_SMALL_CHUNK: Final = 2**16  # bytes of records
+_MOST_NOTES: Final = 2000
+"""Metadata records and attachments: with the entries that name them a file of any size may have
+twice as many."""
 
 Numbers = NDArray[np.int64]
 
@@ -148,6 +152,9 @@ class Rewriter:
         self._file, self._is_begun, self._allowance = McapFile(output), False, allowance
         # What each id meant last, by kind: some writers say it again in every chunk.
         self._last: dict[int, dict[bytes, bytes]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
+        self._notes = 0
+        self._small: list[ChunkRows] = []
+        self._small_size = 0  # bytes of their records
 
     def take_stretch(self, stretch: RecordStretch, byte: int, *, is_checked: bool) -> list[str]:
         """Write records that stand at a byte of the source; return what is wrong with them.
@@ -183,6 +190,7 @@ class Rewriter:
     def finish(self, notes: Mapping[str, Mapping[str, str]]) -> None:
         """Write metadata records of our own, and the summary."""
         self._begin()
+        self._write_small()
         # Those without a message stand in no chunk.
         pairs = self.numbering.channels.values()
         self._file.describe(self.numbering.schemas.values(), [channel for _, channel in pairs])
@@ -210,15 +218,24 @@ class Rewriter:
         if opcode == Opcode.HEADER:
             self._begin(parse_exact_record(Header, body))
         elif opcode == Opcode.METADATA:
-            self._allowance.spend(NOTES)
+            self._count_note()
             metadata = parse_exact_record(Metadata, body)
             self._begin()
+            self._write_small()
             self._file.add_metadata(metadata.name, metadata.metadata)
         elif opcode == Opcode.ATTACHMENT:
-            self._allowance.spend(NOTES)
+            self._count_note()
             attachment = parse_exact_record(Attachment, body)
             self._begin()
+            self._write_small()
             self._file.add_attachment_record(attachment)
+
+    def _count_note(self) -> None:
+        self._notes += 1
+        if self._notes > _MOST_NOTES:
+            raise LogError(
+                f"expected up to {_MOST_NOTES} metadata records and attachments, found more"
+            )
 
     def _begin(self, header: Header | None = None) -> None:
         """Write the header before anything else; where it is lost, one of our own."""
@@ -240,9 +257,27 @@ class Rewriter:
                 continue
             places = np.cumsum(ends - starts) - (ends - starts)
             chunk = self._build_chunk(_join(stretch.data, starts, ends), places, heads)
-            self._begin()
-            self._file.add_chunk(chunk)
+            self._add_chunk(chunk)
             self._count(chunk, is_checked=is_checked)
+
+    def _add_chunk(self, chunk: ChunkRows) -> None:
+        """Write a chunk; small ones become one, for a reader refuses a file of very many."""
+        self._begin()
+        if len(chunk.records) >= _SMALL_CHUNK:
+            self._write_small()
+            self._file.add_chunk(chunk)
+            return
+        # As a view the records would keep in memory all that their own chunk unpacked to.
+        self._small.append(replace(chunk, records=bytes(chunk.records)))
+        self._small_size += len(chunk.records)
+        if self._small_size >= _SMALL_CHUNK:
+            self._write_small()
+
+    def _write_small(self) -> None:
+        """Write the small chunks that wait."""
+        if self._small:
+            self._file.add_chunk(merge_chunks(self._small))
+        self._small, self._small_size = [], 0
 
     def _note_unknown(self, numbers: NDArray[np.uint16], byte: int) -> list[int]:
         """Count messages of channels that nobody describes; return these."""

@@ -114,6 +114,19 @@ class RemoteFile:
         copy.seek(start)
         return copy.read(end - start)
 
+    def fetch_whole(self) -> int:
+        """Fetch all of it into a temporary file, unless it is there, and return its size.
+
+        Raises:
+            RemoteError: Where it cannot be had, or is longer than is allowed.
+        """
+        if self._copy is None:
+            if getattr(self, "size", None) is not None:
+                self.require_copy()
+            self._copy = try_thrice(self._copy_once, self._url)
+            weakref.finalize(self, self._copy.close)
+        return self._copy.seek(0, os.SEEK_END)
+
     def find_held(self, place: int) -> tuple[int, bytes] | None:
         """Return the end of the file that holds a byte, if it was fetched, and where it starts."""
         for start, data in self._ends.items():
@@ -141,17 +154,13 @@ class RemoteFile:
         return data
 
     def _copy_whole(self) -> int:
-        """Fetch all of it into a temporary file, and return its size."""
-        if getattr(self, "size", None) is not None:
-            self.require_copy()
+        """Fetch all of it where nothing less can be had, and return its size."""
         warnings.warn(
             f"{show_url(self._url)}: the server sends no ranges, so all of it is read",
             RemoteNote,
             stacklevel=2,
         )
-        self._copy = try_thrice(self._copy_once, self._url)
-        weakref.finalize(self, self._copy.close)
-        return self._copy.seek(0, os.SEEK_END)
+        return self.fetch_whole()
 
     def _copy_once(self) -> IO[bytes]:
         with ExitStack() as undoing:

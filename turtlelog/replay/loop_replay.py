@@ -19,6 +19,7 @@ from turtlelog.replay.plant_replay import PoseError, find_pose_error
 from turtlelog.replay.plant_ticks import advise_other_mode
 from turtlelog.replay.run_pairs import (
     SENSED,
+    TIME_IS_UP,
     RowCount,
     compare_ends,
     count_rows,
@@ -37,6 +38,12 @@ _OF_TICKS: Final = (
     *("applied_speed", "applied_turn_rate", "sample_time", "pose_read", "command_time"),
 )
 """Signals that a recording has only where it holds a pose per tick."""
+
+_LONGEST_S: Final = 3600.0
+"""Simulated time that a recording may ask for, however short it is [s]: an hour takes 5 s and
+140 MB."""
+_LONGER: Final = 1.1
+"""How much longer than the recording its replay may be, where that is more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,6 +114,7 @@ def replay_loop(
         ScenarioError: Where no scenario is given, and the run does not hold all of its own or names
             a law that is neither built in nor trusted.
         SimulationError: Where the simulation cannot go on.
+        ReplayError: Where the recording's own scenario goes on much longer than the recording.
     """
     require_tolerance(tolerance)
     by_tick = has_ticks(run)
@@ -116,10 +124,21 @@ def replay_loop(
             f" {find_plant(run).period_ns / 1e6:g} ms, or the samples of a controller, found"
             f" neither: {run.source}; {advise_other_mode(run)}"
         )
+    is_own = scenario is None
     scenario = restore_scenario(run) if scenario is None else scenario
     scenario = resolve_scenario(scenario, trust_law=trust_law)
+    within = _shorten(scenario, run) if is_own else scenario
+    replayed = simulate_run(within, step_budget_s=step_budget_s)
+    if replayed.stop_reason == TIME_IS_UP and within is not scenario:
+        raise ReplayError(
+            f"{run.name}: the replay goes on after {within.max_duration_s:g} s, and the recording"
+            f" ends after {run.end_ns / 1e9:g} s. --set max_duration_s={scenario.max_duration_s:g}"
+            " simulates all of it"
+        )
     replayed = replace(
-        simulate_run(scenario, step_budget_s=step_budget_s), source=f"replay of {run.name}"
+        replayed,
+        source=f"replay of {run.name}",
+        parameters={**replayed.parameters, "max_duration_s": scenario.max_duration_s},
     )
     pairings = pair_by_tick(run, replayed) if by_tick else pair_by_sample(run, replayed)
     signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
@@ -141,6 +160,14 @@ def replay_loop(
         declaration=compare_declarations(run, replayed.declaration) if len(run.samples) else None,
         first_difference=find_earliest([*(found.first_difference for found in signals), *others]),
         absent=(*_list_absent(run, replayed), *_list_missing(_OF_TICKS, signals)),
+    )
+
+
+def _shorten(scenario: Scenario, run: Run) -> Scenario:
+    """Return the scenario, cut where it is much longer than the recording that brought it."""
+    most_s = max(_LONGEST_S, _LONGER * run.end_ns / 1e9)
+    return (
+        replace(scenario, max_duration_s=most_s) if scenario.max_duration_s > most_s else scenario
     )
 
 

@@ -224,7 +224,8 @@ _CUT: Final = (None, "interrupted")
 _SOMEHOW: Final = "finished"
 """Stop reason of a log that says that its controller came to an end, and not why."""
 
-_TIME_IS_UP: Final = "max_duration"
+TIME_IS_UP: Final = "max_duration"
+"""Stop reason of a run that the scenario's `max_duration_s` ended."""
 
 
 def is_cut(run: Run) -> bool:
@@ -239,9 +240,9 @@ def compare_last_answer(
     time_ns = int(run.samples.time_ns[row])
     if row < len(run.samples) - 1:
         return _build(time_ns, None, stop_reason)
-    if blocks and run.stop_reason == _TIME_IS_UP:
+    if blocks and run.stop_reason == TIME_IS_UP:
         return None  # the time was up before it could stop
-    found = _TIME_IS_UP if stop_reason is None else stop_reason
+    found = TIME_IS_UP if stop_reason is None else stop_reason
     return None if _agrees(run, found) else _build(time_ns, run.stop_reason, stop_reason)
 
 
@@ -252,7 +253,7 @@ def compare_ends(run: Run, stop_reason: str | None) -> Difference | None:
 
 def _agrees(run: Run, stop_reason: str | None) -> bool:
     if run.stop_reason == _SOMEHOW:
-        return stop_reason != _TIME_IS_UP
+        return stop_reason != TIME_IS_UP
     return is_cut(run) or run.stop_reason == stop_reason
 
 

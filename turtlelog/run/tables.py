@@ -1,7 +1,7 @@
 """A run as flat tables: columns by name with their units, for Arrow, pandas, CSV and Parquet."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
@@ -80,6 +80,14 @@ def list_facts(run: "Run") -> dict[str, str]:
 
 def build_arrow(run: "Run", table: str) -> Any:
     """Return a table of a run as a `pyarrow.Table`, with units in the metadata of its columns."""
+    return next(iterate_arrow(run, table))
+
+
+def iterate_arrow(run: "Run", table: str, most_rows: int | None = None) -> Iterator[Any]:
+    """Yield a table of a run as `build_arrow` returns it, in parts of up to so many rows.
+
+    A part is built when it is asked for; of no rows there is one.
+    """
     columns = tabulate_run(run, table)
     pa = load_library("pyarrow")
     kinds = {"f": pa.float64(), "i": pa.int64(), "O": pa.string()}
@@ -92,7 +100,11 @@ def build_arrow(run: "Run", table: str) -> Any:
         ],
         metadata={f"turtlelog.{key}": text for key, text in list_facts(run).items()},
     )
-    return pa.table(dict(columns), schema=schema)
+    rows = max(1, len(columns["time_ns"]))
+    step = most_rows or rows
+    for first in range(0, rows, step):
+        part = {name: values[first : first + step] for name, values in columns.items()}
+        yield pa.table(part, schema=schema)
 
 
 def build_pandas(run: "Run", table: str) -> Any:

@@ -337,3 +337,24 @@ def test_a_file_is_not_recovered_onto_itself(sound: bytes, tmp_path: Path) -> No
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"none\.mcap: expected an MCAP file, found: No such file"):
         recover_recording(tmp_path / "none.mcap", tmp_path / "out.mcap")
+
+
+def test_small_chunks_of_many_channels_become_one(tmp_path: Path) -> None:
+    stream = BytesIO()
+    writer = Writer(stream, chunk_size=1)
+    writer.start()
+    schema = writer.register_schema("a/B", "ros2msg", b"uint8 a\n")
+    channels = [writer.register_channel(f"/{name}", "cdr", schema) for name in "abc"]
+    for number in range(300):
+        writer.add_message(channels[number % 3], number, bytes([number % 256]) * 500, number)
+    writer.finish()  # type: ignore[no-untyped-call]
+    report, recovered = recover(stream.getvalue(), tmp_path)
+    assert report.complete
+    assert list_messages(recovered) == list_messages(stream.getvalue())
+    assert len(list_places(stream.getvalue())) == 300
+    assert len(list_places(recovered)) == 3
+    assert {topic.topic: topic.count for topic in read_info(tmp_path / "out.mcap").topics} == {
+        "/a": 100,
+        "/b": 100,
+        "/c": 100,
+    }

@@ -136,3 +136,15 @@ def test_what_is_wrong_is_named_with_its_key(old: str, new: str, line: str) -> N
     with pytest.raises(LogError, match=re.escape(line)) as caught:
         parse_bag_metadata(PLAIN.replace(old, new))
     assert len(str(caught.value)) < 160
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_a_description_has_up_to_a_million_lines(more: int) -> None:
+    """A million lines take 2 s."""
+    text = "rosbag2_bagfile_information:\n  storage_identifier: mcap\n  relative_file_paths: [a]\n"
+    text += "---\n" * (10**6 - 3 + more)
+    if not more:
+        assert parse_bag_metadata(text).files == ("a",)
+        return
+    with pytest.raises(LogError, match="expected up to 1,000,000 lines, found more"):
+        parse_bag_metadata(text)

@@ -467,3 +467,16 @@ def test_without_python_control_figures_of_theory_are_left_out(
     with pytest.raises(ShowError, match="figure plant: expected python-control, found none"):
         tl.write_figures([], tmp_path)
     assert tl.show.draw_figure("heading", [run]).axes
+
+
+@pytest.mark.parametrize(("far_m", "is_drawn"), [(1e150, True), (1.1e150, False), (1.7e308, False)])
+def test_a_pose_that_no_axis_reaches_is_an_error(far_m: float, *, is_drawn: bool) -> None:
+    run = simulate(4)
+    xy_m = run.poses.xy_m.copy()
+    xy_m[7, 0] = -far_m
+    far = replace(run, poses=replace(run.poses, xy_m=xy_m))
+    if is_drawn:
+        tl.show.draw_figure("plane", [far])
+        return
+    with pytest.raises(ShowError, match=r"from the origin, and figures show 1e\+150 m at most"):
+        tl.show.draw_figure("plane", [far])

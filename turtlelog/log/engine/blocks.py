@@ -8,6 +8,7 @@ Otherwise the headers of the records are walked one by one.
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, BinaryIO, Final, TypeVar
 
 import numpy as np
@@ -124,7 +125,9 @@ def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk
         numbers = np.concatenate([heads["channel"] for _, heads in stretch.iterate_rows()])
         order = np.argsort(numbers, kind="stable")
         present, firsts = np.unique(numbers[order], return_index=True)
-        offsets = dict(zip(present.tolist(), np.split(starts[order], firsts[1:]), strict=True))
+        ordered, borders = starts[order], [*firsts.tolist(), len(starts)]
+        for number, (first, end) in zip(present.tolist(), pairwise(borders), strict=True):
+            offsets[number] = ordered[first:end]
     return Block(data=data, byte=byte, offsets=offsets, rest=parse_others(stretch, byte))
 
 

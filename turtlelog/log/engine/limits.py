@@ -64,8 +64,9 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
         CHANNEL_BYTES: (80 * 2**20, 1),
         # Of types that differ, about 1 kB each in memory; 200 types of 50 fields are many.
         FIELDS: (50_000, 1 / 1000),
-        # And the entries of the summary that name them; recordings have a handful.
-        NOTES: (2**16, 1 / 1000),
+        # And the entries of the summary that name them; recordings have a handful, and each
+        # attachment costs 200 us in every pass.
+        NOTES: (2**12, 1 / 1000),
         # Each is noted, with the reason.
         DAMAGES: (10_000, 1 / 1000),
         # One a second for an hour; those with poses of a second and all schemas pack to 1 kB;
@@ -84,6 +85,8 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
 # more fits: with as many poses as are allowed, `explain` and `replay --plant` take 240 MB.
 _COLUMNS: Final = 40_000_000
 _COLUMNS_SHARE: Final = 16  # of what is beyond
+
+_LARGER_CHUNKS: Final = "mcap filter FILE -o NEW.mcap writes larger ones"
 
 _CHANNEL: Final = 500  # bytes in memory beside its letters
 _ENTRY: Final = 200  # the same of an entry of its table
@@ -123,7 +126,8 @@ class Allowance:
     def _describe_most(self, kind: str) -> str:
         most, size = self._most[kind], self._file_size
         if kind != COLUMNS:
-            return f"expected up to {most} {kind} in a file of {size} bytes, found more"
+            reason = f"expected up to {most} {kind} in a file of {size} bytes, found more"
+            return f"{reason}; {_LARGER_CHUNKS}" if kind == CHUNKS else reason
         return (
             f"its messages take more than {most:,} bytes as columns, the most for a file of"
             f" {size:,} bytes. Cut the file into parts, or store it without compression"

@@ -196,14 +196,7 @@ def _read_channel(body: bytes) -> tuple[Channel, int]:
     topic, place = _take_field(body, 4)
     encoding, place = _take_field(body, place)
     table, end = _take_field(body, place)
-    entries: dict[str, str] = {}
-    place = 0
-    while place < len(table):
-        if len(entries) == _MOST_ENTRIES:
-            raise ValueError(f"more than {_MOST_ENTRIES} entries")
-        key, place = _take_field(table, place)
-        value, place = _take_field(table, place)
-        entries[key.decode()] = value.decode()
+    entries = _read_entries(table, _MOST_ENTRIES)
     number, schema = _IDS.unpack_from(body)
     channel = Channel(
         id=number,
@@ -213,6 +206,25 @@ def _read_channel(body: bytes) -> tuple[Channel, int]:
         schema_id=schema,
     )
     return channel, end
+
+
+def _read_metadata(body: bytes) -> tuple[Metadata, int]:
+    name, place = _take_field(body, 0)
+    table, end = _take_field(body, place)
+    entries = _read_entries(table, len(table))
+    return Metadata(name=name.decode(), metadata=entries), end
+
+
+def _read_entries(table: bytes, most: int) -> dict[str, str]:
+    entries: dict[str, str] = {}
+    place = 0
+    while place < len(table):
+        if len(entries) == most:
+            raise ValueError(f"more than {most} entries")
+        key, place = _take_field(table, place)
+        value, place = _take_field(table, place)
+        entries[key.decode()] = value.decode()
+    return entries
 
 
 def _take_field(body: bytes, place: int) -> tuple[bytes, int]:
@@ -229,6 +241,7 @@ def _take_field(body: bytes, place: int) -> tuple[bytes, int]:
 _FREQUENT: Final[dict[Any, Any]] = {
     Schema: _recall(_read_schema),
     Channel: _recall(_read_channel),
+    Metadata: _read_metadata,
 }
 
 

@@ -26,7 +26,14 @@ from turtlelog.log.engine.framing import (
     is_record_start,
     measure_record,
 )
-from turtlelog.log.engine.limits import CHUNKS, DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
+from turtlelog.log.engine.limits import (
+    CHUNKS,
+    DAMAGES,
+    LARGEST_CHUNK,
+    NOTES,
+    UNPACKED,
+    Allowance,
+)
 from turtlelog.log.engine.message_walk import skip_followed
 
 _BATCH: Final = 2**20  # bytes of lone records handed on together
@@ -132,11 +139,11 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
             found, place = _read_record(window, place, kind)
             losses = sum(isinstance(one, Loss) for one in found)
             window.allowance.spend(DAMAGES, losses)
-            window.allowance.spend(
-                CHUNKS, sum(one.is_chunk for one in found if isinstance(one, Section))
-            )
+            sections = [one for one in found if isinstance(one, Section)]
+            window.allowance.spend(CHUNKS, sum(one.is_chunk for one in sections))
+            window.allowance.spend(NOTES, sum(_is_attachment(one) for one in sections))
         except LogError as err:
-            if not all(map(window.allowance.count_left, (CHUNKS, DAMAGES))):
+            if not all(map(window.allowance.count_left, (CHUNKS, DAMAGES, NOTES))):
                 yield Loss(start=start, end=window.size, reason=str(err))
                 return
             window.allowance.spend(DAMAGES)
@@ -147,6 +154,10 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
         yield from found
         if kind not in {Opcode.CHUNK, Opcode.MESSAGE} and start < window.size:
             kind = window.read(start, 1)[0]
+
+
+def _is_attachment(section: Section) -> bool:
+    return not section.is_chunk and section.data[0] == Opcode.ATTACHMENT
 
 
 def _read_record(

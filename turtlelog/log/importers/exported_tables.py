@@ -24,6 +24,7 @@ from turtlelog.log.parquet_file import (
     describe_rows,
     list_cells,
 )
+from turtlelog.log.planar import compute_heading
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.remote.urls import make_path
 from turtlelog.run import (
@@ -130,33 +131,47 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
         _require_same(path, name, tabulate_run(run, name), table)
 
 
-def require_same_poses(path: Path, run: Run, read: Run) -> None:
+def require_same_poses(path: Path, run: Run) -> None:
     """Refuse a trajectory that holds other poses than the run that was written.
 
-    Its times count from its first pose, and headings come back from a quaternion.
+    Headings come back from a quaternion.
 
     Raises:
         LogError: With the file and the column.
     """
-    written, found = run.poses, read.poses
-    turned = np.abs(wrap_angle(written.heading_rad - found.heading_rad))
-    same = {
-        "time_ns": np.array_equal(written.time_ns - written.time_ns[0], found.time_ns),
-        "xy_m": np.array_equal(written.xy_m, found.xy_m),
-        "heading_rad": len(written) == len(found) and turned.max() <= _ROUNDED_RAD,
-    }
-    for column, is_same in same.items():
-        if not is_same:
-            raise LogError(
-                f"{path}: expected to read back what was written, found other values in {column}"
-            )
+    poses, first = run.poses, 0
+    for time_ns, xy_m, heading_rad in _iterate_trajectory(path):
+        rows = slice(first, first + len(time_ns))
+        if not np.array_equal(poses.time_ns[rows], time_ns):
+            raise _describe_other(path, "time_ns")
+        if not np.array_equal(poses.xy_m[rows], xy_m):
+            raise _describe_other(path, "xy_m")
+        if np.abs(wrap_angle(poses.heading_rad[rows] - heading_rad)).max() > _ROUNDED_RAD:
+            raise _describe_other(path, "heading_rad")
+        first = rows.stop
+    if first != len(poses):
+        raise _describe_other(path, "time_ns")
+
+
+def _iterate_trajectory(path: Path) -> Iterator[tuple[list[int], NDArray[Any], NDArray[Any]]]:
+    """Yield times [ns], places [m] and headings [rad] of a trajectory as `export_tum` writes it."""
+    with (
+        name_file(path, expected="a trajectory"),
+        open_file(path) as stream,
+        io.TextIOWrapper(stream, "ascii") as lines,
+    ):
+        while part := [*islice(lines, _ROWS_AT_ONCE)]:
+            # The digits of a time are its nanoseconds, more of them than a float has.
+            time_ns = [int(line[: line.index(" ")].replace(".", "")) for line in part]
+            numbers = np.loadtxt(part, ndmin=2)
+            yield time_ns, numbers[:, 1:3], compute_heading(*numbers[:, 4:8].T)
 
 
 def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
     """Return the name of the one table in a file, its columns, and what is told of the run."""
     with name_file(path, expected="a table of a run"):
         is_parquet = path.suffix.lower() == ".parquet"
-        table, facts = _read_parquet(path) if is_parquet else (_read_csv(path), {})
+        table, facts = _open_parquet(path) if is_parquet else (_read_csv(path), {})
         name = find_table([*table])
         if name is None:
             found = ", ".join(table)[:80] or "none"
@@ -167,10 +182,13 @@ def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
 def _require_same(path: Path, name: str, expected: Table, found: Table) -> None:
     for column in [*dict.fromkeys([*expected, *found])]:
         if not _is_same(expected.get(column), found.get(column)):
-            raise LogError(
-                f"{path}: expected to read back what was written, found other values in {column}"
-                f" of {name}"
-            )
+            raise _describe_other(path, f"{column} of {name}")
+
+
+def _describe_other(path: Path, column: str) -> LogError:
+    return LogError(
+        f"{path}: expected to read back what was written, found other values in {column}"
+    )
 
 
 def _is_same(written: NDArray[Any] | None, read: NDArray[Any] | None) -> bool:
@@ -244,7 +262,7 @@ def _release(cell: str) -> str:
     return inner if guard_cell(inner) == cell else cell
 
 
-def _read_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
+def _open_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
     file = ParquetFile(path)
     metadata = {key.decode(): text.decode() for key, text in (file.schema.metadata or {}).items()}
     prefix = "turtlelog."
@@ -254,15 +272,30 @@ def _read_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
     known = _list_known(find_table(file.schema.names), file.schema.names)
     file.require_rows()
     file.require_cells(len(known))
-    return {name: _read_column(file, name) for name in file.schema.names if name in known}, facts
+    return _ParquetTable(path, file, [name for name in file.schema.names if name in known]), facts
 
 
-def _read_column(file: ParquetFile, name: str) -> NDArray[Any]:
-    column = file.read([name])[name]
-    if name in _TEXTS:
-        return np.array(list_cells(column), dtype=object)
-    values: NDArray[Any] = column.to_numpy()
-    return values
+class _ParquetTable(Mapping[str, NDArray[Any]]):
+    """The columns of a Parquet file; each is read when it is asked for, and not kept."""
+
+    def __init__(self, path: Path, file: ParquetFile, names: Sequence[str]) -> None:
+        self._path, self._file, self._names = path, file, names
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self._names:
+            raise KeyError(name)
+        with name_file(self._path, expected="a table of a run"):
+            column = self._file.read([name])[name]
+            if name in _TEXTS:
+                return np.array(list_cells(column), dtype=object)
+            values: NDArray[Any] = column.to_numpy()
+            return values
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 def _list_known(table: str | None, columns: Sequence[str]) -> set[str]:

@@ -319,14 +319,13 @@ def _find_duplicates(
     """Return which rows, in order of time, repeat an earlier one; only rows of one time can."""
     repeated = np.zeros(len(time_ns), dtype=bool)
     same = np.flatnonzero(np.diff(time_ns) == 0)
-    seen: set[bytes] = set()
-    last = None
-    for row in np.union1d(same, same + 1).tolist():
-        time = int(time_ns[row])
-        if time != last:
-            seen.clear()
-            last = time
-        content = b"".join(column[row].tobytes() for column in contents)
-        repeated[row] = content in seen
-        seen.add(content)
+    order = np.union1d(same, same + 1)
+    # As bits, so that NaN equals itself; equal rows come together, the earliest first.
+    keys = [time_ns, *(column.view(f"u{column.itemsize}") for column in contents)]
+    for key in reversed(keys):
+        order = order[np.argsort(key[order], kind="stable")]
+    equal = np.ones(max(len(order) - 1, 0), dtype=bool)
+    for key in keys:
+        equal &= np.diff(key[order]) == 0
+    repeated[order[1:][equal]] = True
     return repeated

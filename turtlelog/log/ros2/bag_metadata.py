@@ -24,6 +24,8 @@ _LARGEST: Final = 2**24
 
 _MOST_ENTRIES: Final = 1000
 _MOST_FILES: Final = 100_000
+_MOST_LINES: Final = 10 * _MOST_FILES
+"""A file takes eight lines, and the text is read up to four times."""
 """Entries right below the root, of which rosbag2 writes 12, and files: a day in parts of a second
 each. Ten million of them fit into a text of this size."""
 
@@ -115,6 +117,8 @@ def parse_bag_metadata(text: str) -> BagMetadata:
     Raises:
         LogError: Where it is none, with the line.
     """
+    if text.count("\n") > _MOST_LINES:
+        raise LogError(f"expected up to {_MOST_LINES:,} lines, found more")
     values: dict[str, str] = {}
     files: list[str] = []
     under = ""
