@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.effects_cases import EFFECTS
-from tests.simulate.random_scenarios import DRAWN_EFFECTS, build_random
+from tests.simulate.random_scenarios import DRAWN_EFFECTS, build_other, build_random
 from turtlelog.compiled_loops import CompiledLoops
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.measure import measure_run
@@ -43,7 +43,9 @@ def loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(CompiledLoops, "find", load)
 
 
-def require_row(rows: MeasuredRows, row: int, scenario: Scenario) -> None:
+def require_row(
+    rows: MeasuredRows, row: int, scenario: Scenario, metrics: tuple[str, ...] = METRICS
+) -> None:
     """Hold a row to the metrics of a single run, values bit for bit."""
     try:
         run = simulate_run(scenario)
@@ -54,11 +56,11 @@ def require_row(rows: MeasuredRows, row: int, scenario: Scenario) -> None:
     assert rows.failed[row] is None
     assert (rows.stop_reasons[row], rows.samples[row]) == (run.stop_reason, len(run.samples))
     found = {
-        name: (STATUSES[rows.statuses[name][row]], rows.values[name][row].hex()) for name in METRICS
+        name: (STATUSES[rows.statuses[name][row]], rows.values[name][row].hex()) for name in metrics
     }
     wanted = {
         name: (metric.status, (math.nan if metric.value is None else metric.value).hex())
-        for name, metric in measure_run(run, only=METRICS).items()
+        for name, metric in measure_run(run, only=metrics).items()
     }
     assert {name: found[name] for name in wanted if found[name] != wanted[name]} == {}
 
@@ -78,6 +80,18 @@ def test_batch_measures_what_a_single_run_measures(block: int) -> None:
         assert rows.compiled + rows.interpreted == 3
         for row, gain in enumerate(gains):
             require_row(rows, row, override_scenario(base, {"law.kp_linear": gain}))
+
+
+def test_a_law_with_one_phase_and_two_loops_is_measured_as_in_a_single_run() -> None:
+    metrics = (*(f"{loop}.{name}" for loop in ("approach", "align") for name in CURVES), *COURSES)
+    for seed in range(3):
+        base = build_other("posture", seed)
+        limits = [0.7, 1.5]
+        rows = measure_rows(base, {"limits.turn_rate_rad_s": limits}, metrics, threads=1)
+        assert rows.compiled == 2
+        for row, limit in enumerate(limits):
+            changed = override_scenario(base, {"limits.turn_rate_rad_s": limit})
+            require_row(rows, row, changed, metrics)
 
 
 @pytest.mark.parametrize("effect", DRAWN_EFFECTS)
