@@ -87,7 +87,7 @@ def test_info_says_what_is_wrong_with_a_log(call: Call, tmp_path: Path) -> None:
     answer = call("info", tmp_path / "a.json", tmp_path / "none.csv")
     assert (answer.code, answer.err.count("\n")) == (2, 2)
     assert f"{tmp_path / 'a.json'}: " in answer.err
-    assert f"{tmp_path / 'none.csv'}: expected a recording, a bag or a log" in answer.err
+    assert f"{tmp_path / 'none.csv'}: no such file" in answer.err
 
 
 @pytest.mark.parametrize("size", [60, 400, 3000, 20000, 60000, 90000])

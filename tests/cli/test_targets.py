@@ -24,7 +24,7 @@ def folder(kp4: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 LONG = "n" * 300
 RUN = ("run", "paper", "--realtime")  # would take 20 s before it failed
 TARGETS = [
-    ([*RUN, "--rrd", "a.mcap"], "a.mcap: expected a name that ends in .rrd"),
+    ([*RUN, "--rrd", "a.mcap"], "a.mcap: the name must end in .rrd"),
     ([*RUN, "--rrd", "no/a.rrd"], "found no such folder"),
     ([*RUN, "--rrd", "folder.rrd"], "folder.rrd: expected the name of a file to write, found a"),
     ([*RUN, "--rrd", f"{LONG}.rrd"], "expected a place that can be written, found: "),

@@ -38,7 +38,7 @@ DEFAULTS: Final[Mapping[str, str]] = {
     "run": "run",
     "scenario": "scenario",
     "sweep": "sweep paper-kp4 --grid law.kp_linear=1:12:0.5 -o kp.parquet",
-    "tune": "tune paper --vary law.kp_linear=1:9 --minimise run.duration",
+    "tune": "tune paper --grid law.kp_linear=1:9 --minimise run.duration",
     "theory": "theory",
     "info": "info kp1.mcap",
     "metrics": "metrics kp1.mcap kp4.mcap",

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Final
 
-from turtlelog.errors import CheckError, suggest_names
+from turtlelog.errors import CheckError
 from turtlelog.expressions import (
     Expression,
     Name,
@@ -86,6 +86,11 @@ def names_metrics_alone(formula: Expression) -> bool:
     return not is_temporal and all(find_metric_kind(name) is not None for name in names)
 
 
+def is_in_tables(name: str) -> bool:
+    """Return whether a name is that of a signal, a metric or a key that every run may have."""
+    return name in SIGNALS or find_metric_kind(name) is not None or name in list_parameters()
+
+
 def _is_known(name: str, *, over_time: bool, run: Run | None) -> bool:
     if find_metric_kind(name) is not None or name in list_parameters():
         return True
@@ -125,7 +130,7 @@ def describe_no_phase(run: Run, phase: str) -> str:
 
 def describe_nearest(text: str, known: Sequence[str]) -> str:
     """Return the end of an error line for a word that is none of those known."""
-    return f"expected {suggest_names(text, known)}, found {text!r}"
+    return describe_unknown_name(text, dict.fromkeys(known))
 
 
 _MOST_SIGNALS: Final = 4

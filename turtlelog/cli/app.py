@@ -27,8 +27,8 @@ from turtlelog.cli.output import (
     print_note,
 )
 from turtlelog.cli.progress import end_progress
-from turtlelog.cli.usage_errors import describe_usage_error
-from turtlelog.errors import TurtlelogError, UsageError, suggest_names
+from turtlelog.cli.usage_errors import describe_usage_error, find_split_pair
+from turtlelog.errors import TurtlelogError, UsageError, describe_unknown
 from turtlelog.remote.urls import RemoteNote, limit_downloads
 from turtlelog.version import __version__
 
@@ -184,8 +184,7 @@ def _help(command: str | None = None, /) -> None:
     """
     names = [name for name in app if not name.startswith("-")]
     if command is not None and command not in names:
-        near = suggest_names(command, names)
-        raise UsageError(f"turtlelog help: expected {near}, found {command!r}")
+        raise UsageError(describe_unknown("command", command, names, place="turtlelog --help"))
     app.help_print([] if command is None else [command])
 
 
@@ -204,6 +203,7 @@ def main(tokens: Sequence[str] | None = None) -> None:
         code = _call(tokens)
     except (TurtlelogError, CycloptsError) as err:
         text = describe_usage_error(err) if isinstance(err, CycloptsError) else str(err)
+        text = find_split_pair(sys.argv[1:] if tokens is None else tokens) or text
         code = _fail(text, EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         code = _fail("interrupted", EXIT_INTERRUPTED)

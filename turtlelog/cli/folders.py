@@ -17,7 +17,7 @@ from turtlelog.processes import FILE_S
 if TYPE_CHECKING:
     from turtlelog.sweep import FoundRecording, RecordingTable, TabulatedFiles
 
-_NO_BAG: Final = "expected a bag, found a folder without"
+_NO_BAG: Final = ("expected a bag, found a folder without", "a folder of several recordings")
 """What is said of a folder that is no bag."""
 
 Recursive = Annotated[bool, Parameter(name="--recursive", negative=())]
@@ -124,5 +124,6 @@ def describe_table(done: "TabulatedFiles") -> dict[str, Any]:
 
 def describe_unread(err: TurtlelogError, *, is_recursive: bool) -> str:
     """Return why a file was not read; of a folder that is no bag, how its recordings are."""
-    hint = "" if is_recursive or _NO_BAG not in str(err) else "; --recursive takes what is below it"
+    is_folder = any(text in str(err) for text in _NO_BAG)
+    hint = "; --recursive takes what is below it" if is_folder and not is_recursive else ""
     return f"{err}{hint}"

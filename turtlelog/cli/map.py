@@ -13,6 +13,7 @@ from turtlelog.cli.map_answer import describe_map, list_map_lines, list_sensitiv
 from turtlelog.cli.options import Json, MaxDownload, Place
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
+from turtlelog.cli.scenario_options import is_recording
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
 
@@ -128,6 +129,8 @@ def map_(
     options, picture = view or ViewOptions(), picture or PictureOptions()
     page = _require_output(output, table, options.kind, picture)
     patterns, held = options.list_patterns(), options.read_held()
+    if is_recording(table) and table.suffix.lower() != ".parquet":
+        raise UsageError(f"{table} is a recording; map needs a table written by turtlelog sweep")
     results = tl.sweep.read_swept_results(table, patterns)
     gains = tl.sweep.list_gain_keys(results)
     shown = tl.sweep.choose_view(results, x=options.x, y=options.y, at=held, gains=gains)

@@ -214,8 +214,7 @@ def _refuse_patterns(
     if patterns is None or not declarations:
         return
     known = tl.measure.list_metrics(*declarations)
-    near = tl.measure.suggest_metrics(patterns[0], known)
-    raise UsageError(f"metric {patterns[0]!r}: expected {near}")
+    raise UsageError(tl.measure.describe_no_metric(patterns[0], known))
 
 
 def _print_rows(summaries: "Iterable[RunSummary]", patterns: Sequence[str] | None) -> None:

@@ -31,7 +31,7 @@ class SearchedKey:
 
 
 def parse_searched_keys(
-    texts: Sequence[str], parameters: Mapping[str, Any], *, source: str = "--vary"
+    texts: Sequence[str], parameters: Mapping[str, Any], *, source: str = "--grid"
 ) -> tuple[SearchedKey, ...]:
     """Return what texts such as `law.kp_linear=0.5:12` say.
 
