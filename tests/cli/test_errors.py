@@ -55,8 +55,9 @@ NO_SPEC = (
             " (the law of this run has no states)",
         ),
         (
-            ["map", "kp10.mcap"],
-            "kp10.mcap is a recording; map needs a table written by turtlelog sweep",
+            ["plot", "kp10.mcap", "--kind", "map"],
+            "kp10.mcap is a recording; --kind, --x, --y and --at need one table written by"
+            " turtlelog sweep",
         ),
         (["info", "lfs.mcap"], "lfs.mcap: this is a Git LFS pointer, not the file: git lfs pull"),
         (["metrics", "kp1.mcap"], "kp1.mcap: no such file; did you mean kp10.mcap?"),

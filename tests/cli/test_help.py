@@ -14,8 +14,8 @@ GROUPS = {
     "Simulate": ["run", "scenario", "sweep", "tune", "theory"],
     "Ask": ["info", "metrics", "compare", "explain", "identify", "replay", "list"],
     "Check": ["check"],
-    "Show": ["view", "plot", "map", "report"],
-    "Files": ["convert", "recover", "demo"],
+    "Show": ["view", "plot", "report"],
+    "Files": ["convert", "demo"],
 }
 NUMBERS = "INT|FLOAT|GAINS?|SECONDS|SHARE|WIDTH|VALUE|WIDTHxHEIGHT"
 COMMANDS = [command for commands in GROUPS.values() for command in commands]
@@ -138,7 +138,7 @@ def test_completion_is_written_where_asked(call: Call, tmp_path: Path, shell: st
         ),
         (["compare", "a.mcap", "b.mcap", "--sort", ""], "run.duration"),
         (["explain", "a.mcap", "--metric", ""], "final.heading_error"),
-        (["explain", "a.mcap", "--mechanisms", "queue,"], "queue,pause"),
+        (["explain", "a.mcap", "--causes", "queue,"], "queue,pause"),
         (["plot", "a.mcap", "-o", "x", "--only", ""], "step-responses"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -195,8 +195,8 @@ def test_a_recovered_recording_is_replayed_as_far_as_it_goes(call: Call, tmp_pat
         tl.runner.run_live(scenario, [recorder], realtime=False)
     cut.write_bytes(live.read_bytes()[: live.stat().st_size // 2])
     answer = call("replay", cut)
-    assert (answer.code, "turtlelog recover FILE -o OUT" in answer.err) == (2, True)
-    assert call("recover", cut, "-o", whole).code == 0
+    assert (answer.code, "turtlelog convert --recover FILE -o OUT" in answer.err) == (2, True)
+    assert call("convert", "--recover", cut, "-o", whole).code == 0
     answer = call("replay", whole, "--expect-equal")
     assert answer.code == 0
     assert "in every column, as far as that goes." in answer.out

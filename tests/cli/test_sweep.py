@@ -22,7 +22,7 @@ def _stay_in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_sweep_answers_in_one_line_and_in_json(call: Call) -> None:
     done = call("sweep", "textbook", *GRID, "-o", "t.parquet")
     assert (done.code, done.err) == (0, "")
-    assert done.out.startswith("t.parquet: 2 rows, 0 failed, 2,478 samples in ")
+    assert done.out.startswith("2 runs over law.kp_linear, 0 failed: final.position_error is ")
     told = call("sweep", "textbook", *GRID, "-o", "u.parquet", "--json").json
     assert told | {"elapsed_s": 0, "samples": 0} == {
         "output": "u.parquet",
@@ -66,7 +66,9 @@ def test_identified_robot_is_swept(call: Call, tmp_path: Path) -> None:
     tl.write_recording(tl.simulate_run(tl.load_scenario("lagged")), robot)
     assert call("identify", robot, "--scenario", "robot.toml").code == 0
     done = call("sweep", "robot.toml", *GRID, "-o", "t.parquet", "--metrics", "run.duration")
-    assert done.out.startswith("t.parquet: 2 rows, 0 failed, "), done.err
+    assert done.out.startswith(
+        "2 runs over law.kp_linear, 0 failed: run.duration is 5.6 s to 8.5 s"
+    ), done.err
 
 
 def test_row_of_a_table_is_run(call: Call) -> None:

@@ -84,7 +84,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "list": (
             "KIND",
-            "List the names of metrics, signals, presets, laws, plants, mechanisms or figures.",
+            "List the names of metrics, signals, presets, laws, plants, causes or figures.",
         ),
     },
     "Check": {
@@ -100,11 +100,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "plot": (
             "[FILE...] -o OUT",
-            "Make the paper's figures from any recordings, and its tables as LaTeX.",
-        ),
-        "map": (
-            "TABLE",
-            "Draw the table of a sweep: metrics over its keys, with theory's limits of the gain.",
+            "Plot recordings as the paper's figures and tables, and the table of a sweep as maps.",
         ),
         "report": (
             "FILE... -o OUT",
@@ -117,10 +113,6 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
             "Convert a recording, bag, log or table: to .mcap, .csv, .parquet, .tum, or a ROS 2"
             " folder.",
         ),
-        "recover": (
-            "FILE -o OUT",
-            "Write what an unfinished or damaged recording still holds as a complete one.",
-        ),
         "demo": (
             "",
             "Simulate and record the paper's four runs (Kp = 1, 2, 4, 10) and compare them.",
@@ -129,7 +121,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
 }
 """The commands as help groups them, the words that each takes, and how its docstring begins."""
 
-_PLACES: Final = {"scenario": "run:scenario", "list": "list_names:list_", "map": "map:map_"}
+_PLACES: Final = {"scenario": "run:scenario", "list": "list_names:list_"}
 """Commands that stand elsewhere than in a module, and a function, of their name."""
 
 

@@ -111,15 +111,26 @@ def summarise_table(done: "TabulatedFiles") -> str:
     return f"wrote {done.output}: {files}, {counts}, {done.failed} cannot be read"
 
 
-def describe_table(done: "TabulatedFiles") -> dict[str, Any]:
-    """Return what came of a table as JSON."""
-    return {
-        "output": str(done.output),
-        "files": done.files,
-        "read": done.read,
-        "unchanged": done.files - done.read,
-        "failed": done.failed,
-    }
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableAnswer:
+    """What came of a table of recordings: how many were read, unchanged, and cannot be read."""
+
+    output: str
+    files: int
+    read: int
+    unchanged: int
+    failed: int
+
+
+def build_table_answer(done: "TabulatedFiles") -> TableAnswer:
+    """Return what came of a table."""
+    return TableAnswer(
+        output=str(done.output),
+        files=done.files,
+        read=done.read,
+        unchanged=done.files - done.read,
+        failed=done.failed,
+    )
 
 
 def describe_unread(err: TurtlelogError, *, is_recursive: bool) -> str:

@@ -20,7 +20,7 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
 from turtlelog.cli.targets import require_new_target
-from turtlelog.cli.tune_answer import Answer, describe_answer, format_answer
+from turtlelog.cli.tune_answer import Answer, build_answer, format_answer
 from turtlelog.errors import UsageError
 from turtlelog.remote.urls import make_path
 
@@ -206,7 +206,7 @@ def tune(
         if runs and answer.tuned.best.is_feasible:
             answer.spread = _simulate_variants(answer, runs, more, seed, place, work)
     if json:
-        print_json(describe_answer(answer))
+        print_json(build_answer(answer))
     else:
         print_text(format_answer(answer))
     return EXIT_FINE if answer.tuned.best.is_feasible else EXIT_FAILED

@@ -56,7 +56,7 @@ def write_mcap(path: Path, entries: dict[str, str], message: bytes | None = None
     return path
 
 
-ADVICE = "turtlelog recover FILE -o OUT rewrites what it still holds"
+ADVICE = "turtlelog convert --recover FILE -o OUT rewrites what it still holds"
 NO_ADVICE = "no message can be recovered: copy the file again from its source"
 BUGS = ("TypeError", "AttributeError", "NameError", "AssertionError", "UnboundLocalError")
 
