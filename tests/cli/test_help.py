@@ -59,6 +59,22 @@ def test_help_fits_and_wraps_each_paragraph_once(
     assert all("\n" not in text for text in examples)
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_fits_a_screen_and_names_where_all_of_it_is(
+    call: Call, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    monkeypatch.setattr(app, "_console", Console(width=80))
+    short, whole = call(command, "--help").out, call(command, "--help-all").out
+    assert short.count("\n") <= 40
+    options = set(re.findall(r"^│ +(?:\* +)?(--\S+)", short, re.M))
+    assert options <= set(re.findall(r"^│ +(?:\* +)?(--\S+)", whole, re.M))
+    assert (f"turtlelog {command} --help-all" in short) == (short != whole)
+
+
+def test_there_are_at_most_eighteen_commands() -> None:
+    assert len(COMMANDS) <= 18
+
+
 def test_help_says_that_several_files_are_taken(call: Call) -> None:
     for command in ("info", "metrics", "compare", "view"):
         text = call(command, "--help").out
@@ -68,7 +84,7 @@ def test_help_says_that_several_files_are_taken(call: Call) -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> None:
-    text = call(command, "--help").out
+    text = call(command, "--help-all").out
     cells = re.sub(r"\s+", " ", re.sub(r"│\n│", " ", text))
     options = re.split(r"(?= --[a-z])", cells)
     numeric = [text for text in options if re.match(rf" --\S+( -\w)? ({NUMBERS})\b", text)]

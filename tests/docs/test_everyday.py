@@ -153,7 +153,7 @@ def run_readme(folder: Path) -> list[str]:
 
 
 def list_examples(call: Call) -> list[str]:
-    helps = [call(name, "--help").out for name in COMMANDS]
+    helps = [call(name, "--help-all").out for name in COMMANDS]
     found = [re.findall(r"^Example: turtlelog (.+)$", text, re.M) for text in helps]
     assert all(found)
     return [*chain.from_iterable(found)]

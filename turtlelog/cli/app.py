@@ -129,6 +129,30 @@ _SUMMARIES: Final = {
     name: summary for group in _COMMANDS.values() for name, (_, summary) in group.items()
 }
 
+_USUAL: Final[Mapping[str, frozenset[str]]] = {
+    command: frozenset(f"--{name}" for name in names.split())
+    for command, names in {
+        "run": "set kp goal law output live watch json",
+        "sweep": "grid sample metrics set record jobs json",
+        "tune": "grid minimise maximise subject-to set monte-carlo output json",
+        "theory": "kp ki kd lag dead-time dead-time-s period overshoot details json",
+        "info": "topics parameters partial jobs json",
+        "metrics": "only all goal recursive output csv json",
+        "compare": "reference only sort where recursive rrd json",
+        "explain": "metric causes details scenario rrd trust-law json",
+        "identify": "scenario plot rrd details json",
+        "replay": "set law plant expect-equal details output json",
+        "check": "expect init output reference all recursive junit json",
+        "view": "save snapshot web movie partial goal",
+        "plot": "output only metric format kind movie json",
+        "report": "output spec explain json",
+        "convert": "to table recover partial json",
+    }.items()
+}
+"""Options that --help shows; --help-all shows all of them."""
+
+_help_formatter = HelpFormatter(_SUMMARIES, _USUAL)
+
 app = App(
     name="turtlelog",
     help=(
@@ -139,7 +163,7 @@ app = App(
     ),
     version=f"turtlelog {__version__}",
     help_format="plaintext",
-    help_formatter=HelpFormatter(_SUMMARIES),
+    help_formatter=_help_formatter,
     default_parameter=Parameter(negative="", show_default=show_default),
     group_parameters=Group("Options", sort_key=1),
     suppress_keyboard_interrupt=False,
@@ -207,8 +231,13 @@ def main(tokens: Sequence[str] | None = None) -> None:
     sys.exit(code if isinstance(code, int) else EXIT_FINE)
 
 
+_ALL: Final = "--help-all"
+
+
 def _call(tokens: Sequence[str] | None) -> Any:
     tokens = sys.argv[1:] if tokens is None else tokens
+    _help_formatter.shows_all = _ALL in tokens
+    tokens = ["--help" if token == _ALL else token for token in tokens]
     with _stop_on_request(), _print_remote_notes(), limit_downloads():
         try:
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
