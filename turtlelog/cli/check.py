@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.check_answers import print_results
+from turtlelog.cli.check_answers import print_marks, print_results
 from turtlelog.cli.check_files import ReportOptions, check_files, check_into_table, read_to_judge
 from turtlelog.cli.folders import find_files, list_files
 from turtlelog.cli.options import Output, Place, ReadingOptions
@@ -81,6 +81,8 @@ def check(
 
     Example: turtlelog check spec.toml runs --recursive -o verdicts.parquet
 
+    Example: turtlelog check spec.toml handed-in/*.mcap --marks
+
     Args:
         words: A specification (.toml) and recordings; with --expect, recordings alone.
         reference: Take tolerances from this recording, not from the file's own.
@@ -108,6 +110,10 @@ def check(
         files = list_files(files, is_recursive=reports.recursive)
         _require_known(spec, files, topics)
         results = check_files(spec, files, reports, topics)
+    if reports.marks:
+        if kind != "txt" or reports.all_:
+            raise UsageError("--marks prints a line for each recording; leave other formats out")
+        return EXIT_FAILED if print_marks(results) == "FAIL" else EXIT_FINE
     verdict = print_results(spec, results, files=len(files), kind=kind, shows_all=reports.all_)
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
 

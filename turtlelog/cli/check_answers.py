@@ -5,6 +5,7 @@ import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
@@ -128,6 +129,20 @@ def print_results(
         notes = (_conclude(CountedResults(results), files), *_list_reasons(spec, results))
         print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
     return verdict
+
+
+def print_marks(results: "Iterable[CheckResult]") -> "Verdict":
+    """Print a line for each recording as its checks are judged, and return the verdict of all."""
+    from turtlelog.check.result import decide_verdict
+
+    counted = []
+    for file, of_file in groupby(results, key=lambda result: result.file):
+        found = CountedResults(of_file)
+        counted.append(found.verdict)
+        passed = found.verdicts[tl.check.Verdict.PASS]
+        total = found.verdicts.total()
+        print_verdicts(f"{found.verdict}  {file}: {passed} of {_count(total, 'check')} passed")
+    return decide_verdict(Counter(counted))
 
 
 def format_results(
