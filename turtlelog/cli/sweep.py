@@ -286,20 +286,20 @@ def _answer(found: "SweepSummary", plan: "SweepPlan", elapsed_s: float, *, json:
 
 
 _TOLD: Final = ("final.position_error", "run.duration")
-"""Metrics whose range is told, the first of them that has values."""
+"""Metrics whose range is told, the first of them that has values; without them any other."""
 
 
 def _describe_best(output: Path) -> str:
     """Return the range of a metric over all rows, and where it is best."""
     import numpy as np
 
-    for name in _TOLD:
+    for patterns in (*([name] for name in _TOLD), None):
         with suppress(SweepError):
-            results = tl.sweep.read_swept_results(output, [name])
-            values = results.metrics[0].values
-            if np.isfinite(values).any():
-                least, unit = int(np.nanargmin(values)), results.metrics[0].unit
-                ends = np.nanmin(values), np.nanmax(values)
-                low, high = (format_short(float(end), unit) for end in ends)
-                return f"{name} is {low} to {high}, least with {results.tell_row(least)}"
-    return "no row has a value of final.position_error or run.duration"
+            results = tl.sweep.read_swept_results(output, patterns)
+            metric = next((one for one in results.metrics if np.isfinite(one.values).any()), None)
+            if metric is not None:
+                ends = np.nanmin(metric.values), np.nanmax(metric.values)
+                low, high = (format_short(float(end), metric.unit) for end in ends)
+                least = results.tell_row(int(np.nanargmin(metric.values)))
+                return f"{metric.name} is {low} to {high}, least with {least}"
+    return "no metric has a value in any row"
