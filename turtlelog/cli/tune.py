@@ -41,7 +41,8 @@ class GoalOptions:
     """What is tuned, and for what.
 
     Attributes:
-        grid: A key and its bounds, as in law.kp_linear=0.5:12; may stand several times.
+        grid: A key and its bounds, as in law.kp_linear=0.5:12, and perhaps a step
+            (law.kp_linear=1:12:0.5); may stand several times.
         minimise: A metric, or a formula of metrics and keys, that should be small.
         maximise: The same, that should be large.
         subject_to: What must hold, as in "rotate.overshoot <= 2"; may stand several times.
@@ -50,7 +51,9 @@ class GoalOptions:
         seed: Of the search, and of what --monte-carlo draws; otherwise 0.
     """
 
-    grid: Annotated[list[str] | None, Parameter(metavar="KEY=A:B", completer=complete_keys)] = None
+    grid: Annotated[
+        list[str] | None, Parameter(metavar="KEY=A:B[:STEP]", completer=complete_keys)
+    ] = None
     minimise: Annotated[str | None, Parameter(metavar="EXPRESSION", completer=complete_metrics)] = (
         None
     )
