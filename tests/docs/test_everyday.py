@@ -50,10 +50,8 @@ DEFAULTS: Final[Mapping[str, str]] = {
     "check": "check spec.toml kp4.mcap",
     "view": "view kp1.mcap kp10.mcap",
     "plot": "plot kp4.mcap -o figs",
-    "map": "map results.parquet",
     "report": "report kp1.mcap kp10.mcap -o report.html",
     "convert": "convert kp1_210.json -o kp1.mcap",
-    "recover": "recover cut.mcap -o whole.mcap",
     "demo": "demo -o demo-out",
     "help": "help",
 }

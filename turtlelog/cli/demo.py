@@ -11,7 +11,7 @@ from turtlelog.cli.options import Place
 from turtlelog.cli.output import (
     fill_lines,
     find_command_name,
-    format_table,
+    find_width,
     print_note,
     print_text,
 )
@@ -51,7 +51,8 @@ def demo(
     print_note(f"wrote {output / 'table1'}.{{{','.join(tl.show.TABLE_FORMATS)}}}")
     print_note("")
     tables = [
-        f"{format_table(replace(table, notes=()))}{fill_lines(table.notes)}\n"
+        tl.show.format_table(replace(table, notes=()), width=find_width())
+        + fill_lines([*table.notes, ""])
         for table in (table1, tl.compare.tabulate_whole_runs(runs))
     ]
     answer = fill_lines([_write_answer(runs, output)])

@@ -167,4 +167,5 @@ def _answer(
     lines = list_map_lines(view, limits, told)
     if kind == "tornado":
         lines = [lines[0], *list_sensitivity_lines(view)]
-    print_text(fill_lines([*lines, *([] if output is None else [f"wrote {output}"])], indent=2))
+    lines = [line if " run --from " in line else fill_lines([line], indent=2) for line in lines]
+    print_text("\n".join([*lines, *([] if output is None else [f"wrote {output}"])]))
