@@ -216,7 +216,7 @@ def test_a_cluster_tunes_as_this_computer_does(
     cluster: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = [
-        *("tune", "paper-kp4", "--vary", "law.kp_linear=1:12", "--minimise", "run.path_length"),
+        *("tune", "paper-kp4", "--grid", "law.kp_linear=1:12", "--minimise", "run.path_length"),
         *("--evaluations", "12", "--monte-carlo", "3", "--set", "max_duration_s=4", "--json"),
     ]
     here = _run(capsys, *words, "--jobs", "1")

@@ -372,6 +372,6 @@ def test_a_wrong_key_names_all_who_wrote_into_the_law(folder: Path, tmp_path: Pa
     kind = write_law(folder, tmp_path)
     scenario = tl.parse_scenario(f'law.kind = "{kind}"', source="own.toml")
     changed = tl.override_scenario(scenario, {"law.kp_lin": 4.0}, source="--set")
-    line = r"\Aown\.toml, --set: law\.kp_lin: expected kp_linear, found an unknown key\Z"
+    line = r"\Aown\.toml, --set: law\.kp_lin: unknown key; did you mean kp_linear\?\Z"
     with pytest.raises(ScenarioError, match=line):
         tl.scenario.resolve_scenario(changed)

@@ -1,15 +1,23 @@
 """One error root, one child per stage.
 
-A message is one line: the place, what was expected, what was found.
+A message is one line: the place as it was typed, what is wrong, and what to write.
 """
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
+from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.escapes import cut_text, escape_controls, hide_secrets
 
 _LONGEST: Final = 4000
 """Letters of one message: a name in it may have megabytes."""
+
+_QUOTED: Final = 60
+"""Letters of a name that a message repeats."""
+
+_TIE: Final = 0.15
+"""How much less alike than the nearest name another one may be that is suggested with it [1]."""
 
 _LISTED: Final = 14
 """Names in one message; of more, `...` stands for the rest."""
@@ -54,19 +62,84 @@ def make_portable(err: Exception) -> Exception:
     return err
 
 
-def suggest_names(name: str, known: Iterable[str], *, most: int = 3) -> str:
-    """Suggest known names for an unknown one: the nearest, else the first."""
+_SYNONYMS: Final = MappingProxyType(
+    {
+        "analyse": "explain", "analyze": "explain", "why": "explain", "diff": "compare",
+        "draw": "plot", "figure": "plot", "graph": "plot", "map": "plot", "export": "convert",
+        "import": "convert", "recover": "convert", "repair": "convert", "measure": "metrics",
+        "stats": "metrics", "open": "view", "rerun": "view", "show": "view", "optimise": "tune",
+        "optimize": "tune", "simulate": "run", "start": "run", "test": "check", "verify": "check",
+        "validate": "check", "describe": "info", "inspect": "info", "vary": "sweep",
+        "velocity": "speed", "vel": "speed", "v": "speed", "omega": "turn_rate", "w": "turn_rate",
+        "yaw_rate": "turn_rate", "angular_velocity": "turn_rate", "linear_velocity": "speed",
+        "theta": "heading", "yaw": "heading", "orientation": "heading", "angle": "heading",
+        "cte": "cross_track", "lateral_error": "cross_track", "deadtime": "dead_time",
+        "latency": "delay", "delay_s": "transport_delay_s", "trajectory": "plane",
+        "mechanisms": "causes", "mechanism": "causes", "effects": "causes", "keys": "laws",
+    }
+)  # fmt: skip
+"""What others call commands, signals, keys and figures."""
+
+
+def find_near(name: str, known: Iterable[str], *, most: int = 3) -> list[str]:
+    """Return the known names nearest to an unknown one: by letters, by meaning, by a part."""
     import difflib  # Only mistakes pay for it.
 
     listed = list(known)
-    near = difflib.get_close_matches(name, listed, n=most)
-    found = (
-        near or [word for word in listed if name and word.startswith(name)] or listed or ["none"]
-    )
-    if len(found) > _LISTED:
-        return f"{', '.join(found[:_LISTED])}, ..."
-    *others, last = found
+    place, dot, last = name.rpartition(".")
+    meant = f"{place}{dot}{_SYNONYMS.get(last, last)}"
+    if meant in listed:
+        return [meant]
+    for word in dict.fromkeys([name, meant]):
+        if near := difflib.get_close_matches(word, listed, n=most):
+            ratios = [difflib.SequenceMatcher(a=word, b=one).ratio() for one in near]
+            return [
+                one for one, ratio in zip(near, ratios, strict=True) if ratio > ratios[0] - 0.15
+            ]
+    if not last:
+        return []
+    ends: dict[str, str] = {}
+    for one in listed:
+        ends.setdefault(one.rpartition(".")[2], one)
+    near = [ends[end] for end in difflib.get_close_matches(last, ends, n=most)]
+    return near or [one for one in listed if last in re.split(r"[._-]", one)][:most]
+
+
+def describe_unknown(kind: str, name: str, known: Iterable[str], *, place: str = "") -> str:
+    """Return an error line for a name that is none of those known: which are near, or all.
+
+    Args:
+        kind: What it should name: `metric`, `preset or file`.
+        name: As it was given.
+        known: Names that there are.
+        place: What lists them: a command.
+    """
+    listed = list(known)
+    near = find_near(name, listed)
+    help_ = f" did you mean {join_names(near)}?" if near else f" there are {join_names(listed)}"
+    text = f"no {kind} {quote_name(name)};{help_ if near or not place else ''}".removesuffix(";")
+    if not place:
+        return text
+    return f"{text} List: {place}" if near else f"{text}; list: {place}"
+
+
+def quote_name(name: str) -> str:
+    """Return a name in quotes, cut where it is long."""
+    return f'"{name if len(name) <= _QUOTED else f"{name[:_QUOTED]}..."}"'
+
+
+def join_names(names: Sequence[str]) -> str:
+    """Return names in a row, the last behind `or`; of many the first."""
+    if len(names) > _LISTED:
+        return f"{', '.join(names[:_LISTED])}, ..."
+    *others, last = names or ["none"]
     return f"{', '.join(others)} or {last}" if others else last
+
+
+def suggest_names(name: str, known: Iterable[str], *, most: int = 3) -> str:
+    """Suggest known names for an unknown one: the nearest, else the first."""
+    listed = list(known)
+    return join_names(find_near(name, listed, most=most) or listed)
 
 
 class ExpressionError(TurtlelogError):

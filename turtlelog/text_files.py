@@ -8,12 +8,12 @@ import stat
 import textwrap
 import time
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-from turtlelog.errors import RemoteError, describe_error
+from turtlelog.errors import RemoteError, describe_error, find_near, join_names
 from turtlelog.remote.urls import RemotePath, make_path
 
 MOST_BYTES: Final = 2**20
@@ -237,3 +237,15 @@ def _read_pipe(path: Path, most: int) -> bytes:
         while len(data) < most and (more := stream.read(most - len(data))):
             data += more
     return data
+
+
+def describe_missing(path: str | Path, others: Iterable[str] = ()) -> str:
+    """Return what to say of a file that is not there: what is there, or else known, like it."""
+    path = make_path(path)
+    if isinstance(path, RemotePath) or not path.parent.is_dir():
+        return "no such file"
+    names = [one.name for one in path.parent.iterdir()]
+    near = [name for name in names if name.partition(".")[0] == path.name]
+    near = near[:3] or find_near(path.name, [*names, *others])
+    shown = [str(path.with_name(name)) if name in names else name for name in near]
+    return f"no such file; did you mean {join_names(shown)}?" if near else "no such file"

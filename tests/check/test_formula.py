@@ -256,10 +256,10 @@ def test_a_phase_of_a_run_is_checked_by_its_window() -> None:
     [
         (
             "always(cros_track < 1)",
-            "column 8: unknown name 'cros_track'; the nearest are cross_track",
+            'column 8: unknown name "cros_track"; did you mean cross_track',
         ),
-        ("final.positon_error < 1", "the nearest are final.position_error"),
-        ("law.kp_liner < 1", "the nearest are law.kp_linear"),
+        ("final.positon_error < 1", "did you mean final.position_error"),
+        ("law.kp_liner < 1", "did you mean law.kp_linear"),
         ("always(phase < 1)", "column 14: expected two of a kind around <"),
     ],
 )

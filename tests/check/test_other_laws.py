@@ -101,12 +101,12 @@ UNDECIDED: Mapping[str, tuple[dict[str, str], str]] = {
     ),
     "state": (
         {"holds": "not always(integral > 0)"},
-        "unknown name 'integral'; there are x, y, heading, speed, turn_rate, wanted_speed,"
+        'unknown name "integral"; there are x, y, heading, speed, turn_rate, wanted_speed,'
         " wanted_turn_rate, shaped_speed, ... (the law of this run has memory)",
     ),
     "typo": (
         {"holds": "always(cros_track < 1)"},
-        "unknown name 'cros_track'; the nearest are cross_track",
+        'unknown name "cros_track"; did you mean cross_track',
     ),
 }
 

@@ -33,9 +33,7 @@ def test_a_state_of_another_law_is_not_held_and_what_nobody_has_is_told_with_the
     expected = "paper-kp4 does not hold it: no state of its law (it has none)"
     assert (result.verdict, result.reason) == ("FAIL", expected)
     result = judge(ONE, TWO, signal="memry")
-    expected = (
-        "neither a signal nor a state of these laws (they have memory); the nearest are memory"
-    )
+    expected = "neither a signal nor a state of these laws (they have memory); did you mean memory?"
     assert (result.verdict, result.reason) == ("FAIL", expected)
 
 

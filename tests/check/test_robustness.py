@@ -131,8 +131,8 @@ def test_margins_do_not_depend_on_where_the_clock_begins(
     [
         ("always(x)", "column 8: expected true or false, found x, a number"),
         ("always(x > 1) > 2", "column 1: expected no temporal operator in a comparison"),
-        ("y > 1", "column 1: unknown name 'y'; there are x, phase"),
-        ("always(phse == 'a')", "column 8: unknown name 'phse'; the nearest are phase"),
+        ("y > 1", 'column 1: unknown name "y"; there are x, phase'),
+        ("always(phse == 'a')", 'column 8: unknown name "phse"; did you mean phase'),
         ("always(x > 1 and phase > 'a')", "column 24: expected numbers around >, found a text"),
         ("x > 1 and phase == 2", "column 17: expected two of a kind around =="),
     ],

@@ -122,7 +122,7 @@ def test_a_run_that_was_cut_does_not_pass_what_it_does_not_reach() -> None:
 def test_a_parameter_that_the_law_does_not_have_is_undecided() -> None:
     result = judge(expect="law.kp_linar > 1")
     assert (result.verdict, result.is_decided) == ("FAIL", False)
-    assert "unknown name 'law.kp_linar'; the nearest are law.kp_linear" in result.reason
+    assert 'unknown name "law.kp_linar"; did you mean law.kp_linear' in result.reason
 
 
 @pytest.mark.parametrize(

@@ -51,10 +51,10 @@ BAD = {
     "older": (f"format = 0\n{CHECK}", r"spec.toml: format: expected 1, found 0"),
     "newer": (f"format = 2\n{CHECK}", r"format: expected at most 1, found 2, of a newer turtlelog"),
     "nothing": ("format = 1\n", r"expected at least one table \[checks.NAME\]"),
-    "table": ("format = 1\n[check.near]\n", r"spec.toml: check: expected checks"),
+    "table": ("format = 1\n[check.near]\n", r"spec.toml: check: unknown key; did you mean checks"),
     "no table": ("format = 1\nchecks = 3\n", r"checks: expected tables, found 3"),
     "flat": ("format = 1\n[checks]\nnear = 3\n", r"checks.near: expected a table, found 3"),
-    "key": (f"format = 1\n{CHECK}fase = 1", r"checks.near.fase: expected phase.*found an unknown"),
+    "key": (f"format = 1\n{CHECK}fase = 1", r"checks.near.fase: unknown key; did you mean phase"),
     "neither": (
         'format = 1\n[checks.a]\nreason = "b"',
         r"a: expected either .*, found none",
@@ -74,11 +74,11 @@ BAD = {
     ),
     "metric": (
         'format = 1\n[checks.a]\nexpect = "rotate.overshot < 2"',
-        r"checks.a.expect: column 1: unknown name 'rotate.overshot'; .* rotate.overshoot",
+        r"checks.a.expect: column 1: unknown name \"rotate.overshot\"; .* rotate.overshoot",
     ),
     "signal": (
         'format = 1\n[checks.a]\nholds = "always(cros_track_ < 1)"',
-        r"checks.a.holds: column 8: unknown name 'cros_track_'; .* cross_track",
+        r"checks.a.holds: column 8: unknown name \"cros_track_\"; .* cross_track",
     ),
     "signal as metric": (
         'format = 1\n[checks.a]\nexpect = "cross_track < 2"',
@@ -90,7 +90,7 @@ BAD = {
     ),
     "parameter": (
         f'format = 1\n{CHECK}when = "loop.period_tick > 1"',
-        r"near.when: column 1: unknown name 'loop.period_tick'; .* loop.period_ticks",
+        r"near.when: column 1: unknown name \"loop.period_tick\"; .* loop.period_ticks",
     ),
     "no reference": (
         'format = 1\n[signals.x]\nabs = 1\nreason = "a"',
@@ -99,7 +99,7 @@ BAD = {
     "reference": (f"format = 1\nreference = 3\n{CHECK}", r"spec.toml: reference: expected text"),
     "alignment": (
         f'format = 1\nalignment = "phase:1"\n{CHECK}',
-        r"spec.toml: alignment: expected phase:NAME.*, found 'phase:1'",
+        r"spec.toml: alignment: unknown name \"phase:1\"; did you mean phase:NAME",
     ),
     "no TOML": ("format = ", r"spec.toml: expected TOML, found"),
     "nothing at all": ("", r"spec.toml: format: expected 1, found none"),
@@ -109,7 +109,7 @@ BAD = {
     "no number": ("format = 1\n[checks.a]\nexpect = nan", r"expect: expected text, found nan"),
     "nan": (
         'format = 1\n[checks.a]\nexpect = "run.duration < nan"',
-        r"checks.a.expect: column 16: unknown name 'nan'",
+        r"checks.a.expect: column 16: unknown name \"nan\"",
     ),
     "too large": (
         'format = 1\n[checks.a]\nexpect = "run.duration < 1e400"',
@@ -138,7 +138,7 @@ def test_a_wrong_spec_is_refused_with_file_and_key(text: str, message: str, tmp_
 
 
 def test_a_spec_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(tl.TurtlelogError, match=r"nothing.toml: expected .*, found: No such file"):
+    with pytest.raises(tl.TurtlelogError, match=r"nothing.toml: no such file"):
         tl.load_spec(tmp_path / "nothing.toml")
 
 
@@ -161,7 +161,7 @@ def test_specification_may_be_text() -> None:
         ("format = 2\n[checks.end]\n", "specification: format: expected at most 1, found 2"),
         (
             "format = 1\n[check.end]\n",
-            "specification: check: expected checks, found an unknown key",
+            "specification: check: unknown key; did you mean checks",
         ),
     ]:
         with pytest.raises(tl.TurtlelogError, match=message):
@@ -189,7 +189,7 @@ columns = { x = "pos_x" }
     ("read", "line"),
     [
         ('read = "x"', "read: expected a table, found 'x'"),
-        ('[read]\nposes = "/odom"', r"read\.poses: expected"),
+        ('[read]\nposes = "/odom"', r"read\.poses: unknown key; there are pose_topic"),
         ("[read]\npose_topic = 3", r"read\.pose_topic: expected text, found 3"),
         ("[read]\ngoal = [1]", r"read\.goal: expected \[x, y\] in m, or .* found \[1\]"),
         ('[read]\ntime = "now"', r"read\.time: expected auto or log or stamp, found 'now'"),

@@ -17,6 +17,11 @@ class Answer:
     err: str
 
     @property
+    def flat(self) -> str:
+        """What was printed in one line, wherever its lines end."""
+        return " ".join(self.out.split())
+
+    @property
     def json(self) -> Any:
         return json.loads(self.out, parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
 

@@ -100,10 +100,13 @@ def test_the_demo_writes_recordings_views_and_table_1(call: Call, tmp_path: Path
     expected = {f"{run}.{suffix}" for run in runs for suffix in ("mcap", "rrd")}
     expected |= {"comparison.rrd", "table1.txt", "table1.md", "table1.csv", "table1.tex"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == expected
-    assert (tmp_path / "out" / "table1.txt").read_text() in answer.out
+    rows, _, notes = (tmp_path / "out" / "table1.txt").read_text().rpartition("\n\n")
+    assert rows in answer.out
+    assert " ".join(notes.split()) in answer.flat
+    assert max(map(len, answer.out.partition("See the four")[0].splitlines())) <= 80
     assert "view" in answer.out.splitlines()[-4]
     told = "4 runs. paper-kp2 ends 0.00101 m from the goal, paper-kp10 0.107 m."
-    assert answer.out.startswith(f"{tmp_path / 'out'}: {told}\n\n")
+    assert answer.flat.startswith(f"{tmp_path / 'out'}: {told} Table 1")
 
 
 def test_the_demo_refuses_a_file_for_its_folder(call: Call, tmp_path: Path) -> None:

@@ -107,13 +107,13 @@ def test_a_bag_of_ros_1_is_told_with_what_converts_it(
 
 def test_a_bag_is_recovered_into_a_folder(call: Call, make_bag: MakeBag) -> None:
     bag = make_bag("a.mcap")
-    answer = call("recover", bag, "-o", "whole", "--json")
+    answer = call("convert", "--recover", bag, "-o", "whole", "--json")
     assert (answer.json["recovered"], answer.json["output"]) == (
         {"/turtle1/cmd_vel": 1, "/turtle1/pose": 3},
         "whole",
     )
     assert call("metrics", "whole").code == 0
-    answer = call("recover", bag, "-o", "whole")
+    answer = call("convert", "--recover", bag, "-o", "whole")
     assert (answer.code, answer.err.count("\n")) == (2, 1)
     assert "whole: expected the name of a new folder, found a folder with files" in answer.err
 

@@ -214,7 +214,7 @@ def write_unreadable(folder: Path, whole: bytes) -> dict[Path, str]:
     (folder / "folder").mkdir()
     return {
         **{folder / name: reason for name, (_, reason) in contents.items()},
-        folder / "none.mcap": "expected a recording, a bag or a log, found: No such file",
+        folder / "none.mcap": "no such file",
         folder / "folder": "expected a bag, found a folder without metadata.yaml",
     }
 
@@ -249,15 +249,15 @@ def test_a_recording_that_cannot_be_read_fails_and_the_others_are_judged(
 
 
 BAD = {
-    "nothing": ([], "SPEC: expected a specification and recordings, found none"),
-    "no runs": (["spec.toml"], "FILE: expected at least one recording, found none"),
+    "nothing": ([], "check needs a specification and recordings: turtlelog check SPEC FILE"),
+    "no runs": (["spec.toml"], "which recordings? turtlelog check spec.toml FILE"),
     "no spec": (
         ["none.toml", "kp4"],
-        "none.toml: expected a specification or tolerance file, found: No such file",
+        "none.toml: no such file",
     ),
     "output": (["spec.toml", "kp4", "-o", "x.toml"], "--output: expected --init beside it"),
     "init": (["--init", "kp4", "spec.toml"], "--init: expected one good run and no other file"),
-    "junit": (["spec.toml", "kp4", "--junit", "r.txt"], "r.txt: expected a name that ends in .xml"),
+    "junit": (["spec.toml", "kp4", "--junit", "r.txt"], "r.txt: the name must end in .xml"),
 }
 
 

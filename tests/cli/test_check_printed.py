@@ -227,3 +227,12 @@ def test_the_first_line_counts_what_was_judged(verdicts: list[str], first: str) 
         for number, verdict in enumerate(verdicts)
     ]
     assert format_results(results, files=1).splitlines()[0] == first
+
+
+def test_marks_are_a_line_for_each_recording(call: Call, kp4: Path, kp10: Path) -> None:
+    answer = call("check", kp4, kp10, "--expect", "rotate.overshoot <= 0.5", "--marks")
+    assert (answer.code, answer.err) == (1, "")
+    assert answer.out.splitlines() == [
+        f"PASS  {kp4}: 1 of 1 check passed",
+        f"FAIL  {kp10}: 0 of 1 check passed",
+    ]

@@ -26,7 +26,7 @@ ALL = ["kp4.mcap", "table.csv", "bag.mcap", "cut.mcap", "none.mcap"]
 """A file of every kind, of which some cannot be read."""
 BRIEF = ["--only", "final.*"]
 GRID = ["--grid", "law.kp_linear=-1,4", "--grid", "max_duration_s=2,3"]
-TUNE = ["--vary", "law.k=1:4", "--minimise", "run.path_length", "--evaluations", "8"]
+TUNE = ["--grid", "law.k=1:4", "--minimise", "run.path_length", "--evaluations", "8"]
 SHARERS = {
     "turtlelog.cli.info": [["info", *ALL]],
     "turtlelog.compare.measured_files": [["metrics", *ALL, *BRIEF], ["compare", *ALL, *BRIEF]],

@@ -160,7 +160,7 @@ def test_a_law_of_ones_own_shows_the_settings_of_its_causes(call: Call, turn: Pa
 
 
 def test_more_mechanisms_take_part(call: Call, kp10: Path) -> None:
-    words = ("--mechanisms", "queue, pause,saturation", "--metric", "final.heading_error")
+    words = ("--causes", "queue, pause,saturation", "--metric", "final.heading_error")
     found = call("explain", kp10, *words, "--json").json["attribution"]
     assert [one["cause"] for one in found["contributions"]] == ["queue", "pause", "saturation"]
     assert found["unit"] == "deg"
@@ -258,12 +258,12 @@ def test_a_recording_with_samples_is_explained_by_them(call: Call, kp10: Path) -
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["--metric", "luck"], "metric 'luck': expected an id such as"),
-        (["--metric", "final.postion_error"], "expected one like final.position_error"),
-        (["--mechanisms", "queue,luck"], "mechanism: expected queue, delay"),
-        (["--mechanisms", "queue,queue"], "mechanisms: expected different ones"),
-        (["--rrd", "why.txt"], "expected a name that ends in .rrd"),
-        (["--scenario", "found.txt"], "expected a name that ends in .toml"),
+        (["--metric", "luck"], 'no metric "luck"; list: turtlelog list metrics'),
+        (["--metric", "final.postion_error"], "did you mean final.position_error"),
+        (["--causes", "queue,luck"], 'no cause "luck"'),
+        (["--causes", "queue,queue"], "mechanisms: expected different ones"),
+        (["--rrd", "why.txt"], "the name must end in .rrd"),
+        (["--scenario", "found.txt"], "the name must end in .toml"),
         (["--scenario", "no/such/found.toml"], "found no such folder"),
     ],
     ids=str,
@@ -356,7 +356,7 @@ def test_a_metric_of_a_loop_that_the_run_does_not_declare_is_refused_at_once(
     monkeypatch.setattr("turtlelog.identify_run", None)
     refused = call("explain", kp10, "--metric", "a.overshoot")
     assert (refused.code, refused.out) == (2, "")
-    assert "metric 'a.overshoot': expected one like" in refused.err
+    assert 'no metric "a.overshoot"; did you mean rotate' in refused.err
     assert "rotate.overshoot" in refused.err
 
 

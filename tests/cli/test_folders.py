@@ -121,10 +121,10 @@ def test_other_settings_are_said_and_measured_anew(call: Call, folder: Path) -> 
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        (("-o", "t.csv"), "t.csv: expected a name that ends in .parquet, found another"),
+        (("-o", "t.csv"), "t.csv: the name must end in .parquet"),
         (("-o", "t.parquet", "--csv"), "--output: expected text or --json beside it, found"),
         (("-o", "no/t.parquet"), "expected a place that can be written, found no such folder"),
-        (("-o", "spec.toml"), "expected a name that ends in .parquet, found another"),
+        (("-o", "spec.toml"), "the name must end in .parquet"),
         (("-o", "mine.parquet"), "mine.parquet: expected a complete Parquet file, found"),
     ],
 )

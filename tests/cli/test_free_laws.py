@@ -141,7 +141,7 @@ def test_law_gives_the_recorded_poses_the_recorded_commands(call: Call) -> None:
     [
         (
             ["run", "--commands", "nowhere.mcap"],
-            "nowhere.mcap: expected a recording, a bag or a log, found: No such file or directory",
+            "nowhere.mcap: no such file; did you mean kp4.mcap?",
         ),
         (
             ["replay", "--plant", STEP, "--commands", STEP],

@@ -164,9 +164,9 @@ def test_a_view_holds_command_motion_model_and_residual(
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["--plot", "robot.txt"], "expected a name that ends in .pdf, .png or .svg, found another"),
+        (["--plot", "robot.txt"], "the name must end in .pdf, .png or .svg"),
         (["again.mcap", "--rrd", "robot.rrd"], "--rrd: expected one file to draw, found 2"),
-        (["--rrd", "robot.svg"], "expected a name that ends in .rrd, found another"),
+        (["--rrd", "robot.svg"], "the name must end in .rrd"),
         (["again.mcap", "--plot", "robot.svg"], "--plot: expected one file to draw, found 2"),
     ],
     ids=["suffix", "two files in a view", "suffix of a view", "two files"],

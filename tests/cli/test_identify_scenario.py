@@ -77,7 +77,7 @@ def test_what_is_no_robot_is_one_line_and_no_file(call: Call, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("robot.txt", "expected a name that ends in .toml, found another"),
+        ("robot.txt", "the name must end in .toml"),
         ("missing/robot.toml", "expected a place that can be written, found no such folder"),
     ],
 )

@@ -29,6 +29,6 @@ def test_explain_runs_a_trusted_law_with_a_helper(recording: tuple[str, Path], c
 
 def test_tune_runs_a_law_with_a_helper(tmp_path: Path, call: Call) -> None:
     kind = write_law(tmp_path, 0.5)
-    words = ["--law", kind, "--set", "max_duration_s=0.2", "--vary", "start.heading_rad=0:1"]
+    words = ["--law", kind, "--set", "max_duration_s=0.2", "--grid", "start.heading_rad=0:1"]
     answer = call("tune", *words, "--minimise", "run.path_length", "--evaluations", "8")
     assert (answer.code, answer.err) == (0, "")

@@ -4,7 +4,7 @@ import turtlelog as tl
 from tests.cli.conftest import Call
 from turtlelog.laws import LAWS, list_mechanisms
 
-KINDS = ["metrics", "signals", "presets", "laws", "mechanisms", "figures"]
+KINDS = ["metrics", "signals", "presets", "laws", "causes", "figures"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -35,7 +35,7 @@ def test_every_name_is_listed(call: Call) -> None:
     # Those of other laws follow, each under its law.
     ours = find_mechanisms(scenario)
     others = [one.name for kind in [*LAWS][1:] for one in list_mechanisms(LAWS[kind])]
-    assert found["mechanisms"] == [*ours, *others]
+    assert found["causes"] == [*ours, *others]
 
 
 @pytest.mark.parametrize("kind", KINDS)

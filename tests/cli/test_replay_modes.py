@@ -195,8 +195,8 @@ def test_a_recovered_recording_is_replayed_as_far_as_it_goes(call: Call, tmp_pat
         tl.runner.run_live(scenario, [recorder], realtime=False)
     cut.write_bytes(live.read_bytes()[: live.stat().st_size // 2])
     answer = call("replay", cut)
-    assert (answer.code, "turtlelog recover FILE -o OUT" in answer.err) == (2, True)
-    assert call("recover", cut, "-o", whole).code == 0
+    assert (answer.code, "turtlelog convert --recover FILE -o OUT" in answer.err) == (2, True)
+    assert call("convert", "--recover", cut, "-o", whole).code == 0
     answer = call("replay", whole, "--expect-equal")
     assert answer.code == 0
     assert "in every column, as far as that goes." in answer.out
@@ -223,7 +223,7 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
         (["ticks.mcap", "--law", "--kp", "1"], "ticks: expected a run with its whole scenario"),
         ([], "replay needs a recording: turtlelog replay FILE"),
         (["--law"], "replay needs a recording: turtlelog replay FILE"),
-        (["--law", "a:B", "kp4.mcap", "x"], "--law: expected at most 2 words, found 3"),
+        (["--law", "a:B", "kp4.mcap", "x"], "--law: takes at most 2 words, not 3"),
         (["kp4.mcap", "--law", "a:B", "c:D"], "--law: expected at most one KIND, found a:B c:D"),
         (
             ["kp4.mcap", "--law", "kp4.mcap"],
@@ -235,14 +235,17 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
         (["kp4.mcap", "--plant", "--kp", "3"], "--plant: expected the recorded commands as they"),
         (["kp4.mcap", "--plant", "--tolerance", "0"], "are, found --tolerance"),
         (["kp4.mcap", "-o", "kp4.mcap"], "kp4.mcap: expected another file to write to"),
-        (["kp4.mcap", "-o", "b.txt"], "b.txt: expected a name that ends in .mcap"),
+        (["kp4.mcap", "-o", "b.txt"], "b.txt: the name must end in .mcap"),
         (
             ["kp4.mcap", "--law", "--set", "loop.period_ticks=2"],
             "expected a key of law, shaping, l",
         ),
-        (["kp4.mcap", "--set", "law.kp=2"], "--set: law.kp: expected kp_angular or kp_linear"),
+        (
+            ["kp4.mcap", "--set", "law.kp=2"],
+            "sequential-p has no key law.kp; did you mean",
+        ),
         (["kp4.mcap", "--set", "law.kp_linear=nan"], "--set: law.kp_linear: expected a finite num"),
-        (["kp4.mcap", "--scenario", "no"], "no: expected a scenario file (.toml) or one of"),
+        (["kp4.mcap", "--scenario", "no"], 'no preset or file "no"'),
         (["kp4.mcap", "--tolerance", "nan"], "tolerance: expected a number >= 0, found nan"),
         (["kp4.mcap", "--set", "max_duration_s=0.01"], "expected a pose answered within"),
     ],

@@ -79,7 +79,7 @@ def test_a_stripped_recording_is_solved_by_explain(call: Call, tmp_path: Path) -
     riddle = tmp_path / "riddle.mcap"
     words = ("paper", "--kp", "3.25", "--set", "law.pause_ticks=21", "--strip-scenario")
     call("run", *words, "-o", riddle)
-    found = call("explain", riddle, "--mechanisms", "pause", "--json").json
+    found = call("explain", riddle, "--causes", "pause", "--json").json
     assert found["identified"]["gains"] == {"angular": 3.25, "linear": 3.25}
     assert found["identified"]["pause_ticks"] == 21
     assert found["identified"]["start_backlog"] == 5

@@ -87,7 +87,7 @@ def test_info_says_what_is_wrong_with_a_log(call: Call, tmp_path: Path) -> None:
     answer = call("info", tmp_path / "a.json", tmp_path / "none.csv")
     assert (answer.code, answer.err.count("\n")) == (2, 2)
     assert f"{tmp_path / 'a.json'}: " in answer.err
-    assert f"{tmp_path / 'none.csv'}: expected a recording, a bag or a log" in answer.err
+    assert f"{tmp_path / 'none.csv'}: no such file" in answer.err
 
 
 @pytest.mark.parametrize("size", [60, 400, 3000, 20000, 60000, 90000])
@@ -98,11 +98,11 @@ def test_recover_is_advised_where_it_recovers(
     data = kp10.read_bytes()
     assert size < len(data)
     cut.write_bytes(data[:size])
-    is_advised = f"Fix: turtlelog recover {cut} -o OUT" in call("info", cut).out
+    is_advised = f"Fix: turtlelog convert --recover {cut} -o OUT" in call("info", cut).out
     refused = call("metrics", cut)
     assert refused.code == 2
-    assert ("turtlelog recover FILE -o OUT rewrites" in refused.err) == is_advised
-    answer = call("recover", cut, "-o", tmp_path / "whole.mcap")
+    assert ("turtlelog convert --recover FILE -o OUT rewrites" in refused.err) == is_advised
+    answer = call("convert", "--recover", cut, "-o", tmp_path / "whole.mcap")
     assert is_advised == (answer.code == 0)
     if not is_advised:
         assert "Fix: copy the file again from its source" in call("info", cut).out
@@ -112,16 +112,16 @@ def test_recover_takes_a_bag_that_was_never_closed(call: Call, kp4: Path, tmp_pa
     bag, whole = tmp_path / "bag", tmp_path / "whole.mcap"
     bag.mkdir()
     (bag / "bag_0.mcap").write_bytes(kp4.read_bytes()[:-3000])
-    answer = call("recover", bag, "-o", whole)
+    answer = call("convert", "--recover", bag, "-o", whole)
     assert (answer.code, answer.err) == (0, "")
-    assert f"from {bag / 'bag_0.mcap'}" in answer.out
-    again = call("recover", bag, "-o", bag / "bag_0.mcap")
+    assert "from bag_0.mcap; no message is lost" in answer.flat
+    again = call("convert", "--recover", bag, "-o", bag / "bag_0.mcap")
     assert (again.code, again.err.count("\n")) == (2, 1)
     shutil.copy(kp4, bag / "bag_1.mcap")
-    refused = call("recover", bag, "-o", whole)
+    refused = call("convert", "--recover", bag, "-o", whole)
     assert "expected a folder with one file to make one .mcap file of it" in refused.err
     (tmp_path / "empty").mkdir()
-    nothing = call("recover", tmp_path / "empty", "-o", whole)
+    nothing = call("convert", "--recover", tmp_path / "empty", "-o", whole)
     assert "expected a bag, found a folder without metadata.yaml, .mcap or .db3" in nothing.err
 
 

@@ -97,8 +97,8 @@ NAMES = ["a\nb", "a\x1b[31mb", "a\tb", os.fsdecode(b"a\xffb"), "-a", "a b", "a\x
 @pytest.mark.parametrize("name", NAMES, ids=ascii)
 @pytest.mark.parametrize(
     "words",
-    [["info"], ["metrics"], ["replay", "--plant"], ["recover", "-o", "b.mcap"]],
-    ids=lambda words: words[0],
+    [["info"], ["metrics"], ["replay", "--plant"], ["convert", "--recover", "-o", "b.mcap"]],
+    ids=lambda words: "recover" if "--recover" in words else words[0],
 )
 def test_any_name_is_read_and_steers_no_terminal(
     call: Call,
@@ -124,12 +124,12 @@ def test_any_name_is_read_and_steers_no_terminal(
         ["info", LONG],
         ["metrics", LONG],
         ["convert", LONG, "-o", "a.mcap"],
-        ["recover", LONG, "-o", "a.mcap"],
+        ["convert", "--recover", LONG, "-o", "a.mcap"],
         ["scenario", LONG],
         ["view", LONG],
         ["demo", "-o", LONG],
     ],
-    ids=lambda words: words[0],
+    ids=lambda words: "recover" if "--recover" in words else words[0],
 )
 def test_a_name_that_is_too_long_is_what_the_error_names(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]

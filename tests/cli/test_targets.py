@@ -24,16 +24,16 @@ def folder(kp4: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 LONG = "n" * 300
 RUN = ("run", "paper", "--realtime")  # would take 20 s before it failed
 TARGETS = [
-    ([*RUN, "--rrd", "a.mcap"], "a.mcap: expected a name that ends in .rrd"),
+    ([*RUN, "--rrd", "a.mcap"], "a.mcap: the name must end in .rrd"),
     ([*RUN, "--rrd", "no/a.rrd"], "found no such folder"),
     ([*RUN, "--rrd", "folder.rrd"], "folder.rrd: expected the name of a file to write, found a"),
     ([*RUN, "--rrd", f"{LONG}.rrd"], "expected a place that can be written, found: "),
     ([*RUN, "-o", "folder.mcap"], "folder.mcap: expected the name of a file to write, found a"),
     (["convert", "run.mcap", "-o", "run.mcap"], "found the input itself"),
     (["convert", ".", "-o", "folder.mcap"], "found a folder"),
-    (["recover", "run.mcap", "-o", "folder.mcap"], "found a folder"),
-    (["recover", "run.mcap", "-o", "run.mcap"], "found the input itself"),
-    (["recover", "run.mcap", "-o", "full/../run.mcap"], "found the input itself"),
+    (["convert", "--recover", "run.mcap", "-o", "folder.mcap"], "found a folder"),
+    (["convert", "--recover", "run.mcap", "-o", "run.mcap"], "found the input itself"),
+    (["convert", "--recover", "run.mcap", "-o", "full/../run.mcap"], "found the input itself"),
     (["compare", "run.mcap", "run.mcap", "--rrd", "folder.rrd"], "found a folder"),
     (["view", "run.mcap", "--snapshot", "folder.png"], "found a folder"),
     (["view", "run.mcap", "--save", f"{LONG}.rrd"], "expected a place that can be written"),
@@ -81,7 +81,7 @@ def test_what_is_write_protected_stays(call: Call, folder: Path, mode: str) -> N
     protected.chmod(0o555)
     if os.access(protected, os.W_OK):
         pytest.skip("who may do all is refused nothing")
-    answer = call("recover", "run.mcap", "-o", target)
+    answer = call("convert", "--recover", "run.mcap", "-o", target)
     target.parent.chmod(0o755)
     assert answer.code == 2
     assert f"{target}: expected a" in answer.err
@@ -90,7 +90,7 @@ def test_what_is_write_protected_stays(call: Call, folder: Path, mode: str) -> N
 
 def test_an_input_may_be_named_through_a_link(call: Call, folder: Path) -> None:
     Path("link.mcap").hardlink_to("run.mcap")
-    answer = call("recover", "run.mcap", "-o", "link.mcap")
+    answer = call("convert", "--recover", "run.mcap", "-o", "link.mcap")
     assert (answer.code, answer.out) == (2, "")
     assert "found the input itself" in answer.err
 
@@ -176,7 +176,7 @@ def test_an_output_through_a_link_is_written_where_it_leads(
 ) -> None:
     (tmp_path / "elsewhere").mkdir()
     for number, words in enumerate(
-        [["recover", kp4, "-o"], ["convert", kp4, "-o"], ["view", kp4, "--save"]]
+        [["convert", "--recover", kp4, "-o"], ["convert", kp4, "-o"], ["view", kp4, "--save"]]
     ):
         name = "a" + (".mcap", ".csv", ".rrd")[number]
         (tmp_path / name).symlink_to(Path("elsewhere", name))

@@ -15,7 +15,7 @@ def _stay_in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-VARY = ("--vary", "law.kp_linear=0.5:12")
+VARY = ("--grid", "law.kp_linear=0.5:12")
 SETTLING = ("--minimise", "translate.settling_time")
 
 
@@ -122,14 +122,20 @@ def test_nothing_that_fulfils_the_constraints_is_exit_code_1(call: Call) -> None
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        ((*VARY,), "--minimise: expected it or --maximise, found none"),
-        ((*VARY, *SETTLING, "--maximise", "run.duration"), "found both"),
-        ((*SETTLING,), "--vary: expected a key and its bounds"),
-        (("--vary", "law.kp=1:2", *SETTLING), "--vary: law.kp: expected kp_angular or kp_linear"),
-        (("--vary", "law.kp_linear=-2:-1", *SETTLING), "expected a number > 0"),
-        (("--vary", "name=1:2", *SETTLING), "--vary: name: expected a key whose values are num"),
-        (("--vary", "law.wrap_error=0:1", *SETTLING), "whose values are numbers, found True"),
-        ((*VARY, "--minimise", "nothing"), "unknown name 'nothing'"),
+        ((*VARY,), "tune needs --grid KEY=A:B and --minimise or --maximise"),
+        (
+            (*VARY, *SETTLING, "--maximise", "run.duration"),
+            "--minimise or --maximise, not both",
+        ),
+        ((*SETTLING,), "--grid: expected a key and its bounds"),
+        (
+            ("--grid", "law.kp=1:2", *SETTLING),
+            "--grid: law.kp: unknown key; did you mean",
+        ),
+        (("--grid", "law.kp_linear=-2:-1", *SETTLING), "expected a number > 0"),
+        (("--grid", "name=1:2", *SETTLING), "--grid: name: expected a key whose values are num"),
+        (("--grid", "law.wrap_error=0:1", *SETTLING), "whose values are numbers, found True"),
+        ((*VARY, "--minimise", "nothing"), 'unknown name "nothing"'),
         ((*VARY, "--minimise", "final.position_eror"), "final.position_error"),
         ((*VARY, "--minimise", "along.overshoot"), "which has no such loop"),
         ((*VARY, "--minimise", "rotate."), "expected a number, name"),
@@ -145,7 +151,7 @@ def test_nothing_that_fulfils_the_constraints_is_exit_code_1(call: Call) -> None
             (*VARY, *SETTLING, "--monte-carlo", "2", "--spread", "law.kp_linear=1:2"),
             "keys that are not tuned",
         ),
-        ((*VARY, *SETTLING, "-o", "best.json"), "a name that ends in .toml"),
+        ((*VARY, *SETTLING, "-o", "best.json"), "best.json: the name must end in .toml"),
         ((*VARY, *SETTLING, "-o", "none/best.toml"), "no such folder"),
         ((*VARY, *SETTLING, "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"), "--jobs"),
     ],
@@ -204,7 +210,7 @@ def test_a_key_without_a_default_is_tuned_and_the_name_tells_it(call: Call) -> N
     done = call(
         "tune",
         *words,
-        "--vary",
+        "--grid",
         "law.gain=0.5:4",
         "--evaluations",
         "8",
@@ -225,17 +231,17 @@ def test_candidates_that_fail_are_counted_with_a_reason(call: Call) -> None:
     )
     Path("mine.py").write_text(law, "utf-8")
     words = ("--law", "mine.py:Steer", "--goal", "7,5.5", "--minimise", "run.duration")
-    done = call("tune", *words, "--vary", "law.gain=0.5:4", "--evaluations", "8")
+    done = call("tune", *words, "--grid", "law.gain=0.5:4", "--evaluations", "8")
     assert (done.code, done.err) == (0, "")
     assert "candidates failed, the first: law mine.py:Steer" in done.out
     assert "ZeroDivisionError" in done.out.replace("\n", " ")
 
 
 def test_values_that_make_no_scenario_are_told_by_their_option(call: Call) -> None:
-    words = ("--vary", "start.x_m=-9:9", "--minimise", "run.duration", "--evaluations", "16")
+    words = ("--grid", "start.x_m=-9:9", "--minimise", "run.duration", "--evaluations", "16")
     done = call("tune", "textbook", *words)
     assert (done.code, done.err) == (0, "")
-    assert "failed, the first: --vary: start.x_m: expected a number from 0 to" in done.out
+    assert "failed, the first: --grid: start.x_m: expected a number from 0 to" in done.out
 
 
 def test_a_name_that_is_set_stays(call: Call) -> None:
@@ -264,7 +270,7 @@ def test_keys_that_change_nothing_are_told(call: Call) -> None:
 def test_the_least_of_a_metric_with_a_sign_is_told(
     call: Call, word: str, metric: str, told: int
 ) -> None:
-    done = call("tune", "textbook", "--vary", "goal.x_m=2:9", word, metric, "--evaluations", "8")
+    done = call("tune", "textbook", "--grid", "goal.x_m=2:9", word, metric, "--evaluations", "8")
     assert (done.code, done.err) == (0, "")
     assert done.out.count(f"{metric} has a sign: abs({metric}) is least") == told
 

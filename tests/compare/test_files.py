@@ -37,7 +37,7 @@ def test_nothing_is_read_before_it_is_asked_for(tmp_path: Path) -> None:
     ("choice", "line"),
     [
         ({"jobs": 0}, "jobs: expected at least 1 process, found 0"),
-        ({"only": ["run.lenght"]}, "metric 'run.lenght': expected one like run.path_length"),
+        ({"only": ["run.lenght"]}, 'no metric "run.lenght"; did you mean run.path_length'),
     ],
 )
 def test_bad_choices_are_refused_at_once(choice: dict[str, object], line: str) -> None:

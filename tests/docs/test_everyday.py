@@ -38,7 +38,7 @@ DEFAULTS: Final[Mapping[str, str]] = {
     "run": "run",
     "scenario": "scenario",
     "sweep": "sweep paper-kp4 --grid law.kp_linear=1:12:0.5 -o kp.parquet",
-    "tune": "tune paper --vary law.kp_linear=1:9 --minimise run.duration",
+    "tune": "tune paper --grid law.kp_linear=1:9 --minimise run.duration",
     "theory": "theory",
     "info": "info kp1.mcap",
     "metrics": "metrics kp1.mcap kp4.mcap",
@@ -50,10 +50,8 @@ DEFAULTS: Final[Mapping[str, str]] = {
     "check": "check spec.toml kp4.mcap",
     "view": "view kp1.mcap kp10.mcap",
     "plot": "plot kp4.mcap -o figs",
-    "map": "map results.parquet",
     "report": "report kp1.mcap kp10.mcap -o report.html",
     "convert": "convert kp1_210.json -o kp1.mcap",
-    "recover": "recover cut.mcap -o whole.mcap",
     "demo": "demo -o demo-out",
     "help": "help",
 }
@@ -153,7 +151,7 @@ def run_readme(folder: Path) -> list[str]:
 
 
 def list_examples(call: Call) -> list[str]:
-    helps = [call(name, "--help").out for name in COMMANDS]
+    helps = [call(name, "--help-all").out for name in COMMANDS]
     found = [re.findall(r"^Example: turtlelog (.+)$", text, re.M) for text in helps]
     assert all(found)
     return [*chain.from_iterable(found)]

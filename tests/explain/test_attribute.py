@@ -328,9 +328,9 @@ def test_settings_that_fit_alike_are_named() -> None:
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        ({"metric": "final.speed"}, "metric 'final.speed': expected "),
-        ({"mechanisms": ["puase"]}, "mechanism: expected pause, found 'puase'"),
-        ({"mechanisms": ["luck"]}, "mechanism: expected queue, delay, .*, found 'luck'"),
+        ({"metric": "final.speed"}, 'no metric "final.speed"; did you mean '),
+        ({"mechanisms": ["puase"]}, 'no cause "puase"; did you mean pause'),
+        ({"mechanisms": ["luck"]}, 'no cause "luck"; list: turtlelog list causes'),
         ({"mechanisms": []}, "mechanisms: expected different ones, found"),
         ({"mechanisms": ["queue", "queue"]}, "expected different ones, found queue, queue"),
     ],

@@ -187,8 +187,8 @@ def test_a_column_of_texts_is_compared_row_by_row() -> None:
         ("min(1, 'a')", 8, "expected a number, found a text"),
         ("always(b)", 1, "expected no always here: it needs signals over time"),
         ("b until[0, 1] b", 3, "expected no until here: it needs signals over time"),
-        ("law.kp_liner > 1", 1, "unknown name 'law.kp_liner'; the nearest are law.kp_linear"),
-        ("1 < zzzzz", 5, "unknown name 'zzzzz'; there are n, t, b, law.kp_linear"),
+        ("law.kp_liner > 1", 1, 'unknown name "law.kp_liner"; did you mean law.kp_linear'),
+        ("1 < zzzzz", 5, 'unknown name "zzzzz"; there are n, t, b, law.kp_linear'),
         ("odd > 1", 1, "odd: expected a number, text or truth, found list"),
     ],
 )

@@ -107,7 +107,8 @@ def test_edited_law_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("kind", ["nosuch", "", ":", "steady.py", "steady.py:", ":Steady"])
 def test_kind_of_another_form_is_refused(kind: str) -> None:
-    line = f"expected {', '.join(LAWS)}, path.py:Class or package.module:Class, found {kind!r}"
+    place = "turtlelog list laws. A law of your own is path.py:Class or package.module:Class"
+    line = f'no law "{kind}"; list: {place}'
     with pytest.raises(LawError, match=match_whole(line)):
         find_law(kind)
 

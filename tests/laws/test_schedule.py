@@ -178,8 +178,8 @@ def test_scheduled_loop_declares_no_gain_and_the_other_keeps_its_own() -> None:
             {"kp_angular": [1, math.nan, 2]},
             "schedule.kp_angular: expected finite numbers > 0, found nan",
         ),
-        ({"ki_linear": [1, 2, 3]}, "schedule.ki_linear: expected kp_linear, found an unknown key"),
-        ({"kp": 1}, "schedule.kp: expected kp_angular or kp_linear, found an unknown key"),
+        ({"ki_linear": [1, 2, 3]}, "schedule.ki_linear: unknown key; did you mean kp_linear?"),
+        ({"kp": 1}, "schedule.kp: unknown key; did you mean kp_angular or kp_linear?"),
     ],
 )
 def test_wrong_schedule_is_told_in_one_line_that_names_the_key(

@@ -73,7 +73,7 @@ def test_what_cannot_be_read_is_named(name: str, content: bytes, line: str, tmp_
 
 
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"a\.mcap: expected a recording.*, found: No such file"):
+    with pytest.raises(LogError, match=r"a\.mcap: no such file"):
         read_run(tmp_path / "a.mcap")
 
 

@@ -151,7 +151,7 @@ UNKNOWN = {
     'metric("rotate.overshot") < 1': "*metric: *rotate.overshoot, * found 'rotate.overshot'",
     'phase("rotat")': "*phase: expected rotate*, found 'rotat'",
     'phase("rotate").overshot < 1': "*metric of rotate: expected overshoot*, found 'overshot'",
-    'holds("always(cros_track < 1)")': "*column 8: unknown name 'cros_track'; *cross_track*",
+    'holds("always(cros_track < 1)")': '*column 8: unknown name "cros_track"; *cross_track*',
     'holds("always(x < ")': "*holds: column 11: expected a number or name, found the end",
     'holds("x < 1", phase="rotat")': "*phase: expected rotate, found 'rotat'",
     'metric("rotate.overshoot", bnad=1) < 1': "*expected settings among band, *, found bnad",

@@ -28,7 +28,7 @@ FAILS = {
     'metric("a.rms_error") < 1': "  gains           law.gain_a = 4.0, law.gain_b = 1.0",
     'holds("always(memory < 0)")': "*memory*",
     'holds("x < 99", phase="rotate")': "*no phase rotate; it has one, two, pause)",
-    'holds("integral < 1")': "*unknown name 'integral'; *(the law of this run has memory)",
+    'holds("integral < 1")': '*unknown name "integral"; *(the law of this run has memory)',
 }
 
 

@@ -195,7 +195,7 @@ def test_a_sweep_into_a_bucket_goes_on_where_it_was(
         ),
         (
             (*SWEEP, "-o", "s3://robots/day 1/kp4.mcap"),
-            "s3://robots/day 1/kp4.mcap: expected a name that ends in .parquet, found another",
+            "s3://robots/day 1/kp4.mcap: the name must end in .parquet",
         ),
         (
             (*SWEEP, "-o", "t.parquet", "--record", "s3://robots/day 1"),

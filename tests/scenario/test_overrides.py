@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from turtlelog.errors import ScenarioError
-from turtlelog.laws import LAWS
 from turtlelog.scenario import (
     PRESETS,
     Scenario,
@@ -107,14 +106,14 @@ def test_another_kind_drops_the_parameters_of_the_law() -> None:
         ("law=3", "law: expected a table, found 3"),
         ("law.kind=4", "law.kind: expected text, found 4"),
         ("law.kp_linear=fast", "law.kp_linear: expected a number > 0, found 'fast'"),
-        ("law.kp_lin=4", "law.kp_lin: expected kp_linear, found an unknown key"),
-        ("gaol.x_m=1", "gaol: expected goal, found an unknown key"),
+        ("law.kp_lin=4", "law.kp_lin: unknown key; did you mean kp_linear?"),
+        ("gaol.x_m=1", "gaol: unknown key; did you mean goal?"),
         ("goal.x_m=nan", "goal.x_m: expected a finite number, found nan"),
         ("goal.x_m.y=1", "goal.x_m: expected a value, found a key below it"),
         (
             "law.kind=nosuch",
-            f"law.kind: expected {', '.join(LAWS)}, path.py:Class or package.module:Class, found"
-            " 'nosuch'",
+            'law.kind: no law "nosuch"; list: turtlelog list laws. A law of your own is'
+            " path.py:Class or package.module:Class",
         ),
     ],
 )
@@ -199,10 +198,10 @@ def test_a_wrong_value_of_a_run_is_named() -> None:
     [
         (
             "speed_m_s",
-            "changes: speed_m_s: expected limits.speed_m_s or path.speed_m_s, found no such key",
+            "changes: speed_m_s: unknown key; did you mean limits.speed_m_s or path.speed_m_s?",
         ),
-        ("kp_lin", "changes: kp_lin: expected law.kp_linear, found no such key"),
-        ("nosuch.key", "changes: nosuch: expected "),
+        ("kp_lin", "changes: kp_lin: unknown key; did you mean law.kp_linear?"),
+        ("nosuch.key", "changes: nosuch: unknown key; there are "),
     ],
 )
 def test_key_without_its_table_is_answered_with_the_whole_key(key: str, line: str) -> None:

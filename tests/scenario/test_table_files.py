@@ -56,9 +56,9 @@ def test_text_without_a_folder_names_no_file(
 ) -> None:
     write(tmp_path)
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ScenarioError, match=r"law\.file: expected .*, found an unknown key\Z"):
+    with pytest.raises(ScenarioError, match=r"law\.file: unknown key; .*\Z"):
         parse_scenario(LAW)
-    with pytest.raises(ScenarioError, match=r"law\.file: expected .*, found an unknown key\Z"):
+    with pytest.raises(ScenarioError, match=r"law\.file: unknown key; .*\Z"):
         tl.scenario.build_scenario({"law": {"kind": "open-loop", "file": "commands.csv"}})
 
 

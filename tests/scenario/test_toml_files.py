@@ -1,4 +1,3 @@
-import re
 from pathlib import Path
 
 import pytest
@@ -6,7 +5,6 @@ import pytest
 from tests.scenario.lines import match_whole
 from turtlelog.errors import ScenarioError
 from turtlelog.scenario import (
-    PRESETS,
     get_preset,
     load_scenario,
     parse_scenario,
@@ -51,19 +49,18 @@ def test_binary_file_is_refused(tmp_path: Path) -> None:
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "none.toml"
-    line = f"{path}: expected a scenario file, found: No such file or directory"
+    line = f"{path}: no such file"
     with pytest.raises(ScenarioError, match=match_whole(line)):
         read_scenario(path)
 
 
 def test_folder_is_no_scenario(tmp_path: Path) -> None:
-    # The rest of the line is the operating system's.
-    line = re.escape(f"{tmp_path}: expected a scenario file")
-    with pytest.raises(ScenarioError, match=rf"\A{line}[^\n]+\Z"):
+    line = f"{tmp_path}: a folder, not a scenario file (.toml)"
+    with pytest.raises(ScenarioError, match=match_whole(line)):
         load_scenario(tmp_path)
 
 
 def test_name_that_is_neither_preset_nor_file_is_refused() -> None:
-    line = f"papre: expected a scenario file (.toml) or one of {', '.join(PRESETS)}"
+    line = 'no preset or file "papre"; did you mean paper? List: turtlelog list presets'
     with pytest.raises(ScenarioError, match=match_whole(line)):
         load_scenario("papre")

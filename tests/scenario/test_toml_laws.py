@@ -7,7 +7,6 @@ import pytest
 
 from tests.scenario.lines import match_whole
 from turtlelog.errors import ScenarioError
-from turtlelog.laws import LAWS
 from turtlelog.scenario import (
     build_scenario,
     format_scenario,
@@ -16,6 +15,8 @@ from turtlelog.scenario import (
     parse_scenario,
     resolve_scenario,
 )
+
+PLACES = "path.py:Class or package.module:Class"
 
 LAW_TEXT = """
 from dataclasses import dataclass
@@ -68,8 +69,8 @@ def test_law_of_a_file_round_trips(law_kind: str) -> None:
 
 
 def test_unknown_law_is_named() -> None:
-    line = f"run.toml: law.kind: expected {', '.join(LAWS)}, path.py:Class or package.module:Class"
-    with pytest.raises(ScenarioError, match=match_whole(f"{line}, found 'nosuch'")):
+    line = 'run.toml: law.kind: no law "nosuch"; list: turtlelog list laws. A law of your own is'
+    with pytest.raises(ScenarioError, match=match_whole(f"{line} {PLACES}")):
         parse_scenario("law.kind = 'nosuch'", source="run.toml")
 
 
@@ -89,8 +90,8 @@ def test_law_of_a_file_takes_its_own_parameters(law_kind: str) -> None:
     ("law", "line"),
     [
         ({"gain": "a"}, "law.gain: expected a number, found 'a'"),
-        ({"gain": 1, "gian": 1}, "law.gian: expected gain, found an unknown key"),
-        ({"gain": 1, "kp_linear": 1}, "law.kp_linear: expected gain or bias, found an unknown key"),
+        ({"gain": 1, "gian": 1}, "law.gian: unknown key; did you mean gain?"),
+        ({"gain": 1, "kp_linear": 1}, "law.kp_linear: unknown key; there are gain or bias"),
         ({"gain": math.nan}, "law.gain: expected a finite number, found nan"),
     ],
 )

@@ -42,8 +42,8 @@ def test_the_steps_lead_from_the_logged_value_to_what_the_tolerances_leave() -> 
     steps = list_attribution_steps(attribute_kp10())
     assert [(step.kind, step.name, step.text) for step in steps] == [
         ("total", "as logged", "106.7 mm"),
-        ("share", "queue", "-51.1 mm (48 %)"),
-        ("share", "pause", "-50.6 mm (47 %)"),
+        ("contribution", "queue", "-51.1 mm (48 %)"),
+        ("contribution", "pause", "-50.6 mm (47 %)"),
         ("left", "left", "5.1 mm (5 %), no more than the tolerances leave"),
     ]
     assert len({step.color for step in steps}) == 4
@@ -57,19 +57,19 @@ def test_each_bar_begins_where_the_one_before_ends(metric: str) -> None:
     assert shares[-1].end == pytest.approx(left.end, rel=1e-9)
 
 
-def test_the_largest_share_is_first_and_what_takes_away_leads_up() -> None:
+def test_the_largest_contribution_is_first_and_what_takes_away_leads_up() -> None:
     _, first, second, left = list_attribution_steps(make_attribution())
-    assert (first.mechanism, first.start, first.end, first.text) == (
+    assert (first.cause, first.start, first.end, first.text) == (
         "a",
         10.0,
         2.0,
         "-8.00 deg (80 %)",
     )
-    assert (second.mechanism, second.end, second.text) == ("b", 5.0, "+3.00 deg (-30 %)")
+    assert (second.cause, second.end, second.text) == ("b", 5.0, "+3.00 deg (-30 %)")
     assert left.text == "5.00 deg (50 %), without a and b"
 
 
-def test_a_mechanism_without_a_share_has_no_bar() -> None:
+def test_a_cause_without_a_contribution_has_no_bar() -> None:
     found = make_attribution(contributions=(make_share("b", 5e-9), make_share("a", 5.0)))
     assert [step.name for step in list_attribution_steps(found)] == ["as logged", "a", "left"]
 
@@ -86,7 +86,7 @@ def test_a_run_that_no_effect_changes_has_two_bars() -> None:
 
 def test_a_difference_between_log_and_simulation_is_a_step() -> None:
     _, differs, first, *_ = list_attribution_steps(make_attribution(as_logged=10.2))
-    assert (differs.name, differs.mechanism, differs.text) == (
+    assert (differs.name, differs.cause, differs.text) == (
         "re-simulated",
         "",
         "-0.20 deg, not as logged",
@@ -159,7 +159,7 @@ def test_a_part_of_ten_times_the_value_has_no_percentage(share: float, text: str
 
 
 @pytest.mark.parametrize(("names", "told"), [("ab", "a and b"), ("abc", "all of these")])
-def test_the_last_bar_names_two_mechanisms(names: str, told: str) -> None:
+def test_the_last_bar_names_two_causes(names: str, told: str) -> None:
     found = make_attribution(
         causes=tuple(names), contributions=tuple(make_share(name, 1.0) for name in names)
     )

@@ -14,7 +14,7 @@ from turtlelog.show.palette import (
     GROUND,
     MAIN,
     Color,
-    choose_mechanism_colors,
+    choose_cause_colors,
     choose_run_colors,
 )
 
@@ -89,14 +89,14 @@ def test_a_run_alone_has_one_colour_on_screen_and_on_paper(tmp_path: Path) -> No
 
 
 def test_a_mechanism_has_no_colour_of_a_run_or_a_ghost() -> None:
-    colors = [*choose_mechanism_colors("abcdef").values()]
+    colors = [*choose_cause_colors("abcdef").values()]
     others = [*choose_run_colors(7), MAIN, GHOST]
     pairs = [*product(colors, others), *combinations(colors, 2)]
     assert min(measure_difference(*pair) for pair in pairs) > LEAST_DIFFERENCE
 
 
 def test_bars_of_mechanisms_stand_out_on_both_grounds() -> None:
-    for color in choose_mechanism_colors("abcdef").values():
+    for color in choose_cause_colors("abcdef").values():
         for ground in (GROUND, (255, 255, 255)):
             bright, dark = sorted(
                 (measure_luminance(color), measure_luminance(ground)), reverse=True
@@ -105,7 +105,7 @@ def test_bars_of_mechanisms_stand_out_on_both_grounds() -> None:
 
 
 def test_more_than_six_mechanisms_begin_again() -> None:
-    found = choose_mechanism_colors("abcdefg")
+    found = choose_cause_colors("abcdefg")
     assert found["g"] == found["a"]
 
 

@@ -272,7 +272,7 @@ def test_runs_that_meet_a_condition_are_recorded(tmp_path: Path) -> None:
     ("where", "message"),
     [
         ("translate.settling_time", "expected a condition, found 1.0"),
-        ("nothing > 5", "unknown name 'nothing'"),
+        ("nothing > 5", 'unknown name "nothing"'),
         ("always(speed < 1)", "it needs signals over time"),
         ("translate.settling_time >", "column"),
     ],

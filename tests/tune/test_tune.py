@@ -291,7 +291,7 @@ def test_what_differs_is_not_flat() -> None:
         ([], "expected a key and its bounds"),
         (["law.kp_linear"], "expected KEY=A:B"),
         (["law.kp_linear=1,2"], "expected two bounds"),
-        (["law.kp_linear=1:2:0.5"], "expected two bounds"),
+        (["law.kp_linear=1:2:0.00001"], "expected two bounds and perhaps a step"),
         (["law.kp_linear=2:2"], "expected a range"),
         (["law.kp_linear=3:2"], "3"),
         (["law.kp_linear=1:nan"], "expected two bounds"),
@@ -365,3 +365,8 @@ def test_intervals_of_a_robot(tmp_path: Path) -> None:
             tune.read_intervals(path, base)
     with pytest.raises(tl.TuneError, match="No such file"):
         tune.read_intervals(tmp_path / "none.json", base)
+
+
+def test_a_key_with_a_step_takes_its_values_alone() -> None:
+    (key,) = tune.parse_searched_keys(["law.kp_linear=1:4:0.5"], {"law.kp_linear": 2.0})
+    assert [key.round(value) for value in (0.0, 1.2, 1.3, 9.0)] == [1.0, 1.0, 1.5, 4.0]

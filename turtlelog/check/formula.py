@@ -16,6 +16,7 @@ from turtlelog.check.formula_trace import (
     read_signals,
 )
 from turtlelog.check.result import UndecidedError
+from turtlelog.check.robot_values import ROBOT_VALUES, find_robot_unit
 from turtlelog.check.robustness import CriticalPart, FormulaWalk
 from turtlelog.check.vocabulary import find_kind
 from turtlelog.display import format_html, format_number
@@ -318,6 +319,8 @@ def find_unit(name: str, declaration: Declaration) -> str | None:
         return list_signals(declaration)[name].unit
     if name in list_metrics(declaration):
         return list_metrics(declaration)[name].unit
+    if name in ROBOT_VALUES:
+        return find_robot_unit(name)
     other = find_metric_kind(name)
     return None if other is None else "" if " or " in other.unit else other.unit
 

@@ -12,6 +12,7 @@ import numpy as np
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.formula_trace import find_span, find_window
 from turtlelog.check.result import CheckResult, Verdict, describe_status
+from turtlelog.check.robot_values import ROBOT_VALUES, measure_robot
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import (
     choose_signals,
@@ -66,7 +67,8 @@ def measure_named(checks: Sequence[Check], run: Run) -> Mapping[str, Metric]:
     formulas = [found for check in checks for found in (check.formula, check.when) if found]
     names = {name for formula in formulas for name in formula.names}
     ids = sorted(name for name in names if find_kind(run, name) is not None)
-    return measure_run(run, only=ids) if ids else {}
+    of_robot = measure_robot(run, sorted(names & ROBOT_VALUES.keys()))
+    return {**(measure_run(run, only=ids) if ids else {}), **of_robot}
 
 
 class _Judge:

@@ -27,7 +27,7 @@ from turtlelog.log.read_choice import TimeSource, parse_goal
 from turtlelog.remote.urls import is_url, make_path
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import describe_value, name_key
-from turtlelog.text_files import parse_toml, read_text_file
+from turtlelog.text_files import describe_missing, parse_toml, read_text_file
 
 _KINDS: Final = ("signals", "metrics")
 _KNOWN: Final = (*_KINDS, "checks", "reference", "alignment", "read")
@@ -360,6 +360,8 @@ def _read_toml(path: str | Path) -> dict[str, Any]:
         return _parse_toml(read_text_file(path), source=str(path))
     except UnicodeDecodeError as err:
         raise CompareError(f"{path}: expected TOML, found bytes that are no text") from err
+    except FileNotFoundError as err:
+        raise CompareError(f"{path}: {describe_missing(path)}") from err
     except OSError as err:
         found = err.strerror or err
         raise CompareError(

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Final
 
-from turtlelog.errors import CheckError, suggest_names
+from turtlelog.check.robot_values import ROBOT_VALUES
+from turtlelog.errors import CheckError
 from turtlelog.expressions import (
     Expression,
     Name,
@@ -83,11 +84,19 @@ def names_metrics_alone(formula: Expression) -> bool:
     """Return whether a formula names metrics and nothing that changes with time."""
     is_temporal = any(isinstance(node, Temporal | Until) for node in iterate_nodes(formula.root))
     names = formula.names
-    return not is_temporal and all(find_metric_kind(name) is not None for name in names)
+    are_metrics = all(name in ROBOT_VALUES or find_metric_kind(name) is not None for name in names)
+    return not is_temporal and are_metrics
+
+
+def is_in_tables(name: str) -> bool:
+    """Return whether a name is that of a signal, a metric or a key that every run may have."""
+    return name in {*SIGNALS, *ROBOT_VALUES, *list_parameters()} or (
+        find_metric_kind(name) is not None
+    )
 
 
 def _is_known(name: str, *, over_time: bool, run: Run | None) -> bool:
-    if find_metric_kind(name) is not None or name in list_parameters():
+    if is_in_tables(name) and name not in SIGNALS:
         return True
     if run is None:
         return name.startswith("law.") or (over_time and could_be_signal(name))
@@ -99,7 +108,8 @@ def _list_known(name: str, *, over_time: bool, run: Run | None) -> Mapping[str, 
     signals = SIGNALS if run is None else list_signals(run.declaration)
     ids = [*(METRICS if run is None else list_metrics(run.declaration)), *list_ids_like(name)]
     own = () if run is None else run.parameters
-    return dict.fromkeys([*(signals if over_time else ()), *ids, *list_parameters(), *own])
+    known = [*(signals if over_time else ()), *ids, *ROBOT_VALUES, *list_parameters(), *own]
+    return dict.fromkeys(known)
 
 
 def require_phase(phase: str, run: Run | None = None) -> None:
@@ -125,7 +135,7 @@ def describe_no_phase(run: Run, phase: str) -> str:
 
 def describe_nearest(text: str, known: Sequence[str]) -> str:
     """Return the end of an error line for a word that is none of those known."""
-    return f"expected {suggest_names(text, known)}, found {text!r}"
+    return describe_unknown_name(text, dict.fromkeys(known))
 
 
 _MOST_SIGNALS: Final = 4
@@ -156,6 +166,9 @@ def choose_signals(names: Iterable[str], declaration: Declaration) -> tuple[str,
     for name in names:
         if name in known:
             chosen.append(name)
+        elif name in ROBOT_VALUES:
+            axis = ROBOT_VALUES[name][0]
+            chosen += [axis, f"measured_{axis}"]
         elif find_metric_kind(name) is not None:
             chosen += _choose_for_metric(name, declaration)
     return tuple(dict.fromkeys(chosen))[:_MOST_SIGNALS]

@@ -27,8 +27,8 @@ from turtlelog.cli.output import (
     print_note,
 )
 from turtlelog.cli.progress import end_progress
-from turtlelog.cli.usage_errors import describe_usage_error
-from turtlelog.errors import TurtlelogError, UsageError, suggest_names
+from turtlelog.cli.usage_errors import describe_usage_error, find_split_pair
+from turtlelog.errors import TurtlelogError, UsageError, describe_unknown
 from turtlelog.remote.urls import RemoteNote, limit_downloads
 from turtlelog.version import __version__
 
@@ -84,7 +84,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "list": (
             "KIND",
-            "List the names of metrics, signals, presets, laws, plants, mechanisms or figures.",
+            "List the names of metrics, signals, presets, laws, plants, causes or figures.",
         ),
     },
     "Check": {
@@ -100,11 +100,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "plot": (
             "[FILE...] -o OUT",
-            "Make the paper's figures from any recordings, and its tables as LaTeX.",
-        ),
-        "map": (
-            "TABLE",
-            "Draw the table of a sweep: metrics over its keys, with theory's limits of the gain.",
+            "Plot recordings as the paper's figures and tables, and the table of a sweep as maps.",
         ),
         "report": (
             "FILE... -o OUT",
@@ -117,10 +113,6 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
             "Convert a recording, bag, log or table: to .mcap, .csv, .parquet, .tum, or a ROS 2"
             " folder.",
         ),
-        "recover": (
-            "FILE -o OUT",
-            "Write what an unfinished or damaged recording still holds as a complete one.",
-        ),
         "demo": (
             "",
             "Simulate and record the paper's four runs (Kp = 1, 2, 4, 10) and compare them.",
@@ -129,13 +121,37 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
 }
 """The commands as help groups them, the words that each takes, and how its docstring begins."""
 
-_PLACES: Final = {"scenario": "run:scenario", "list": "list_names:list_", "map": "map:map_"}
+_PLACES: Final = {"scenario": "run:scenario", "list": "list_names:list_"}
 """Commands that stand elsewhere than in a module, and a function, of their name."""
 
 
 _SUMMARIES: Final = {
     name: summary for group in _COMMANDS.values() for name, (_, summary) in group.items()
 }
+
+_USUAL: Final[Mapping[str, frozenset[str]]] = {
+    command: frozenset(f"--{name}" for name in names.split())
+    for command, names in {
+        "run": "set kp goal law output live watch json",
+        "sweep": "grid sample metrics set record jobs json",
+        "tune": "grid minimise maximise subject-to set monte-carlo output json",
+        "theory": "kp ki kd lag dead-time dead-time-s period overshoot details json",
+        "info": "topics parameters partial jobs json",
+        "metrics": "only all goal recursive output csv json",
+        "compare": "reference only sort where recursive rrd json",
+        "explain": "metric causes details scenario rrd trust-law json",
+        "identify": "scenario plot rrd details json",
+        "replay": "set law plant expect-equal details output json",
+        "check": "expect init output reference all recursive junit json",
+        "view": "save snapshot web movie partial goal",
+        "plot": "output only metric format kind movie json",
+        "report": "output spec explain json",
+        "convert": "to table recover partial json",
+    }.items()
+}
+"""Options that --help shows; --help-all shows all of them."""
+
+_help_formatter = HelpFormatter(_SUMMARIES, _USUAL)
 
 app = App(
     name="turtlelog",
@@ -147,7 +163,7 @@ app = App(
     ),
     version=f"turtlelog {__version__}",
     help_format="plaintext",
-    help_formatter=HelpFormatter(_SUMMARIES),
+    help_formatter=_help_formatter,
     default_parameter=Parameter(negative="", show_default=show_default),
     group_parameters=Group("Options", sort_key=1),
     suppress_keyboard_interrupt=False,
@@ -184,8 +200,7 @@ def _help(command: str | None = None, /) -> None:
     """
     names = [name for name in app if not name.startswith("-")]
     if command is not None and command not in names:
-        near = suggest_names(command, names)
-        raise UsageError(f"turtlelog help: expected {near}, found {command!r}")
+        raise UsageError(describe_unknown("command", command, names, place="turtlelog --help"))
     app.help_print([] if command is None else [command])
 
 
@@ -204,6 +219,7 @@ def main(tokens: Sequence[str] | None = None) -> None:
         code = _call(tokens)
     except (TurtlelogError, CycloptsError) as err:
         text = describe_usage_error(err) if isinstance(err, CycloptsError) else str(err)
+        text = find_split_pair(sys.argv[1:] if tokens is None else tokens) or text
         code = _fail(text, EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         code = _fail("interrupted", EXIT_INTERRUPTED)
@@ -215,8 +231,13 @@ def main(tokens: Sequence[str] | None = None) -> None:
     sys.exit(code if isinstance(code, int) else EXIT_FINE)
 
 
+_ALL: Final = "--help-all"
+
+
 def _call(tokens: Sequence[str] | None) -> Any:
     tokens = sys.argv[1:] if tokens is None else tokens
+    _help_formatter.shows_all = _ALL in tokens
+    tokens = ["--help" if token == _ALL else token for token in tokens]
     with _stop_on_request(), _print_remote_notes(), limit_downloads():
         try:
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")

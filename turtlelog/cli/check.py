@@ -1,17 +1,18 @@
 """`turtlelog check`: hold recordings to a specification."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.check_answers import print_results
+from turtlelog.cli.check_answers import print_marks, print_results
 from turtlelog.cli.check_files import ReportOptions, check_files, check_into_table, read_to_judge
 from turtlelog.cli.folders import find_files, list_files
-from turtlelog.cli.options import Output, Place, ReadingOptions, require_files
+from turtlelog.cli.options import Output, Place, ReadingOptions
 from turtlelog.cli.output import (
     EXIT_FAILED,
     EXIT_FINE,
@@ -21,8 +22,9 @@ from turtlelog.cli.output import (
     print_run_notes,
     print_text,
 )
+from turtlelog.cli.scenario_options import is_recording
 from turtlelog.cli.targets import require_apart, require_new_target
-from turtlelog.errors import UsageError
+from turtlelog.errors import ExpressionError, LogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Spec
@@ -79,6 +81,8 @@ def check(
 
     Example: turtlelog check spec.toml runs --recursive -o verdicts.parquet
 
+    Example: turtlelog check spec.toml handed-in/*.mcap --marks
+
     Args:
         words: A specification (.toml) and recordings; with --expect, recordings alone.
         reference: Take tolerances from this recording, not from the file's own.
@@ -100,10 +104,16 @@ def check(
     if first.output is not None:
         found = find_files(files, first.output, is_recursive=reports.recursive)
         files = [Path(one.path) for one in found]
+        _require_known(spec, files, topics)
         results = check_into_table(first.output, spec, found, reports, topics)
     else:
         files = list_files(files, is_recursive=reports.recursive)
+        _require_known(spec, files, topics)
         results = check_files(spec, files, reports, topics)
+    if reports.marks:
+        if kind != "txt" or reports.all_:
+            raise UsageError("--marks prints a line for each recording; leave other formats out")
+        return EXIT_FAILED if print_marks(results) == "FAIL" else EXIT_FINE
     verdict = print_results(spec, results, files=len(files), kind=kind, shows_all=reports.all_)
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
 
@@ -111,13 +121,39 @@ def check(
 def _choose_files(words: list[Path], first: FirstSpecOptions, reference: Path | None) -> list[Path]:
     """Return the recordings among what was given; refuse what does not go together."""
     if first.expect and reference is not None:
-        raise UsageError("--reference: expected no --expect beside it, found one")
+        raise UsageError("--reference: leave it out beside --expect, which has no tolerances")
+    if first.expect:
+        if not words:
+            raise UsageError(f"check needs recordings: turtlelog check FILE... --expect {_FORMULA}")
+        return words
     if not words:
-        expected = "recordings" if first.expect else "a specification and recordings"
-        raise UsageError(f"{'FILE' if first.expect else 'SPEC'}: expected {expected}, found none")
-    files = words if first.expect else words[1:]
-    require_files(files)
-    return files
+        raise UsageError(
+            "check needs a specification and recordings: turtlelog check SPEC FILE..., or"
+            f" turtlelog check FILE... --expect {_FORMULA}"
+        )
+    if is_recording(words[0]) or str(words[0]) in tl.PRESETS:
+        raise UsageError(_describe_no_spec(words))
+    if len(words) == 1:
+        raise UsageError(f"which recordings? turtlelog check {shlex.quote(str(words[0]))} FILE...")
+    return words[1:]
+
+
+_FORMULA: Final = '"rotate.overshoot <= 2"'
+"""An example of one."""
+
+
+def _describe_no_spec(words: list[Path]) -> str:
+    """Return what to type where a recording stands in the place of the specification."""
+    specs = [word for word in words if word.suffix.lower() == ".toml"]
+    others = shlex.join(str(word) for word in words if word not in specs)
+    if specs:
+        spec = shlex.quote(str(specs[0]))
+        where = "the specification goes first"
+        return f"{words[0]} is a recording; {where}: turtlelog check {spec} {others}"
+    return (
+        f"{words[0]} is a recording, but check needs a specification first: turtlelog check SPEC"
+        f" {others}, or --expect {_FORMULA}, or create one with --init {words[0]}"
+    )
 
 
 def _require_targets(reports: ReportOptions, output: Path | None, words: Sequence[Path]) -> None:
@@ -143,6 +179,37 @@ def build_spec(formulas: "Sequence[str]") -> "Spec":
         kind: Literal["expect", "holds"] = "expect" if names_metrics_alone(formula) else "holds"
         checks.append(Check(name=text, kind=kind, formula=formula))
     return tl.Spec(checks=tuple(checks), source="--expect")
+
+
+def _require_known(spec: "Spec", files: Sequence[Path], topics: ReadingOptions) -> None:
+    """Refuse names that neither a table nor any of the recordings knows.
+
+    Recordings are read for names that may be states or parameters of a law of one's own, and no
+    others, until one knows them all.
+    """
+    from turtlelog.check.vocabulary import is_in_tables, require_known_names
+
+    formulas = [
+        (formula, check.kind == "holds" and formula is check.formula)
+        for check in spec.checks
+        for formula in (check.formula, check.when)
+        if formula is not None and not all(map(is_in_tables, formula.names))
+    ]
+    problem: ExpressionError | None = None
+    for path in files if formulas else ():
+        try:
+            run, _ = read_to_judge(path, spec.read.override(topics.build_choice()))
+        except LogError:
+            continue
+        try:
+            for formula, over_time in formulas:
+                require_known_names(formula, over_time=over_time, run=run)
+        except ExpressionError as err:
+            problem = err
+        else:
+            return
+    if problem is not None:
+        raise problem
 
 
 def _write_first(

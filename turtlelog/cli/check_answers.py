@@ -4,8 +4,9 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, format_table, print_json, print_tables, print_verdicts
@@ -29,29 +30,69 @@ _MOST_NAMES: Final = 8
 """Recordings that are named as those in which checks fail."""
 
 
-def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str, Any]:
-    """Return results as the JSON answer."""
-    return {
-        "verdict": verdict,
-        "results": [
-            {
-                "file": result.file,
-                "check": result.check,
-                "verdict": result.verdict.value,
-                "expected": result.expected or None,
-                "value": result.value,
-                "limit": result.limit,
-                "margin": result.margin,
-                "unit": result.unit or None,
-                "value_s": result.value_s,
-                "decided_by": result.decided_by or None,
-                "first_violation_s": result.first_violation_s,
-                "reason": result.reason or None,
-                "decided": result.is_decided,
-            }
-            for result in results
-        ],
-    }
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResultAnswer:
+    """A check of a recording.
+
+    Attributes:
+        file: The recording.
+        check: Name of the check.
+        verdict: PASS, FAIL or SKIPPED.
+        expected: What was expected.
+        value: What was found.
+        limit: What bounds it.
+        margin: How far the value is from the limit; negative beyond it.
+        unit: Of these three.
+        value_s: When the value occurs [s].
+        decided_by: The part of the formula that decides.
+        first_violation_s: When the check is first violated [s].
+        reason: Why a check fails or is skipped.
+        decided: Whether there was enough to judge.
+    """
+
+    file: str
+    check: str
+    verdict: str
+    expected: str | None
+    value: float | None
+    limit: float | None
+    margin: float | None
+    unit: str | None
+    value_s: float | None
+    decided_by: str | None
+    first_violation_s: float | None
+    reason: str | None
+    decided: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckAnswer:
+    """The verdict on all recordings, and every check of each."""
+
+    verdict: str
+    results: list[ResultAnswer]
+
+
+def build_results(results: "Iterable[CheckResult]") -> list[ResultAnswer]:
+    """Return results as the answer has them."""
+    return [
+        ResultAnswer(
+            file=result.file,
+            check=result.check,
+            verdict=result.verdict.value,
+            expected=result.expected or None,
+            value=result.value,
+            limit=result.limit,
+            margin=result.margin,
+            unit=result.unit or None,
+            value_s=result.value_s,
+            decided_by=result.decided_by or None,
+            first_violation_s=result.first_violation_s,
+            reason=result.reason or None,
+            decided=result.is_decided,
+        )
+        for result in results
+    ]
 
 
 def print_results(
@@ -78,7 +119,7 @@ def print_results(
     results = [*results]
     verdict = tl.check.join_verdicts(results)
     if kind == "json":
-        print_json(describe_results(verdict, results))
+        print_json(CheckAnswer(verdict=verdict.value, results=build_results(results)))
     elif kind == "csv":
         print_tables([_tabulate_values(spec, results)], kind)
     elif kind == "txt":
@@ -88,6 +129,20 @@ def print_results(
         notes = (_conclude(CountedResults(results), files), *_list_reasons(spec, results))
         print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
     return verdict
+
+
+def print_marks(results: "Iterable[CheckResult]") -> "Verdict":
+    """Print a line for each recording as its checks are judged, and return the verdict of all."""
+    from turtlelog.check.result import decide_verdict
+
+    counted = []
+    for file, of_file in groupby(results, key=lambda result: result.file):
+        found = CountedResults(of_file)
+        counted.append(found.verdict)
+        passed = found.verdicts[tl.check.Verdict.PASS]
+        total = found.verdicts.total()
+        print_verdicts(f"{found.verdict}  {file}: {passed} of {_count(total, 'check')} passed")
+    return decide_verdict(Counter(counted))
 
 
 def format_results(

@@ -49,6 +49,7 @@ class ReportOptions(WorkOptions):
             that is read, which one process then reads.
         recursive: Take every recording below the folders given.
         all_: Print the checks that pass, too.
+        marks: Print one line for each recording: its verdict, and how many of its checks pass.
     """
 
     junit: Place | None = None
@@ -56,6 +57,7 @@ class ReportOptions(WorkOptions):
     report: Place | None = None
     recursive: Recursive = False
     all_: Annotated[bool, Parameter(name="--all")] = False
+    marks: bool = False
 
 
 def check_into_table(

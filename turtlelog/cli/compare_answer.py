@@ -82,7 +82,9 @@ def format_across(
     above = [*notes, *conditions]
     return "\n".join(
         [
-            fill_lines([f"{table.title}{_describe_alike(table, summaries, ranking)}."]),
+            fill_lines(
+                [f"{_name_best(table)}{table.title}{_describe_alike(table, summaries, ranking)}."]
+            ),
             *_list_best(table),
             *([fill_lines(above, indent=2)] if above else []),
             _format(table),
@@ -142,16 +144,18 @@ def _rank(name: str) -> int:
     return next((place for place, key in enumerate(_LABELS) if key in keys), len(_LABELS))
 
 
+def _name_best(table: "Table") -> str:
+    """Return the best run at the metric that counts most, with its value; empty without one."""
+    rows = _rank_best(table)
+    if not rows:
+        return ""
+    label, who, name, value, _ = rows[0]
+    return f"{label.capitalize()}{_name_loop(name)}: {who}, {value}. "
+
+
 def _list_best(table: "Table") -> list[str]:
     """Return which runs are best and worst at the metrics that count most, a line for each."""
-    marked = [
-        place
-        for place, _ in enumerate(table.columns)
-        if any(place == column for _, column in table.marks)
-    ]
-    marked.sort(key=lambda place: _rank(table.columns[place].title))
-    said = [place for place in marked if _rank(table.columns[place].title) < len(_LABELS)]
-    rows = [_describe_best(table, place) for place in (said or marked)[:_MOST_SAID]]
+    rows = _rank_best(table)
     with_ids = [(label, who, f"{name} {value}", worst) for label, who, name, value, worst in rows]
     lines = align_rows(with_ids)
     if not rows or rows[0][-1] in lines[0]:
@@ -159,6 +163,18 @@ def _list_best(table: "Table") -> list[str]:
     return align_rows(
         [(label + _name_loop(name), who, value, worst) for label, who, name, value, worst in rows]
     )
+
+
+def _rank_best(table: "Table") -> list[tuple[str, str, str, str, str]]:
+    """Return what is best, who, the metric, the value and who is worst, by what counts most."""
+    marked = [
+        place
+        for place, _ in enumerate(table.columns)
+        if any(place == column for _, column in table.marks)
+    ]
+    marked.sort(key=lambda place: _rank(table.columns[place].title))
+    said = [place for place in marked if _rank(table.columns[place].title) < len(_LABELS)]
+    return [_describe_best(table, place) for place in (said or marked)[:_MOST_SAID]]
 
 
 def _name_loop(name: str) -> str:

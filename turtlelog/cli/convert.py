@@ -8,9 +8,11 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import File, Json, Place, ReadingOptions, read_runs
-from turtlelog.cli.output import print_json, print_lines, print_note
+from turtlelog.cli.output import fill_lines, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
+from turtlelog.cli.recover import recover_file
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
+from turtlelog.display import join_words
 from turtlelog.errors import LogError, UsageError
 
 if TYPE_CHECKING:
@@ -50,6 +52,8 @@ class TableOptions:
         table: Which table to write; otherwise a file holds the poses, and a folder all tables.
         sort: Sort the rows of a paper's log by time and drop exact duplicates, and count both,
             instead of refusing them.
+        recover: Copy every message that a damaged or unfinished recording still holds into a
+            complete .mcap, or a bag into a new folder.
     """
 
     to: Annotated[
@@ -57,6 +61,26 @@ class TableOptions:
     ] = None
     table: _TableName | None = None
     sort: bool = False
+    recover: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConvertAnswer:
+    """What was written.
+
+    Attributes:
+        file: As it was given.
+        name: Of the run.
+        written: Files.
+        absent: Columns that the source lacks.
+        notes: Remarks.
+    """
+
+    file: str
+    name: str
+    written: tuple[str, ...]
+    absent: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def convert(
@@ -83,6 +107,8 @@ def convert(
 
     Example: turtlelog convert kp4.mcap -o kp4-bag -o kp4-poses.csv
 
+    Example: turtlelog convert --recover cut.mcap -o whole.mcap
+
     Args:
         file: A recording (.mcap), a ROS 2 bag, one of the paper's logs (.json, .csv), tables that
             convert wrote, a table with a header (.csv, .tsv, .txt, .parquet), or a trajectory
@@ -91,6 +117,9 @@ def convert(
         json: Print one JSON object instead of lines.
     """
     tables = tables or TableOptions()
+    if tables.recover:
+        recover_file(file, output, json=json)
+        return
     kinds = {path: _choose_kind(path, tables) for path in output}
     _require_targets(output, kinds, file, tables)
     run = _read(file, tables, topics)
@@ -115,12 +144,34 @@ def convert(
         if kind == "tum"
     ]
     if json:
-        answer = {"file": str(file), "name": run.name, "written": written}
-        print_json(answer | {"absent": list(run.absent), "notes": notes})
+        print_json(
+            ConvertAnswer(
+                file=str(file),
+                name=run.name,
+                written=tuple(written),
+                absent=run.absent,
+                notes=tuple(notes),
+            )
+        )
         return
-    lines = [f"wrote {path}" for path in written]
+    lines = [
+        f"{path.name}: {_describe_held(run, path, kind, tables)} of {file.name}, read back and"
+        " equal."
+        for path, kind in kinds.items()
+    ]
+    lines += [f"wrote {path}" for path in written]
     lines += [f"absent in {file}: {', '.join(run.absent)}"] if run.absent else []
-    print_lines([*lines, *notes])
+    print_text(fill_lines([*lines, *notes]))
+
+
+def _describe_held(run: "Run", path: Path, kind: str, tables: TableOptions) -> str:
+    """Return how many rows of what an output holds."""
+    nouns = ("poses", "commands", "samples", "events")
+    counts = {noun: len(getattr(run, noun)) for noun in nouns}
+    one = "poses" if kind == "tum" or (_is_file(path, tables) and kind != "mcap") else None
+    chosen = tables.table if kind in {"csv", "parquet"} and tables.table else one
+    held = counts if chosen is None else {chosen: counts[chosen]}
+    return join_words([f"{count} {noun}" for noun, count in held.items() if count]) or "no rows"
 
 
 def _choose_kind(path: Path, tables: TableOptions) -> str:

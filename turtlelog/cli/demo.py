@@ -1,5 +1,6 @@
 """`turtlelog demo`: the paper's experiment, recorded, measured and shown."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,7 +8,13 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Place
-from turtlelog.cli.output import find_command_name, format_table, print_note, print_text
+from turtlelog.cli.output import (
+    fill_lines,
+    find_command_name,
+    find_width,
+    print_note,
+    print_text,
+)
 from turtlelog.errors import UsageError
 from turtlelog.libraries import load_library
 
@@ -43,8 +50,13 @@ def demo(
             path.write_text(tl.show.format_table(table1, kind), encoding="utf-8")
     print_note(f"wrote {output / 'table1'}.{{{','.join(tl.show.TABLE_FORMATS)}}}")
     print_note("")
-    tables = [format_table(table) for table in (table1, tl.compare.tabulate_whole_runs(runs))]
-    print_text("\n".join([f"{_write_answer(runs, output)}\n", *tables, _tell_next(output)]))
+    tables = [
+        tl.show.format_table(replace(table, notes=()), width=find_width())
+        + fill_lines([*table.notes, ""])
+        for table in (table1, tl.compare.tabulate_whole_runs(runs))
+    ]
+    answer = fill_lines([_write_answer(runs, output)])
+    print_text("\n".join([f"{answer}\n", *tables, _tell_next(output)]))
 
 
 def _write_answer(runs: "Sequence[Run]", folder: Path) -> str:

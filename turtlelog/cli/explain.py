@@ -8,8 +8,8 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.explain_answer import build_answer, format_answer, format_details
-from turtlelog.cli.explain_motion import describe_motion, format_motion
-from turtlelog.cli.list_names import complete_mechanisms, complete_metrics
+from turtlelog.cli.explain_motion import build_motion, format_motion
+from turtlelog.cli.list_names import complete_causes, complete_metrics
 from turtlelog.cli.options import (
     File,
     Jobs,
@@ -59,9 +59,7 @@ def explain(
     /,
     *,
     metric: Annotated[str | None, Parameter(metavar="ID", completer=complete_metrics)] = None,
-    mechanisms: Annotated[
-        str | None, Parameter(metavar="NAMES", completer=complete_mechanisms)
-    ] = None,
+    causes: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_causes)] = None,
     options: ExplainOptions | None = None,
     topics: ReadingOptions | None = None,
     json: Json = False,
@@ -94,8 +92,8 @@ def explain(
             paper's logs (.json, .csv).
         metric: Metric to explain, by its id (turtlelog list metrics). Default: the final position
             error, or without a goal the error of the last loop.
-        mechanisms: Effects and design parameters to divide the metric among, separated by commas
-            (turtlelog list mechanisms). Default: every effect that is in the run, at most the six
+        causes: Effects and design parameters to divide the metric among, separated by commas
+            (turtlelog list causes). Default: every effect that is in the run, at most the six
             that change the metric most.
         json: Print one JSON object.
     """
@@ -105,7 +103,7 @@ def explain(
     # Imported here: the command line loads no room before a command needs it.
     from turtlelog.explain import require_trust
 
-    names = None if mechanisms is None else split_names(mechanisms, "--mechanisms")
+    names = None if causes is None else split_names(causes, "--causes")
     (run,) = read_runs([file], topics)
     metric = metric or tl.explain.choose_metric(run.declaration)
     tl.explain.require_mechanisms(run, metric, names)
@@ -130,7 +128,7 @@ def explain(
         tl.measure_run(run, only=[metric])[metric],
         found,
         attribution,
-        None if motion is None else describe_motion(run, motion),
+        None if motion is None else build_motion(file, run, motion),
     )
     if json:
         print_json(answer)

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import format_table
-from turtlelog.cli.replay_answer import describe_pose_error
+from turtlelog.cli.explain_motion import MotionAnswer
+from turtlelog.cli.output import fill_lines, format_table
+from turtlelog.cli.replay_answer import build_pose_error
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -78,9 +79,6 @@ _DRIVEN: Final = "No scenario fits this log. The plant was driven with its comma
 _NOTED: Final = "the recorded scenario"
 """Evidence of what is known by the re-simulation of the recorded scenario."""
 
-_WIDTH: Final = 80
-"""Of lines [characters]."""
-
 _EVIDENCE_WIDTH: Final = 26
 _MEANING_WIDTH: Final = 30
 """Of the last columns of the tables [characters]: the others need the rest of a line."""
@@ -116,7 +114,7 @@ class ExplainAnswer:
     attribution: "Attribution | None"
     in_words: Mapping[str, str]
     notes: tuple[str, ...]
-    motion: Mapping[str, Any] | None
+    motion: MotionAnswer | None
 
 
 def build_answer(
@@ -124,11 +122,11 @@ def build_answer(
     metric: "Metric",
     found: "Identification",
     attribution: "Attribution | None",
-    motion: Mapping[str, Any] | None,
+    motion: MotionAnswer | None,
 ) -> ExplainAnswer:
     """Return the answer."""
     again = found.resimulation
-    error = None if again is None else {"max_abs_error": describe_pose_error(again.max_abs_error)}
+    error = {} if again is None else {"max_abs_error": build_pose_error(again.max_abs_error)}
     return ExplainAnswer(
         file=str(file),
         name=found.name,
@@ -136,7 +134,7 @@ def build_answer(
         identified=_nest(_PLACES, found) | {"dead_time_ticks": _list_dead_times(found)},
         reasons={k: one.evidence for k, one in found.findings.items() if one.value is None},
         findings=tuple({"key": key, **asdict(one)} for key, one in found.findings.items()),
-        resimulation=None if again is None else asdict(again) | (error or {}),
+        resimulation=None if again is None else asdict(again) | error,
         tried=found.tried,
         attribution=attribution,
         in_words={} if attribution is None else dict(_describe_causes(found, attribution)),
@@ -233,21 +231,13 @@ def format_answer(answer: ExplainAnswer, found: "Identification") -> str:
     for one, size in zip(named, sizes, strict=True):
         head = f"  {one.cause:<{widths[0]}}  {size:<{widths[1]}}  "
         words = answer.in_words[one.cause]
-        lines += textwrap.wrap(
-            words, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head)
-        ) or [head.rstrip()]
+        lines.append(fill_lines([f"{head}{words}".rstrip()], indent=len(head)))
     lines += tl.explain.write_reasons(attribution)
     return _fill([*lines, _write_confidence(found, attribution)])
 
 
 def _fill(lines: list[str]) -> str:
-    wrapped = [
-        line
-        if line.startswith("  ") or not line
-        else textwrap.fill(line, _WIDTH, break_on_hyphens=False, break_long_words=False)
-        for line in lines
-    ]
-    return "\n".join(wrapped)
+    return "\n".join(line if line.startswith("  ") else fill_lines([line]) for line in lines)
 
 
 def _write_why(found: "Attribution") -> str:

@@ -1,20 +1,23 @@
 """The answer of `turtlelog explain` for a recording without samples of a controller."""
 
-import textwrap
+from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from turtlelog.cli.replay_plant import describe_plant, judge_rounding, list_breaks
+from turtlelog.cli.output import fill_lines
+from turtlelog.cli.replay_plant import (
+    PlantReplayAnswer,
+    build_plant,
+    judge_rounding,
+    list_breaks,
+)
 from turtlelog.display import describe_count, join_words
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import Run
     from turtlelog.explain import Delays, Largest, MotionFacts, Periods
-
-_WIDTH: Final = 80
-"""Of lines [characters]."""
 
 _NEEDS: Final = (
     "An explanation needs the samples of the controller (turtlelog_msgs/msg/ControlSample): the"
@@ -25,71 +28,152 @@ _SILENCE: Final = 1.5
 """Of the usual period: what is no longer is no silence, as half a row is missing at most."""
 
 
-def describe_motion(run: "Run", found: "MotionFacts") -> dict[str, Any]:
-    """Return the facts as the JSON answer has them; times count as in a replay."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateAnswer:
+    """How often rows come, the range of nine tenths of the periods, and the longest silence."""
+
+    rows: int
+    period_s: float | None = None
+    low_s: float | None = None
+    high_s: float | None = None
+    longest_silence_s: float | None = None
+    silence_at_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValueAnswer:
+    """A value of a signal, and when."""
+
+    signal: str
+    unit: str
+    value: float
+    at_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeapAnswer:
+    """Where poses jump [m, rad]."""
+
+    at_s: float
+    moved: float
+    aside: float
+    turned: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SilenceAnswer:
+    """Where poses are missing."""
+
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TicksAnswer:
+    """How many commands act after so many ticks."""
+
+    ticks: int
+    commands: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DelaysAnswer:
+    """How late commands act."""
+
+    ticks: list[TicksAnswer]
+    low_s: float
+    median_s: float
+    high_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionAnswer:
+    """What poses and commands show where there are no samples; times count as in a replay.
+
+    Attributes:
+        kind: What was recorded.
+        run_duration_s: How long [s].
+        poses: How often they come.
+        commands: Likewise.
+        largest_commands: The largest of each.
+        outliers: Values that are none of the motion's.
+        jumps: Where poses jump.
+        gaps: Where poses are missing.
+        command_delays: How late commands act; None where that is not known.
+        replay: The commands driven through the plant; None where there is no model.
+        needs: What an explanation needs.
+    """
+
+    kind: str
+    run_duration_s: float
+    poses: RateAnswer
+    commands: RateAnswer
+    largest_commands: list[ValueAnswer]
+    outliers: list[ValueAnswer]
+    jumps: list[LeapAnswer]
+    gaps: list[SilenceAnswer]
+    command_delays: DelaysAnswer | None
+    replay: PlantReplayAnswer | None
+    needs: str
+
+
+def build_motion(file: Path, run: "Run", found: "MotionFacts") -> MotionAnswer:
+    """Return the facts as an answer."""
 
     def tell_s(time_ns: float) -> float:
-        return time_ns / 1e9
+        return (time_ns - run.start_ns) / 1e9
 
-    def tell_rate(rows: int, periods: "Periods | None") -> dict[str, Any]:
-        keys = ("period_s", "low_s", "high_s", "longest_silence_s", "silence_at_s")
+    def build_rate(rows: int, periods: "Periods | None") -> RateAnswer:
         if periods is None:
-            return {"rows": rows, **dict.fromkeys(keys)}
-        times_ns = (periods.usual_ns, periods.low_ns, periods.high_ns, periods.longest_ns)
-        values = [*map(tell_s, times_ns), tell_s(periods.longest_at_ns - run.start_ns)]
-        return {"rows": rows, **dict(zip(keys, values, strict=True))}
+            return RateAnswer(rows=rows)
+        return RateAnswer(
+            rows=rows,
+            period_s=periods.usual_ns / 1e9,
+            low_s=periods.low_ns / 1e9,
+            high_s=periods.high_ns / 1e9,
+            longest_silence_s=periods.longest_ns / 1e9,
+            silence_at_s=tell_s(periods.longest_at_ns),
+        )
 
     delays, replay = found.delays, found.replay
-    return {
-        "kind": found.kind,
-        "run_duration_s": run.duration_s,
-        "poses": tell_rate(len(run.poses), found.poses),
-        "commands": tell_rate(len(run.commands), found.commands),
-        "largest_commands": [
-            {
-                "signal": largest.signal,
-                "unit": largest.unit,
-                "value": largest.value,
-                "at_s": tell_s(largest.time_ns - run.start_ns),
-            }
-            for largest in found.largest
-        ],
-        "outliers": [
-            {
-                "signal": outlier.signal,
-                "unit": outlier.unit,
-                "value": outlier.value,
-                "at_s": tell_s(outlier.time_ns - run.start_ns),
-            }
-            for outlier in found.outliers
-        ],
-        "jumps": [
-            {
-                "at_s": tell_s(jump.time_ns - run.start_ns),
-                "moved": jump.moved_m,
-                "aside": jump.aside_m,
-                "turned": jump.turned_rad,
-            }
+    largest, outliers = (
+        [
+            ValueAnswer(signal=one.signal, unit=one.unit, value=one.value, at_s=tell_s(one.time_ns))
+            for one in values
+        ]
+        for values in (found.largest, found.outliers)
+    )
+    return MotionAnswer(
+        kind=found.kind,
+        run_duration_s=run.duration_s,
+        poses=build_rate(len(run.poses), found.poses),
+        commands=build_rate(len(run.commands), found.commands),
+        largest_commands=largest,
+        outliers=outliers,
+        jumps=[
+            LeapAnswer(
+                at_s=tell_s(jump.time_ns),
+                moved=jump.moved_m,
+                aside=jump.aside_m,
+                turned=jump.turned_rad,
+            )
             for jump in found.jumps
         ],
-        "gaps": [
-            {
-                "start_s": tell_s(gap.start_ns - run.start_ns),
-                "end_s": tell_s(gap.end_ns - run.start_ns),
-            }
+        gaps=[
+            SilenceAnswer(start_s=tell_s(gap.start_ns), end_s=tell_s(gap.end_ns))
             for gap in found.gaps
         ],
-        "command_delays": None
+        command_delays=None
         if delays is None
-        else {
-            "ticks": [{"ticks": ticks, "commands": n} for ticks, n in delays.counts.items()],
-            "low_s": tell_s(delays.low_ns),
-            "median_s": tell_s(delays.median_ns),
-            "high_s": tell_s(delays.high_ns),
-        },
-        "replay": None if replay is None else describe_plant(run, replay),
-        "needs": _NEEDS,
-    }
+        else DelaysAnswer(
+            ticks=[TicksAnswer(ticks=ticks, commands=n) for ticks, n in delays.counts.items()],
+            low_s=delays.low_ns / 1e9,
+            median_s=delays.median_ns / 1e9,
+            high_s=delays.high_ns / 1e9,
+        ),
+        replay=None if replay is None else build_plant(file, run, replay),
+        needs=_NEEDS,
+    )
 
 
 def format_motion(file: Path, run: "Run", found: "MotionFacts") -> str:
@@ -107,13 +191,7 @@ def format_motion(file: Path, run: "Run", found: "MotionFacts") -> str:
     ]
     if found.replay is not None:
         sentences += [f"At {line}." for line in list_breaks(run, found.replay)]
-    # A name of a million letters would be broken in a time that grows with its square.
-    lines = [
-        textwrap.fill(line, _WIDTH, break_on_hyphens=False, break_long_words=False)
-        for line in sentences
-        if line
-    ]
-    return "\n".join([*lines, "", textwrap.fill(_NEEDS, _WIDTH, break_on_hyphens=False)])
+    return fill_lines([*filter(None, sentences), "", _NEEDS])
 
 
 def _tell_kind(run: "Run", found: "MotionFacts") -> str:

@@ -17,7 +17,7 @@ from turtlelog.processes import FILE_S
 if TYPE_CHECKING:
     from turtlelog.sweep import FoundRecording, RecordingTable, TabulatedFiles
 
-_NO_BAG: Final = "expected a bag, found a folder without"
+_NO_BAG: Final = ("expected a bag, found a folder without", "a folder of several recordings")
 """What is said of a folder that is no bag."""
 
 Recursive = Annotated[bool, Parameter(name="--recursive", negative=())]
@@ -111,18 +111,30 @@ def summarise_table(done: "TabulatedFiles") -> str:
     return f"wrote {done.output}: {files}, {counts}, {done.failed} cannot be read"
 
 
-def describe_table(done: "TabulatedFiles") -> dict[str, Any]:
-    """Return what came of a table as JSON."""
-    return {
-        "output": str(done.output),
-        "files": done.files,
-        "read": done.read,
-        "unchanged": done.files - done.read,
-        "failed": done.failed,
-    }
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableAnswer:
+    """What came of a table of recordings: how many were read, unchanged, and cannot be read."""
+
+    output: str
+    files: int
+    read: int
+    unchanged: int
+    failed: int
+
+
+def build_table_answer(done: "TabulatedFiles") -> TableAnswer:
+    """Return what came of a table."""
+    return TableAnswer(
+        output=str(done.output),
+        files=done.files,
+        read=done.read,
+        unchanged=done.files - done.read,
+        failed=done.failed,
+    )
 
 
 def describe_unread(err: TurtlelogError, *, is_recursive: bool) -> str:
     """Return why a file was not read; of a folder that is no bag, how its recordings are."""
-    hint = "" if is_recursive or _NO_BAG not in str(err) else "; --recursive takes what is below it"
+    is_folder = any(text in str(err) for text in _NO_BAG)
+    hint = "; --recursive takes what is below it" if is_folder and not is_recursive else ""
     return f"{err}{hint}"

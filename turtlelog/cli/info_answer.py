@@ -1,7 +1,6 @@
 """The answer of `turtlelog info`: as an object, and in words."""
 
 import shlex
-import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,15 +8,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.info_summary import CONTROL, NOTHING_LEFT, ReadRun, Summary
-from turtlelog.cli.output import format_table
+from turtlelog.cli.output import fill_lines, format_table
 from turtlelog.display import describe_count
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog.log import RecordingInfo, TopicInfo
-
-_WIDTH: Final = 80
-"""Of lines [characters]."""
 
 _MOST_ENTRIES: Final = 8
 """Of a list that is printed: a sequence of commands has thousands. JSON has all of them."""
@@ -143,11 +139,7 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
 
 
 def _fill(head: str, text: str) -> str:
-    line = escape_controls(f"{head}{text}")
-    indent = " " * len(head) if head.startswith(" ") else ""
-    return textwrap.fill(
-        line, _WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-    )
+    return fill_lines([f"{head}{text}"], indent=len(head) if head.startswith(" ") else 0)
 
 
 def _write_head(answer: InfoAnswer) -> str:
@@ -175,7 +167,7 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
         yield from ((key, text) for key, text in rows.items() if text)
     yield from _describe_durations(answer)
-    if answer.stop_reason:
+    if answer.stop_reason and not answer.summary.endswith(NOTHING_LEFT):
         yield "ended", answer.stop_reason.replace("_", " ")
     yield from ((key.replace("_", " "), text) for key, text in answer.notes.items())
 
@@ -239,7 +231,7 @@ def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterato
     if not answer.complete:
         has_rows = any(topic.count for topic in answer.topics)
         fix = (
-            f"turtlelog recover {file} -o OUT"
+            f"turtlelog convert --recover {file} -o OUT"
             if has_rows
             else "copy the file again from its source"
         )

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -11,7 +12,7 @@ from turtlelog.cli.output import format_table, print_json, print_text
 if TYPE_CHECKING:
     from cyclopts.completion import CompletionContext
 
-Kind = Literal["metrics", "signals", "presets", "laws", "plants", "mechanisms", "figures"]
+Kind = Literal["metrics", "signals", "presets", "laws", "plants", "causes", "figures"]
 Entries = list[dict[str, Any]]
 
 _PRESETS: Final = {
@@ -28,13 +29,21 @@ _NOTES: Final[Mapping[str, str]] = {
     "metrics": "Of the law sequential-p. Another law has loops of other names:"
     " `turtlelog metrics FILE --all` shows the metrics of a recording.",
     "signals": "And the states of a law, by their names.",
-    "mechanisms": "Of any loop, and of the law that is named.",
+    "causes": "Of any loop, and of the law that is named.",
     "laws": "And laws of your own: FILE.py:NAME.",
 }
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ListAnswer:
+    """Names of a kind, each with what is known of it."""
+
+    kind: Kind
+    entries: list[dict[str, Any]]
+
+
 def list_(kind: Kind, /, *, json: bool = False) -> None:
-    """List the names of metrics, signals, presets, laws, plants, mechanisms or figures.
+    """List the names of metrics, signals, presets, laws, plants, causes or figures.
 
     Example: turtlelog list metrics
 
@@ -44,7 +53,7 @@ def list_(kind: Kind, /, *, json: bool = False) -> None:
     """
     entries = _LISTS[kind]()
     if json:
-        print_json({"kind": kind, "entries": entries})
+        print_json(ListAnswer(kind=kind, entries=entries))
         return
     titles = [title for title in entries[0] if title not in _IN_JSON]
     table = tl.compare.Table(
@@ -118,7 +127,7 @@ def _list_plants() -> Entries:
     ]
 
 
-def _list_mechanisms() -> Entries:
+def _list_causes() -> Entries:
     from turtlelog.explain.mechanisms import LOOP_MECHANISMS
     from turtlelog.laws import LAWS, list_mechanisms
 
@@ -142,7 +151,7 @@ _LISTS: Final[Mapping[Kind, Callable[[], Entries]]] = {
     "presets": _list_presets,
     "laws": _list_laws,
     "plants": _list_plants,
-    "mechanisms": _list_mechanisms,
+    "causes": _list_causes,
     "figures": _list_figures,
 }
 
@@ -176,9 +185,9 @@ def complete_figures(context: "CompletionContext") -> dict[str, str]:
     return _complete_list(context, "figures")
 
 
-def complete_mechanisms(context: "CompletionContext") -> dict[str, str]:
-    """Return names of mechanisms for a list with commas."""
-    return _complete_list(context, "mechanisms")
+def complete_causes(context: "CompletionContext") -> dict[str, str]:
+    """Return names of causes for a list with commas."""
+    return _complete_list(context, "causes")
 
 
 def complete_keys(_: "CompletionContext") -> dict[str, str]:

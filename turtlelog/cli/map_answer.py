@@ -1,8 +1,10 @@
-"""What `turtlelog map` says of a sweep: the best rows, borders of stability beside theory."""
+"""What `turtlelog plot` says of the table of a sweep: its best rows, and borders beside theory."""
 
 import shlex
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -22,95 +24,217 @@ if TYPE_CHECKING:
     )
 
 
-def describe_map(view: "SweptView", limits: "Sequence[LoopLimits]") -> dict[str, Any]:
-    """Return what is drawn, for JSON."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisAnswer:
+    """Keys that vary together, and their values."""
+
+    keys: list[str]
+    unit: str
+    values: list[list[Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BestRow:
+    """The best row of a metric: its number, value and keys; `as_good` counts its equals."""
+
+    row: int
+    value: float
+    as_good: int
+    keys: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BorderAnswer:
+    """Where stability ends along a gain, beside the limit of theory."""
+
+    at: list[Any] | None
+    last_stable: float | None
+    first_unstable: float | None
+    theory: float | None
+    within_one_cell: bool | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeySensitivity:
+    """How far a key alone moves a metric."""
+
+    keys: list[str]
+    least: float | None
+    most: float | None
+    at_least: list[Any] | None
+    at_most: list[Any] | None
+    correlation: float | None
+    left_out: int
+    range_elsewhere: list[float] | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensitivityAnswer:
+    """How far each key moves a metric from its value in the middle."""
+
+    held: Mapping[str, Any] | str | None
+    value: float | None
+    chance: float | None
+    explained: float | None
+    keys: list[KeySensitivity]
+    notes: list[str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MetricOfTable:
+    """A metric over the rows that are shown."""
+
+    id: str
+    unit: str
+    values: int
+    least: float | None
+    most: float | None
+    no_value: Mapping[str, int]
+    best: BestRow | None
+    borders: list[BorderAnswer] | None
+    sensitivities: SensitivityAnswer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LimitsAt:
+    """The limits of theory at values of the other key."""
+
+    at: list[Any] | None
+    limits: Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LimitsAnswer:
+    """The limits of theory of a loop's gain."""
+
+    loop: str
+    gain: list[str]
+    columns: list[LimitsAt]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapAnswer:
+    """The table of a sweep, as it is drawn.
+
+    Attributes:
+        file: The table.
+        rows: How many it has.
+        failed: How many of them failed.
+        shown: How many are shown.
+        axes: Keys that vary in what is shown.
+        held: Values of the other keys.
+        seeds: Over how many seeds values are means.
+        metrics: Those that are shown.
+        theory: Limits of the gains.
+        notes: Remarks.
+        output: What was drawn; None where nothing was.
+    """
+
+    file: str
+    rows: int
+    failed: int
+    shown: int
+    axes: list[AxisAnswer]
+    held: Mapping[str, Any]
+    seeds: int
+    metrics: list[MetricOfTable]
+    theory: list[LimitsAnswer]
+    notes: list[str]
+    output: str | None
+
+
+def build_map_answer(
+    view: "SweptView", limits: "Sequence[LoopLimits]", output: Path | None
+) -> MapAnswer:
+    """Return the answer."""
     results = view.results
     notes = [*view.notes, *(note for one in limits for note in one.notes)]
     if results.others:
         shown, all_ = len(results.metrics), len(results.metrics) + len(results.others)
-        notes.insert(0, f"{shown} of {all_} metrics; --metrics chooses")
-    return {
-        "file": str(results.path),
-        "rows": results.row_count,
-        "failed": results.failed,
-        "shown": len(view.rows),
-        "axes": [_describe_axis(axis) for axis in view.axes],
-        "held": {
+        notes.insert(0, f"{shown} of {all_} metrics; --metric chooses")
+    return MapAnswer(
+        file=str(results.path),
+        rows=results.row_count,
+        failed=results.failed,
+        shown=len(view.rows),
+        axes=[_describe_axis(axis) for axis in view.axes],
+        held={
             key: value
             for axis, place in view.held.items()
             for key, value in zip(axis.keys, axis.values[place], strict=True)
         },
-        "seeds": view.seeds,
-        "metrics": [_describe_metric(view, metric, limits) for metric in results.metrics],
-        "theory": [_describe_limits(view, one) for one in limits],
-        "notes": notes,
-    }
+        seeds=view.seeds,
+        metrics=[_describe_metric(view, metric, limits) for metric in results.metrics],
+        theory=[_describe_limits(view, one) for one in limits],
+        notes=notes,
+        output=None if output is None else str(output),
+    )
 
 
-def _describe_axis(axis: Any) -> dict[str, Any]:
-    return {"keys": list(axis.keys), "unit": axis.unit, "values": [list(v) for v in axis.values]}
+def _describe_axis(axis: Any) -> AxisAnswer:
+    return AxisAnswer(keys=list(axis.keys), unit=axis.unit, values=[list(v) for v in axis.values])
 
 
-def _describe_limits(view: "SweptView", limits: "LoopLimits") -> dict[str, Any]:
+def _describe_limits(view: "SweptView", limits: "LoopLimits") -> LimitsAnswer:
     other = next((axis for axis in view.axes if axis is not limits.gain), None)
-    return {
-        "loop": limits.loop,
-        "gain": list(limits.gain.keys),
-        "columns": [
-            {
-                "at": None if other is None else list(other.values[place]),
-                "limits": tl.sweep.describe_limits(limit),
-            }
+    return LimitsAnswer(
+        loop=limits.loop,
+        gain=list(limits.gain.keys),
+        columns=[
+            LimitsAt(
+                at=None if other is None else list(other.values[place]),
+                limits=tl.sweep.describe_limits(limit),
+            )
             for place, limit in enumerate(limits.columns)
         ],
-    }
+    )
 
 
 def _describe_metric(
     view: "SweptView", metric: "SweptMetric", limits: "Sequence[LoopLimits]"
-) -> dict[str, Any]:
+) -> MetricOfTable:
     values = tl.sweep.list_shown_values(view, metric)[1]
     known = values[np.isfinite(values)]
     reasons: dict[str, int] = {}
     for row in view.rows[~np.isfinite(metric.values[view.rows])].tolist():
         reason = str(metric.reasons[row])
         reasons[reason] = reasons.get(reason, 0) + 1
-    return {
-        "id": metric.name,
-        "unit": metric.unit,
-        "values": len(known),
-        "least": float(known.min()) if len(known) else None,
-        "most": float(known.max()) if len(known) else None,
-        "no_value": reasons,
-        "best": _describe_best(view, metric),
-        "borders": _describe_borders(view, metric, limits),
-        "sensitivities": _describe_sensitivities(
+    return MetricOfTable(
+        id=metric.name,
+        unit=metric.unit,
+        values=len(known),
+        least=float(known.min()) if len(known) else None,
+        most=float(known.max()) if len(known) else None,
+        no_value=reasons,
+        best=_describe_best(view, metric),
+        borders=_describe_borders(view, metric, limits),
+        sensitivities=_describe_sensitivities(
             tl.sweep.find_sensitivities(view.results, metric, dict(view.held))
         ),
-    }
+    )
 
 
-def _describe_sensitivities(found: "Sensitivities") -> dict[str, Any]:
-    return {
-        "held": found.held or None,
-        "value": found.center,
-        "chance": found.chance,
-        "explained": found.explained,
-        "keys": [
-            {
-                "keys": list(one.axis.keys),
-                "least": one.least,
-                "most": one.most,
-                "at_least": _find_values(one.axis, one.least_place),
-                "at_most": _find_values(one.axis, one.most_place),
-                "correlation": one.correlation,
-                "left_out": one.left_out,
-                "range_elsewhere": one.others and list(one.others),
-            }
+def _describe_sensitivities(found: "Sensitivities") -> SensitivityAnswer:
+    return SensitivityAnswer(
+        held=found.held or None,
+        value=found.center,
+        chance=found.chance,
+        explained=found.explained,
+        keys=[
+            KeySensitivity(
+                keys=list(one.axis.keys),
+                least=one.least,
+                most=one.most,
+                at_least=_find_values(one.axis, one.least_place),
+                at_most=_find_values(one.axis, one.most_place),
+                correlation=one.correlation,
+                left_out=one.left_out,
+                range_elsewhere=one.others and list(one.others),
+            )
             for one in found.keys
         ],
-        "notes": list(found.notes),
-    }
+        notes=list(found.notes),
+    )
 
 
 def _find_values(axis: "SweptAxis", place: int | None) -> list[Any] | None:
@@ -148,63 +272,67 @@ def _tell_sensitivity(metric: "SweptMetric", one: "Sensitivity") -> str:
     return text
 
 
-def _describe_best(view: "SweptView", metric: "SweptMetric") -> dict[str, Any] | None:
+def _describe_best(view: "SweptView", metric: "SweptMetric") -> BestRow | None:
     """Return the best row that is shown; of several that are as good the first."""
     found = tl.sweep.find_best_rows(view, metric)
     if not found:
         return None
     row, axes = found[0], view.results.axes
     rows, values = tl.sweep.list_shown_values(view, metric)
-    return {
-        "row": view.results.row_numbers[row],
-        "value": float(values[rows == row][0]),
-        "as_good": len(found),
-        "keys": {
+    return BestRow(
+        row=view.results.row_numbers[row],
+        value=float(values[rows == row][0]),
+        as_good=len(found),
+        keys={
             key: value
             for axis in axes
             for key, value in zip(axis.keys, axis.values[axis.places[row]], strict=True)
         },
-    }
+    )
 
 
 def _describe_borders(
     view: "SweptView", metric: "SweptMetric", limits: "Sequence[LoopLimits]"
-) -> list[dict[str, Any]] | None:
+) -> list[BorderAnswer] | None:
     borders = tl.sweep.find_borders(view, metric, limits)
     own = next((one for one in limits if one.loop == metric.loop), None)
     if borders is None or own is None:
         return None
     other = next((axis for axis in view.axes if axis is not own.gain), None)
     return [
-        {
-            "at": None if other is None else list(other.values[border.place]),
-            "last_stable": border.last_stable,
-            "first_unstable": border.first_unstable,
-            "theory": border.theory,
-            "within_one_cell": border.is_near,
-        }
+        BorderAnswer(
+            at=None if other is None else list(other.values[border.place]),
+            last_stable=border.last_stable,
+            first_unstable=border.first_unstable,
+            theory=border.theory,
+            within_one_cell=border.is_near,
+        )
         for border in borders
     ]
 
 
-def list_map_lines(
-    view: "SweptView", limits: "Sequence[LoopLimits]", told: Mapping[str, Any]
-) -> list[str]:
+_FIRST: Final = ("final.position_error", "run.duration")
+"""Metrics that are told first, where they are shown."""
+
+
+def list_map_lines(view: "SweptView", limits: "Sequence[LoopLimits]", told: MapAnswer) -> list[str]:
     """Return what is printed of it."""
     results = view.results
     sides = " by ".join(axis.name for axis in view.axes)
-    rows = describe_count(told["rows"], "row")
-    rows += f", {told['failed']} failed" if told["failed"] else ""
+    rows = describe_count(told.rows, "row")
+    rows += f", {told.failed} failed" if told.failed else ""
     held = view.tell_held()
-    lines = [f"{results.path}: {rows}; {sides}{f' at {held}' if held else ''}"]
-    if view.seeds > 1:
-        lines[0] += f", means over {view.seeds} seeds"
+    seeds = f", means over {view.seeds} seeds" if view.seeds > 1 else ""
+    lines = [f"{rows}; {sides}{f' at {held}' if held else ''}{seeds}"]
     best: dict[int, list[str]] = {}
-    for metric, one in zip(results.metrics, told["metrics"], strict=True):
+    for metric, one in zip(results.metrics, told.metrics, strict=True):
         borders = tl.sweep.find_borders(view, metric, limits)
         lines.append(_tell_metric(view, one, borders))
-        if one["best"] is not None:
-            best.setdefault(one["best"]["row"], []).append(one["id"])
+        if one.best is not None:
+            best.setdefault(one.best.row, []).append(one.id)
+    ids = [one.id for one in told.metrics]
+    first = next((ids.index(name) for name in _FIRST if name in ids), 0)
+    lines.insert(0, f"{results.path}: {lines.pop(first + 1)}")
     command, path = find_command_name(), shlex.quote(str(results.path))
     for row, names in best.items():
         again = f"{command} run --from {path} --row {row}"
@@ -212,23 +340,21 @@ def list_map_lines(
     return lines
 
 
-def _tell_metric(
-    view: "SweptView", one: Mapping[str, Any], borders: "Sequence[Border] | None"
-) -> str:
-    name, unit = one["id"], one["unit"]
+def _tell_metric(view: "SweptView", one: MetricOfTable, borders: "Sequence[Border] | None") -> str:
+    name, unit = one.id, one.unit
     missing = ", ".join(
-        f"{describe_count(count, 'row')} {reason}" for reason, count in one["no_value"].items()
+        f"{describe_count(count, 'row')} {reason}" for reason, count in one.no_value.items()
     )
     tail = f"; no value: {missing}" if missing else ""
-    if not one["values"]:
+    if not one.values:
         return f"{name}: {tail.removeprefix('; ')}"
     if borders is not None:
         return f"{name}: {tl.sweep.tell_borders(borders)}{tail}"
-    text = f"{name}: {format_number(one['least'], unit)} to {format_number(one['most'], unit)}"
-    best = one["best"]
+    text = f"{name}: {format_number(one.least, unit)} to {format_number(one.most, unit)}"
+    best = one.best
     if best is not None:
-        more = best["as_good"] - 1
-        text += f", best in row {best['row']}" + (f" and {more} more" if more else "")
-        place = view.results.row_numbers.index(best["row"])
+        more = best.as_good - 1
+        text += f", best in row {best.row}" + (f" and {more} more" if more else "")
+        place = view.results.row_numbers.index(best.row)
         text += f" ({view.results.tell_row(place)})"
     return text + tail

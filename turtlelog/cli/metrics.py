@@ -11,7 +11,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.folders import (
     FolderOptions,
-    describe_table,
+    build_table_answer,
     describe_unread,
     summarise_table,
     tabulate,
@@ -196,7 +196,7 @@ def metrics(
 def _tell(done: "TabulatedFiles", kind: str) -> int:
     """Print what came of a table, and the first of the files that cannot be read."""
     if kind == "json":
-        print_json(describe_table(done))
+        print_json(build_table_answer(done))
     else:
         print_lines([summarise_table(done)])
     for label, reason in done.errors:
@@ -214,8 +214,7 @@ def _refuse_patterns(
     if patterns is None or not declarations:
         return
     known = tl.measure.list_metrics(*declarations)
-    near = tl.measure.suggest_metrics(patterns[0], known)
-    raise UsageError(f"metric {patterns[0]!r}: expected {near}")
+    raise UsageError(tl.measure.describe_no_metric(patterns[0], known))
 
 
 def _print_rows(summaries: "Iterable[RunSummary]", patterns: Sequence[str] | None) -> None:

@@ -31,8 +31,7 @@ def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
     try:
         return int(text)
     except ValueError as err:
-        found = f"found {text[:60]!r}"
-        raise UsageError(f"{tokens[0].keyword}: expected a whole number, {found}") from err
+        raise UsageError(f"{tokens[0].keyword} {text[:60]}: must be a whole number") from err
 
 
 def _read_place(_: Any, tokens: Sequence[Token]) -> Path:
@@ -322,4 +321,4 @@ def split_names(text: str, option: str) -> list[str]:
 def require_files(paths: Sequence[Path]) -> None:
     """Refuse a command without files."""
     if not paths:
-        raise UsageError("FILE: expected at least one recording, found none")
+        raise UsageError("no recording is given: add FILE...")

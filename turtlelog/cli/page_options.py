@@ -29,7 +29,8 @@ class PageOptions:
 
     Attributes:
         kind: column is one of two columns of a paper, page its whole width, slide 16:9 with large
-            lettering; figures with panels side by side always take the page.
+            lettering; figures with panels side by side always take the page. Default: column, and
+            page for the table of a sweep.
         text_width: Width of the paper's text [mm], 120 to 1000; 181 unless given. Not of a slide.
         dpi: Resolution of PNGs [dots per inch], 50 to 600; 300 unless given; 144 for a slide, which
             then has 1920 by 1080 pixels.
@@ -39,19 +40,26 @@ class PageOptions:
             the curves that loops control, and cut single panels to the phase.
     """
 
-    kind: Annotated[Literal["column", "page", "slide"], Parameter(name="--for")] = "column"
+    kind: Annotated[Literal["column", "page", "slide"] | None, Parameter(name="--for")] = None
     text_width: Annotated[float | None, Parameter(metavar="WIDTH")] = None
     dpi: int | None = None
     from_s: Annotated[float | None, Parameter(name="--from", metavar="SECONDS")] = None
     to_s: Annotated[float | None, Parameter(name="--to", metavar="SECONDS")] = None
     marks: Annotated[bool, Parameter(negative=())] = False
 
-    def build_page(self, formats: Sequence[str], names: Sequence[str] | None) -> "Page":
+    def build_page(
+        self,
+        formats: Sequence[str],
+        names: Sequence[str] | None,
+        *,
+        usual: Literal["column", "page"] = "column",
+    ) -> "Page":
         """Return the page for figures in some formats.
 
         Args:
             formats: In which they are written.
             names: Of the figures; None for the usual ones.
+            usual: Where they will stand if that is not asked for.
 
         Raises:
             UsageError: Where an option has nothing to act on: no format has a resolution, a slide
@@ -67,7 +75,7 @@ class PageOptions:
         if self.dpi is not None and "png" not in formats:
             raise UsageError(f"--dpi: expected png files, found {', '.join(formats)}")
         return show.Page(
-            kind=self.kind,
+            kind=self.kind or usual,
             **({} if self.text_width is None else {"text_width_mm": self.text_width}),
             dpi=self.dpi,
             from_s=self.from_s,

@@ -1,11 +1,11 @@
 """`turtlelog plot`: figures and tables for print."""
 
 import gc
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
@@ -13,6 +13,7 @@ import turtlelog as tl
 from turtlelog import show
 from turtlelog.cli.asked_figures import AskedOptions
 from turtlelog.cli.list_names import complete_figures
+from turtlelog.cli.map import ViewOptions, draw_table, find_table
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import (
     Jobs,
@@ -23,10 +24,11 @@ from turtlelog.cli.options import (
     require_jobs,
     split_names,
 )
-from turtlelog.cli.output import print_json, print_lines, print_note
+from turtlelog.cli.output import fill_lines, print_json, print_note, print_text
 from turtlelog.cli.page_options import TIMELESS, PageOptions
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import PICTURES, require_new_target
+from turtlelog.display import describe_count, join_words
 from turtlelog.errors import UsageError
 from turtlelog.remote.urls import RemotePath
 
@@ -45,13 +47,14 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     formats: Annotated[str | None, Parameter(name="--format", metavar="FORMATS")] = None,
     where: PageOptions | None = None,
     asked: AskedOptions | None = None,
+    view: ViewOptions | None = None,
     movie: MovieOptions | None = None,
     timeline: str = "sim_time",
     topics: ReadingOptions | None = None,
     jobs: Jobs = None,
     json: Json = False,
 ) -> None:
-    """Make the paper's figures from any recordings, and its tables as LaTeX.
+    """Plot recordings as the paper's figures and tables, and the table of a sweep as maps.
 
     Into a folder: every figure that the recordings hold the data for; attribution, bode, gains,
     nyquist, rates, step, strips and violation only where --only names them. Only what they hold
@@ -59,6 +62,12 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     ideal loop.
     A name that ends in .pdf, .png or .svg is one figure: that of --only, otherwise an overview.
     Figures and tables that are there already are replaced.
+
+    Of the table of a sweep two keys that vary make a map of each metric; where a gain is one of
+    them, theory's limits of its loop are lines over it. One key makes curves. The other keys are
+    held at the values of the scenario that was varied, or in the middle; --at holds others. Over
+    seeds values are means. The lines name the best row of each metric, and the command that runs
+    it again; without -o they are all. OUT may be a report (.html) or a Rerun recording (.rrd).
 
     Example: turtlelog plot kp4.mcap -o kp4.png
 
@@ -74,10 +83,12 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
 
     Example: turtlelog plot kp1.mcap kp10.mcap --movie race.mp4
 
+    Example: turtlelog plot results.parquet -o map.png
+
     Args:
         files: Recordings (.mcap), ROS 2 bags, the paper's logs (.json, .csv), or presets and
             scenario files (.toml), which are simulated; one is drawn in detail, several over each
-            other.
+            other. Or one table (.parquet) that `turtlelog sweep` wrote.
         output: Write into this folder, or one figure to this .pdf, .png or .svg file; with --movie
             it may be missing.
         only: Figures by name, with commas (turtlelog list figures).
@@ -89,13 +100,18 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         json: Print one JSON object instead of lines.
     """
     jobs = require_jobs(jobs)
-    movie = movie or MovieOptions()
+    movie, asked, view = movie or MovieOptions(), asked or AskedOptions(), view or ViewOptions()
+    table = find_table(files or [], view)
+    if table is not None:
+        _require_no_figures(table, {"--only": only, "--format": formats, "--movie": movie.movie})
+        draw_table(table, output, view, where or PageOptions(), asked.list_metrics(), json=json)
+        return
     require_movie(movie, files or [])
     _require_clock(movie, timeline)
     if output is None:
         runs = _collect_runs(_require_scenes(files, movie), topics)
         film_runs(runs, movie, timeline=timeline)
-        _tell(_describe(files or [], {}, []) | {"left_out": []}, movie, json=json)
+        _tell(_build_answer(files or [], {}, [], (), movie), runs, json=json)
         return
     names = None if only is None else split_names(only, "--only")
     is_file = output.suffix.lower() in PICTURES
@@ -110,7 +126,6 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         else split_names("pdf" if formats is None else formats, "--format")
     )
     page = _build_page(where or PageOptions(), kinds, names)
-    asked = asked or AskedOptions()
     asked.require_figures(names or [])
     runs = _collect_runs(files or [], topics)
     kinds_of = None if names is None else asked.bind(names, runs)
@@ -130,8 +145,13 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         print_note(f"plot: {line}")
     _tell_whole(figures.values(), page)
     film_runs(runs, movie, timeline=timeline)
-    told = {**_describe(files or [], figures, tables), "left_out": list(left_out)}
-    _tell(told, movie, json=json)
+    _tell(_build_answer(files or [], figures, tables, left_out, movie), runs, json=json)
+
+
+def _require_no_figures(table: Path, given: Mapping[str, object]) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(f"{name}: leave it out, {table} is the table of a sweep")
 
 
 @contextmanager
@@ -171,14 +191,86 @@ def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]
     return files
 
 
-def _tell(told: dict[str, Any], movie: MovieOptions, *, json: bool) -> None:
-    """Say what was written."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FigureAnswer:
+    """A figure: its file, its name, what it shows, and which of the paper's it is."""
+
+    file: str
+    figure: str
+    title: str
+    paper: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlotAnswer:
+    """What was drawn.
+
+    Attributes:
+        files: Of what, as they were given.
+        figures: The figures.
+        tables: Files of tables.
+        left_out: What was not drawn, and why.
+        movie: The movie; None without one.
+    """
+
+    files: list[str]
+    figures: list[FigureAnswer]
+    tables: list[str]
+    left_out: list[str]
+    movie: str | None
+
+
+def _build_answer(
+    files: Sequence[Path],
+    figures: Mapping[Path, str],
+    tables: Sequence[Path],
+    left_out: Sequence[str],
+    movie: MovieOptions,
+) -> PlotAnswer:
+    return PlotAnswer(
+        files=[str(path) for path in files],
+        figures=[
+            FigureAnswer(
+                file=str(path),
+                figure=name,
+                title=tl.show.FIGURES[name].title,
+                paper=tl.show.FIGURES[name].paper or None,
+            )
+            for path, name in figures.items()
+        ],
+        tables=[str(path) for path in tables],
+        left_out=list(left_out),
+        movie=None if movie.movie is None else str(movie.movie),
+    )
+
+
+def _tell(answer: PlotAnswer, runs: "Sequence[Run]", *, json: bool) -> None:
+    """Say what is shown, and what was written."""
     if json:
-        print_json({**told, "movie": None if movie.movie is None else str(movie.movie)})
+        print_json(answer)
         return
-    written = [*(figure["file"] for figure in told["figures"]), *told["tables"]]
-    movies = [] if movie.movie is None else [movie.movie]
-    print_lines(f"wrote {path}" for path in [*written, *movies])
+    written = [*(figure.file for figure in answer.figures), *answer.tables]
+    written += [] if answer.movie is None else [answer.movie]
+    print_text(fill_lines([_describe_shown(answer, runs), *(f"wrote {path}" for path in written)]))
+
+
+def _describe_shown(answer: PlotAnswer, runs: "Sequence[Run]") -> str:
+    """Return what the figures show, and of which runs, in one sentence."""
+    names = tl.compare.name_runs(runs)
+    whose = join_words(names) if 0 < len(names) <= _MOST_NAMED else describe_count(len(runs), "run")
+    of = f" of {whose}" if runs else " of the ideal loop"
+    if len(answer.figures) == 1 and not answer.tables:
+        (one,) = answer.figures
+        return f"{one.file} shows the figure {one.figure}{of}: {one.title}."
+    figures = list(dict.fromkeys(figure.figure for figure in answer.figures))
+    if not figures:
+        return f"{answer.movie} shows {whose} driving."
+    tables = f" and {describe_count(len(answer.tables), 'table')}" if answer.tables else ""
+    return f"{describe_count(len(figures), 'figure')}{tables}{of}: {', '.join(figures)}."
+
+
+_MOST_NAMED: Final = 4
+"""Runs that the first line names."""
 
 
 def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list[Run]":
@@ -305,19 +397,3 @@ def _draw_all(output: Path, drawing: _Drawing) -> tuple[list[Path], list[Path]]:
         is_usual = drawing.only is None and bool(drawing.runs)
         tables = add_tables(write, drawing.runs) if is_usual else []
     return figures, tables
-
-
-def _describe(files: list[Path], figures: dict[Path, str], tables: list[Path]) -> dict[str, Any]:
-    return {
-        "files": [str(path) for path in files],
-        "figures": [
-            {
-                "file": str(path),
-                "figure": name,
-                "title": tl.show.FIGURES[name].title,
-                "paper": tl.show.FIGURES[name].paper or None,
-            }
-            for path, name in figures.items()
-        ],
-        "tables": [str(path) for path in tables],
-    }

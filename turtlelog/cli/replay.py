@@ -1,12 +1,13 @@
 """`turtlelog replay`: a recording driven again."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.check_answers import describe_results, format_results
+from turtlelog.cli.check_answers import build_results, format_results
 from turtlelog.cli.options import (
     Json,
     Output,
@@ -17,9 +18,9 @@ from turtlelog.cli.options import (
 )
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_verdicts
 from turtlelog.cli.replay_answer import (
-    describe_changes,
-    describe_law,
-    describe_loop,
+    ReplayAnswer,
+    build_law,
+    build_loop,
     format_law,
     format_loop,
 )
@@ -29,7 +30,7 @@ from turtlelog.cli.replay_choice import (
     require_sound,
     settle_file,
 )
-from turtlelog.cli.replay_plant import describe_plant, format_plant
+from turtlelog.cli.replay_plant import build_plant, format_plant
 from turtlelog.cli.scenario_options import ScenarioOptions
 from turtlelog.cli.targets import require_new_target
 
@@ -38,8 +39,8 @@ if TYPE_CHECKING:
     from turtlelog.replay import LawReplay, LoopReplay, PlantReplay
 
 
-_Answer = tuple[dict[str, Any], str, "LawReplay | LoopReplay | PlantReplay"]
-"""As JSON, as text, and the replay itself."""
+_Answer = tuple[ReplayAnswer, str, "LawReplay | LoopReplay | PlantReplay"]
+"""As an object, as text, and the replay itself."""
 
 
 def replay(
@@ -79,11 +80,11 @@ def replay(
     require_new_target(output, [file], suffix=".mcap")
     (run,) = read_runs([file], topics)
     if mode.plant:
-        described, text, found = _replay_plant(file, run)
+        answer, text, found = _replay_plant(file, run)
     else:
         scenario = choose_scenario(run, mode, changes, kind)
-        answer = _replay_loop if mode.law is None else _replay_law
-        described, text, found = answer(file, run, scenario, mode, output)
+        replay_as = _replay_loop if mode.law is None else _replay_law
+        answer, text, found = replay_as(file, run, scenario, mode, output)
     failed = False
     if mode.expect_equal:
         from turtlelog.check.judge_difference import judge_replay
@@ -91,10 +92,10 @@ def replay(
         results = judge_replay(run, found, file=str(file))
         verdict = tl.check.join_verdicts(results)
         failed = verdict == "FAIL"
-        described |= describe_results(verdict, results)
+        answer = replace(answer, verdict=verdict.value, results=build_results(results))
         text = f"{text}\n\n{format_results(results, files=1)}"
     if json:
-        print_json({"file": str(file), **described})
+        print_json(answer)
     else:
         print_verdicts(text)
     return EXIT_FAILED if failed else EXIT_FINE
@@ -102,7 +103,7 @@ def replay(
 
 def _replay_plant(file: Path, run: "Run") -> _Answer:
     found = tl.replay_plant(run)
-    return describe_plant(run, found), format_plant(file, run, found), found
+    return build_plant(file, run, found), format_plant(file, run, found), found
 
 
 def _replay_law(
@@ -115,7 +116,7 @@ def _replay_law(
         trust_law=mode.trust_law,
         step_budget_s=choose_step_budget(mode.step_budget_ms),
     )
-    return describe_law(run, found), format_law(file, run, found, details=mode.details), found
+    return build_law(file, run, found), format_law(file, run, found, details=mode.details), found
 
 
 def _replay_loop(
@@ -132,6 +133,4 @@ def _replay_loop(
         tl.write_recording(found.run, output)
         print_note(f"wrote {output}")
     text = format_loop(file, run, found, details=mode.details)
-    metrics = describe_changes(run, found.run)
-    described = {"output": None if output is None else str(output), "metrics": metrics}
-    return describe_loop(run, found) | described, text, found
+    return build_loop(file, run, found, output), text, found

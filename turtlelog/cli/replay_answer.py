@@ -1,10 +1,12 @@
 """How replays that compare signals are answered: through a law, and in closed loop."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
+from turtlelog.cli.check_answers import ResultAnswer
 from turtlelog.cli.output import fill_lines, format_table
 from turtlelog.display import describe_count, format_pair, show_angle
 from turtlelog.escapes import escape_controls
@@ -19,68 +21,229 @@ if TYPE_CHECKING:
 _ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
 """Signals that are printed even where they are equal."""
 
-_NO_STRETCHES: Final[dict[str, Any]] = {"stretches": [], "jumps": [], "gaps": []}
-"""Only the plant begins anew after a jump or gap."""
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DifferenceAnswer:
+    """Where a replay first differs; the time counts from the first sample [s]."""
+
+    signal: str
+    time_s: float
+    recorded: Any
+    replayed: Any
 
 
-def describe_difference(run: "Run", found: "Difference | None") -> dict[str, Any] | None:
-    """Return a difference as JSON answers have it; time counts from the first sample."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseErrorAnswer:
+    """The largest differences of a pose [m, rad]; null where poses were given, not computed."""
+
+    x: float | None = None
+    y: float | None = None
+    heading: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalAnswer:
+    """How a signal differs: in how many rows, by how much at most, and where first."""
+
+    signal: str
+    unit: str
+    rows: int
+    differing: int
+    largest: float
+    at_s: float | None
+    first_difference: DifferenceAnswer | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CountAnswer:
+    """Rows, or a reason to stop, of the recording and of the replay."""
+
+    recorded: Any
+    replayed: Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MetricChange:
+    """A metric of the recording and of the replay; null where a status says why."""
+
+    id: str
+    unit: str
+    recorded: float | None
+    recorded_status: str
+    replayed: float | None
+    replayed_status: str
+    difference: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayAnswer:
+    """What every replay answers.
+
+    Attributes:
+        file: As it was given.
+        name: Of the run.
+        mode: What was driven: loop, law or plant.
+        samples: How many were compared.
+        max_abs_error: The largest differences of the pose.
+        first_difference: Where the replay first differs; None where it does not.
+        stretches: Segments of a replay through the plant.
+        jumps: Where the robot was put elsewhere.
+        gaps: Where poses are missing.
+        verdict: That of --expect-equal; None without it.
+        results: Those of --expect-equal; None without it.
+    """
+
+    file: str
+    name: str
+    mode: str
+    samples: int
+    max_abs_error: PoseErrorAnswer
+    first_difference: DifferenceAnswer | None
+    stretches: "tuple[SegmentAnswer, ...]" = ()
+    jumps: "tuple[JumpAnswer, ...]" = ()
+    gaps: "tuple[GapAnswer, ...]" = ()
+    verdict: str | None = None
+    results: list[ResultAnswer] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SegmentAnswer:
+    """A segment of poses that the plant was driven through [s, ticks, m, rad]."""
+
+    start_s: float
+    end_s: float
+    ticks: int
+    max_abs_error: PoseErrorAnswer
+    rounding: "RoundingAnswer"
+    within_rounding: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoundingAnswer:
+    """What 32 bits of a pose may grow to [m, rad]."""
+
+    position: float
+    heading: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseAnswer:
+    """A pose [m, rad]."""
+
+    x: float
+    y: float
+    heading: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JumpAnswer:
+    """Where the robot was put elsewhere."""
+
+    at_s: float
+    kind: str
+    from_pose: PoseAnswer
+    to_pose: PoseAnswer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GapAnswer:
+    """Where poses are missing."""
+
+    start_s: float
+    end_s: float
+    missing_ticks: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LawReplayAnswer(ReplayAnswer):
+    """A law on the recorded poses."""
+
+    law: str
+    first_command_difference: DifferenceAnswer | None
+    signals: list[SignalAnswer]
+    commands: DifferenceAnswer | None
+    stop: DifferenceAnswer | None
+    declaration: DifferenceAnswer | None
+    missing_samples: int
+    not_compared: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopReplayAnswer(ReplayAnswer):
+    """A scenario simulated again."""
+
+    replay: str
+    by: str
+    signals: list[SignalAnswer]
+    counts: Mapping[str, CountAnswer]
+    stop_reason: CountAnswer
+    declaration: DifferenceAnswer | None
+    not_compared: tuple[str, ...]
+    output: str | None
+    metrics: list[MetricChange]
+
+
+def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer | None:
+    """Return a difference as answers have it; time counts from the first sample."""
     if found is None:
         return None
-    return {
-        "signal": found.signal,
-        "time_s": tell_time(run, found.time_ns),
-        "recorded": found.recorded,
-        "replayed": found.replayed,
-    }
+    return DifferenceAnswer(
+        signal=found.signal,
+        time_s=tell_time(run, found.time_ns),
+        recorded=found.recorded,
+        replayed=found.replayed,
+    )
 
 
-def describe_pose_error(error: "PoseError") -> dict[str, float]:
-    """Return the largest pose differences as JSON answers have them [m, rad]."""
-    return {"x": error.x_m, "y": error.y_m, "heading": error.heading_rad}
+def build_pose_error(error: "PoseError") -> PoseErrorAnswer:
+    """Return the largest differences of a pose as answers have them."""
+    return PoseErrorAnswer(x=error.x_m, y=error.y_m, heading=error.heading_rad)
 
 
-def describe_law(run: "Run", found: "LawReplay") -> dict[str, Any]:
-    """Return the JSON answer of a replay through a law, but for the file."""
-    return {
-        "name": found.name,
-        "mode": "law",
-        "law": found.scenario.law.kind,
-        "samples": found.samples,
-        # Poses are what the law was given.
-        "max_abs_error": dict.fromkeys(("x", "y", "heading")),
-        "first_difference": describe_difference(run, found.first_difference),
-        "first_command_difference": describe_difference(run, found.first_command_difference),
-        "signals": _describe_signals(run, found.signals),
-        "commands": describe_difference(run, found.commands),
-        "stop": describe_difference(run, found.stop),
-        "declaration": describe_difference(run, found.declaration),
-        "missing_samples": found.missing_samples,
-        "not_compared": list(found.absent),
-        **_NO_STRETCHES,
-    }
+def build_law(file: Path, run: "Run", found: "LawReplay") -> LawReplayAnswer:
+    """Return the answer of a replay through a law."""
+    return LawReplayAnswer(
+        file=str(file),
+        name=found.name,
+        mode="law",
+        samples=found.samples,
+        max_abs_error=PoseErrorAnswer(),  # poses are what the law was given
+        first_difference=build_difference(run, found.first_difference),
+        law=found.scenario.law.kind,
+        first_command_difference=build_difference(run, found.first_command_difference),
+        signals=_build_signals(run, found.signals),
+        commands=build_difference(run, found.commands),
+        stop=build_difference(run, found.stop),
+        declaration=build_difference(run, found.declaration),
+        missing_samples=found.missing_samples,
+        not_compared=tuple(found.absent),
+    )
 
 
-def describe_loop(run: "Run", found: "LoopReplay") -> dict[str, Any]:
-    """Return the JSON answer of a replay in closed loop, but for file and metrics."""
-    return {
-        "name": found.name,
-        "mode": "loop",
-        "replay": found.run.name,
-        "by": "tick" if found.by_tick else "sample",
-        "samples": found.samples,
-        "max_abs_error": describe_pose_error(found.max_abs_error),
-        "first_difference": describe_difference(run, found.first_difference),
-        "signals": _describe_signals(run, found.signals),
-        "counts": {
-            name: {"recorded": count.recorded, "replayed": count.replayed}
+def build_loop(
+    file: Path, run: "Run", found: "LoopReplay", output: Path | None
+) -> LoopReplayAnswer:
+    """Return the answer of a replay in closed loop."""
+    return LoopReplayAnswer(
+        file=str(file),
+        name=found.name,
+        mode="loop",
+        samples=found.samples,
+        max_abs_error=build_pose_error(found.max_abs_error),
+        first_difference=build_difference(run, found.first_difference),
+        replay=found.run.name,
+        by="tick" if found.by_tick else "sample",
+        signals=_build_signals(run, found.signals),
+        counts={
+            name: CountAnswer(recorded=count.recorded, replayed=count.replayed)
             for name, count in found.counts.items()
         },
-        "stop_reason": {"recorded": run.stop_reason, "replayed": found.run.stop_reason},
-        "declaration": describe_difference(run, found.declaration),
-        "not_compared": list(found.absent),
-        **_NO_STRETCHES,
-    }
+        stop_reason=CountAnswer(recorded=run.stop_reason, replayed=found.run.stop_reason),
+        declaration=build_difference(run, found.declaration),
+        not_compared=tuple(found.absent),
+        output=None if output is None else str(output),
+        metrics=_build_changes(run, found.run),
+    )
 
 
 def format_law(file: Path, run: "Run", found: "LawReplay", *, details: bool) -> str:
@@ -164,17 +327,17 @@ def _format_signals(
     return f"{differing} of {describe_count(len(found.signals), 'signal')} differ: --details"
 
 
-def _describe_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[dict[str, Any]]:
+def _build_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[SignalAnswer]:
     return [
-        {
-            "signal": found.signal,
-            "unit": found.unit,
-            "rows": found.rows,
-            "differing": found.differing,
-            "largest": found.largest,
-            "at_s": None if found.at_ns is None else tell_time(run, found.at_ns),
-            "first_difference": describe_difference(run, found.first_difference),
-        }
+        SignalAnswer(
+            signal=found.signal,
+            unit=found.unit,
+            rows=found.rows,
+            differing=found.differing,
+            largest=found.largest,
+            at_s=None if found.at_ns is None else tell_time(run, found.at_ns),
+            first_difference=build_difference(run, found.first_difference),
+        )
         for found in signals
     ]
 
@@ -271,19 +434,19 @@ def _measure_both(recorded: "Run", replayed: "Run") -> "tuple[Measured, Measured
     return tl.measure_run(recorded, only=names), tl.measure_run(replayed, only=names)
 
 
-def describe_changes(recorded: "Run", replayed: "Run") -> list[dict[str, Any]]:
-    """Return the `metrics` list of the JSON answer."""
+def _build_changes(recorded: "Run", replayed: "Run") -> list[MetricChange]:
+    """Return the metrics of both."""
     was, now = _measure_both(recorded, replayed)
     return [
-        {
-            "id": name,
-            "unit": was[name].unit,
-            "recorded": was[name].value,
-            "recorded_status": was[name].status.value,
-            "replayed": now[name].value,
-            "replayed_status": now[name].status.value,
-            "difference": _subtract(was, now, name),
-        }
+        MetricChange(
+            id=name,
+            unit=was[name].unit,
+            recorded=was[name].value,
+            recorded_status=was[name].status.value,
+            replayed=now[name].value,
+            replayed_status=now[name].status.value,
+            difference=_subtract(was, now, name),
+        )
         for name in _list_ids(was, now)
     ]
 

@@ -1,6 +1,7 @@
 """How a replay through the plant is answered."""
 
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,8 +9,14 @@ from typing import TYPE_CHECKING, Any
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, format_table
 from turtlelog.cli.replay_answer import (
-    describe_difference,
-    describe_pose_error,
+    GapAnswer,
+    JumpAnswer,
+    PoseAnswer,
+    ReplayAnswer,
+    RoundingAnswer,
+    SegmentAnswer,
+    build_difference,
+    build_pose_error,
     tell_time,
 )
 from turtlelog.escapes import escape_controls
@@ -19,46 +26,61 @@ if TYPE_CHECKING:
     from turtlelog.replay import Jump, PlantReplay
 
 
-def describe_plant(run: "Run", found: "PlantReplay") -> dict[str, Any]:
-    """Return the JSON answer."""
-    return {
-        "name": found.name,
-        "mode": "plant",
-        "samples": found.samples,
-        "max_abs_error": describe_pose_error(found.max_abs_error),
-        "first_difference": describe_difference(run, found.first_difference),
-        "within_rounding": found.within_rounding,
-        "heading_bits": found.heading_bits,
-        "stretches": [
-            {
-                "start_s": tell_time(run, stretch.start_ns),
-                "end_s": tell_time(run, stretch.end_ns),
-                "ticks": stretch.ticks,
-                "max_abs_error": describe_pose_error(stretch.max_abs_error),
-                "rounding": {"position": stretch.rounding_m, "heading": stretch.rounding_rad},
-                "within_rounding": stretch.within_rounding,
-            }
-            for stretch in found.stretches
-        ],
-        "jumps": [
-            {
-                "at_s": tell_time(run, jump.at_ns),
-                "kind": jump.kind,
-                "from": dict(zip(("x", "y", "heading"), jump.from_pose, strict=True)),
-                "to": dict(zip(("x", "y", "heading"), jump.to_pose, strict=True)),
-            }
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantReplayAnswer(ReplayAnswer):
+    """The recorded commands driven through the plant."""
+
+    within_rounding: bool
+    heading_bits: int | None
+    commands: Mapping[str, Any]
+
+
+def build_plant(file: Path, run: "Run", found: "PlantReplay") -> PlantReplayAnswer:
+    """Return the answer."""
+    return PlantReplayAnswer(
+        file=str(file),
+        name=found.name,
+        mode="plant",
+        samples=found.samples,
+        max_abs_error=build_pose_error(found.max_abs_error),
+        first_difference=build_difference(run, found.first_difference),
+        within_rounding=found.within_rounding,
+        heading_bits=found.heading_bits,
+        stretches=tuple(
+            SegmentAnswer(
+                start_s=tell_time(run, segment.start_ns),
+                end_s=tell_time(run, segment.end_ns),
+                ticks=segment.ticks,
+                max_abs_error=build_pose_error(segment.max_abs_error),
+                rounding=RoundingAnswer(position=segment.rounding_m, heading=segment.rounding_rad),
+                within_rounding=segment.within_rounding,
+            )
+            for segment in found.stretches
+        ),
+        jumps=tuple(
+            JumpAnswer(
+                at_s=tell_time(run, jump.at_ns),
+                kind=jump.kind,
+                from_pose=_build_pose(jump.from_pose),
+                to_pose=_build_pose(jump.to_pose),
+            )
             for jump in found.jumps
-        ],
-        "gaps": [
-            {
-                "start_s": tell_time(run, gap.start_ns),
-                "end_s": tell_time(run, gap.end_ns),
-                "missing_ticks": gap.missing_ticks,
-            }
+        ),
+        gaps=tuple(
+            GapAnswer(
+                start_s=tell_time(run, gap.start_ns),
+                end_s=tell_time(run, gap.end_ns),
+                missing_ticks=gap.missing_ticks,
+            )
             for gap in found.gaps
-        ],
-        "commands": asdict(found.commands),
-    }
+        ),
+        commands=asdict(found.commands),
+    )
+
+
+def _build_pose(pose: "Sequence[float]") -> PoseAnswer:
+    x, y, heading = pose
+    return PoseAnswer(x=x, y=y, heading=heading)
 
 
 def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -82,20 +83,39 @@ def report(
     if json:
         explained = found.run.name if found is not None and found.attribution is not None else None
         print_json(
-            {
-                "output": str(output),
-                "bytes": output.stat().st_size,
-                "runs": [
-                    {"file": str(file), "name": run.name}
+            ReportAnswer(
+                output=str(output),
+                bytes=output.stat().st_size,
+                runs=[
+                    ReportedRun(file=str(file), name=run.name)
                     for file, run in zip(files, runs, strict=True)
                 ],
-                "explained": explained,
-                "verdict": None if verdict is None else verdict.value,
-            }
+                explained=explained,
+                verdict=None if verdict is None else verdict.value,
+            )
         )
     else:
         print_lines([f"wrote {output}"])
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportedRun:
+    """A run in a report."""
+
+    file: str
+    name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportAnswer:
+    """The report: its file and size, its runs, which is explained, and the verdict of checks."""
+
+    output: str
+    bytes: int
+    runs: list[ReportedRun]
+    explained: str | None
+    verdict: str | None
 
 
 def build_check_lines(

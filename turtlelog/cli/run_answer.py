@@ -1,20 +1,16 @@
 """The answer of `turtlelog run`: as an object, and in words."""
 
-import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import dist
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import describe_metrics, format_table
+from turtlelog.cli.output import describe_metrics, fill_lines, format_table
 from turtlelog.display import describe_count
 
 if TYPE_CHECKING:
     from turtlelog import Run
-
-_WIDTH: Final = 80
-"""Of lines [characters]."""
 
 _LONGEST: Final = 24
 """Of a name [characters]: of a longer one the changes have a line of their own."""
@@ -59,15 +55,17 @@ def build_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAns
 
 def write_end(run: "Run") -> str:
     """Return how far from the goal a run ended and when, and why it ended."""
-    base, _, changes = run.name.partition(" ")
-    is_short = len(run.name) <= _LONGEST or not changes
-    lines = [f"{run.name if is_short else base}: {_write_result(run)}."]
-    lines += [] if is_short else [f"Changed: {changes}"]
+    name, changes = _split_name(run)
+    lines = [f"{name}: {_write_result(run)}."]
+    lines += [f"Changed: {changes}"] if changes else []
     lines += [f"{describe_count(len(run.samples), 'sample')}. {run.events[-1].text}"]
-    return "\n".join(
-        textwrap.fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
-        for line in lines
-    )
+    return fill_lines(lines)
+
+
+def _split_name(run: "Run") -> tuple[str, str]:
+    """Return a name that fits a table, and the changes that a longer one tells."""
+    base, _, changes = run.name.partition(" ")
+    return (run.name, "") if len(run.name) <= _LONGEST or not changes else (base, changes)
 
 
 def _write_result(run: "Run") -> str:
@@ -107,4 +105,5 @@ def _allow(run: "Run") -> float:
 def format_run(run: "Run") -> str:
     """Return the essential metrics as a table."""
     only = tl.measure.list_essential_metrics(run.declaration)
-    return format_table(tl.compare.tabulate_metrics([run], only=only))
+    named = replace(run, name=_split_name(run)[0])
+    return format_table(tl.compare.tabulate_metrics([named], only=only))

@@ -1,5 +1,6 @@
 """Options that choose a scenario and change it, shared by the commands that take one."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_law
 from turtlelog.cli.options import MaxDownload, Place, TopicOptions, Whole, read_chosen_run
-from turtlelog.errors import UsageError
+from turtlelog.errors import ScenarioError, UsageError
 from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     named = options.find_law_kind()
     name_or_path = name_or_path or ("paper" if options.law is None else "textbook")
     path, declared = make_path(name_or_path), None
-    if not is_recording(path):
+    if name_or_path in tl.PRESETS or not is_recording(path):
         base = tl.load_scenario(name_or_path)
     else:
         run = read_chosen_run(path, TopicOptions())
@@ -230,7 +231,15 @@ def change_scenario(
         scenario = override_gains(scenario, gains, options.kp, source="--kp")
     if options.goal is not None:
         scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
-    return tl.override_scenario(scenario, changes, source="--set")
+    try:
+        return tl.override_scenario(scenario, changes, source="--set")
+    except ScenarioError as err:
+        if "law.kp" not in changes:
+            raise
+        kp, law = changes["law.kp"], scenario.law.kind
+        problem = str(err).replace("--set: law.kp: unknown key", f"{law} has no key law.kp")
+        problem = re.sub(r"\bkp_", "law.kp_", problem)
+        raise UsageError(f"{problem} --kp {kp} sets the gain of every loop") from err
 
 
 def _ask_law(scenario: "Scenario", changes: "Mapping[str, Any]") -> "Declaration":

@@ -1,7 +1,9 @@
 """`turtlelog sweep`: a scenario varied, simulated and measured, as one table."""
 
+import shlex
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -20,13 +22,13 @@ from turtlelog.cli.options import (
     choose_step_budget,
     split_names,
 )
-from turtlelog.cli.output import EXIT_FINE, print_json, print_note, print_text
+from turtlelog.cli.output import EXIT_FINE, fill_lines, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
 from turtlelog.cli.targets import require_new_target
-from turtlelog.display import describe_count
-from turtlelog.errors import UsageError
+from turtlelog.display import describe_count, format_short
+from turtlelog.errors import SweepError, UsageError
 from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
@@ -180,7 +182,7 @@ def sweep(
         except KeyboardInterrupt:
             print_note(f"{int(progress.done)} of {rows} rows are done; the same command goes on")
             raise
-    _answer(found, time.monotonic() - begun, json=json)
+    _answer(found, prepared.plan, time.monotonic() - begun, json=json)
     return EXIT_FINE
 
 
@@ -229,27 +231,75 @@ def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:
         raise UsageError("expected yes to go on, found another answer")
 
 
-def _answer(found: "SweepSummary", elapsed_s: float, *, json: bool) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepAnswer:
+    """What a sweep came to.
+
+    Attributes:
+        output: The table.
+        rows: How many there are.
+        failed: How many of them failed.
+        samples: Of all runs together.
+        recorded: How many runs were recorded.
+        elapsed_s: How long it took [s].
+    """
+
+    output: str
+    rows: int
+    failed: int
+    samples: int
+    recorded: int
+    elapsed_s: float
+
+
+def _answer(found: "SweepSummary", plan: "SweepPlan", elapsed_s: float, *, json: bool) -> None:
     for name, reason in found.valueless.items():
         print_note(f"metric {name}: no row has a value ({reason})")
     if json:
         print_json(
-            {
-                "output": str(found.output),
-                "rows": found.rows,
-                "failed": found.failed,
-                "samples": found.samples,
-                "recorded": found.recorded,
-                "elapsed_s": elapsed_s,
-            }
+            SweepAnswer(
+                output=str(found.output),
+                rows=found.rows,
+                failed=found.failed,
+                samples=found.samples,
+                recorded=found.recorded,
+                elapsed_s=elapsed_s,
+            )
         )
         return
     if found.failed:
         print_note(
             f"{describe_count(found.failed, 'row')} failed, the first: {found.first_failure}"
         )
-    recorded = f", {found.recorded} recorded" if found.recorded else ""
+    keys = ", ".join(plan.keys)
+    recorded = f" {found.recorded} runs are recorded." if found.recorded else ""
+    rows = f"{describe_count(found.rows, 'run')} over {keys}, {found.failed} failed"
     print_text(
-        f"{found.output}: {describe_count(found.rows, 'row')}, {found.failed} failed{recorded},"
-        f" {found.samples:,} samples in {elapsed_s:.1f} s"
+        fill_lines(
+            [
+                f"{rows}: {_describe_best(found.output)}.",
+                f"{found.output}: {found.samples:,} samples in {elapsed_s:.1f} s.{recorded}",
+                f"Map: turtlelog plot {shlex.quote(str(found.output))} -o map.png",
+            ]
+        )
     )
+
+
+_TOLD: Final = ("final.position_error", "run.duration")
+"""Metrics whose range is told, the first of them that has values; without them any other."""
+
+
+def _describe_best(output: Path) -> str:
+    """Return the range of a metric over all rows, and where it is best."""
+    import numpy as np
+
+    for patterns in (*([name] for name in _TOLD), None):
+        with suppress(SweepError):
+            results = tl.sweep.read_swept_results(output, patterns)
+            metric = next((one for one in results.metrics if np.isfinite(one.values).any()), None)
+            if metric is not None:
+                ends = np.nanmin(metric.values), np.nanmax(metric.values)
+                low, high = (format_short(float(end), metric.unit) for end in ends)
+                least = results.tell_row(int(np.nanargmin(metric.values)))
+                return f"{metric.name} is {low} to {high}, least with {least}"
+    return "no metric has a value in any row"

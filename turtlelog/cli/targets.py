@@ -32,7 +32,7 @@ def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: s
         return
     with _name_target(target):
         if target.suffix.lower() != suffix:
-            raise UsageError(f"expected a name that ends in {suffix}, found another")
+            raise UsageError(f"the name must end in {suffix}")
         _require_writable(target, inputs)
     if suffix in _LIBRARIES:
         load_library(_LIBRARIES[suffix])
@@ -51,8 +51,7 @@ def require_pictures(
         if target is not None and len(drawn) > 1:
             raise UsageError(f"{name}: expected one {of} to draw, found {len(drawn)}")
     if plot is not None and plot.suffix.lower() not in PICTURES:
-        expected = "a name that ends in .pdf, .png or .svg"
-        raise UsageError(f"--plot {plot}: expected {expected}, found another")
+        raise UsageError(f"--plot {plot}: the name must end in .pdf, .png or .svg")
     require_new_target(plot, inputs, suffix="" if plot is None else plot.suffix.lower())
     require_new_target(rrd, inputs, suffix=".rrd")
 

@@ -1,5 +1,6 @@
 """`turtlelog theory`: what the ideal loop and the sampled loop should do."""
 
+import re
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
@@ -26,7 +27,7 @@ from turtlelog.cli.theory_loops import (
     build_pid_loop,
 )
 from turtlelog.cli.theory_tables import build_integrator
-from turtlelog.errors import UsageError
+from turtlelog.errors import TheoryError, UsageError
 from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
@@ -129,22 +130,69 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
         details: Print the tables and sources that few need, too.
         json: Print one JSON object instead of text.
     """
-    terms, wanted = terms or TermOptions(), (wishes or WishOptions()).read()
-    if scenario is not None:
-        given = terms.list_given()
-        given += [] if period is None else ["--period"]
-        given += [] if dead_time is None else ["--dead-time"]
-        if given:
-            raise UsageError(f"{given[0]}: expected no such option beside SCENARIO, found one")
-        form = _Form(is_json=json, shows_all=details)
-        _answer_file(scenario, _Changes(kp, assignments), topics, wanted, form)
-        return
+    form = _Form(is_json=json, shows_all=details)
+    changes, timing = _Changes(kp, assignments), (period, dead_time)
+    try:
+        wanted = (wishes or WishOptions()).read()
+        if scenario is None:
+            _answer_loop(changes, terms or TermOptions(), timing, wanted, form)
+        else:
+            _require_alone(terms or TermOptions(), timing)
+            _answer_file(scenario, changes, topics, wanted, form)
+    except TheoryError as err:
+        raise UsageError(_name_option(str(err))) from err
+
+
+def _name_option(text: str) -> str:
+    """Return an error line about a quantity of the theory with the option that gives it."""
+    name, colon, problem = text.partition(": ")
+    if not colon or name not in _OPTIONS:
+        return text
+    found = re.fullmatch(r"expected .* (> 0|from 0 to \S+), found (-?[\d.]+)", problem)
+    if found is None or (found[1] != "> 0" and not found[2].startswith("-")):
+        return f"{_OPTIONS[name]}: {problem}"
+    bound = "greater than 0" if found[1] == "> 0" else "0 or greater"
+    return f"{_OPTIONS[name]} {found[2].removesuffix('.0')}: must be {bound}"
+
+
+_OPTIONS: Final = {
+    **{name: f"--{name}" for name in ("kp", "ki", "kd", "gain")},
+    "period_s": "--period",
+    "dead_time_ticks": "--dead-time",
+    "dead_time_s": "--dead-time-s",
+    "filter_s": "--filter",
+    "lag_s": "--lag",
+    "low_pass_s": "--low-pass",
+    "overshoot_percent": "--overshoot",
+    "phase_margin_rad": "--phase-margin",
+}
+"""Quantities as errors call them, and the options that give them."""
+
+
+_Timing = tuple[float | None, int | None]
+"""Period [s] and dead time [ticks], as they were given."""
+
+
+def _require_alone(terms: TermOptions, timing: _Timing) -> None:
+    """Refuse the options of a plant beside a scenario, which has its own."""
+    given = terms.list_given()
+    given += [
+        name for name, value in zip(("--period", "--dead-time"), timing, strict=True) if value
+    ]
+    if given:
+        raise UsageError(f"{given[0]}: leave it out beside SCENARIO, which has its own")
+
+
+def _answer_loop(
+    changes: "_Changes", terms: TermOptions, timing: _Timing, wanted: Wishes, form: "_Form"
+) -> None:
+    """Answer for P, PI, PD or PID control of an integrator, at each Kp."""
+    (kp, assignments), (period, dead_time) = changes, timing
     if assignments:
-        raise UsageError("--set: expected SCENARIO beside it, found none")
+        raise UsageError("--set changes a scenario: turtlelog theory SCENARIO --set KEY=VALUE")
     gains = _parse_gains(_GAINS if kp is None else kp)
     period_s = tl.plants.TURTLESIM.period_s if period is None else period
     if terms.list_given():
-        form = _Form(is_json=json, shows_all=details)
         _answer_terms(gains, terms, (period_s, dead_time or 0), wanted, form)
         return
     loops = [
@@ -153,10 +201,10 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
     ]
     late = tl.theory.Process(dead_time_s=(dead_time or 0) * period_s)
     recommended = Recommended(wanted.recommend(late, period_s))
-    if json:
+    if form.is_json:
         print_json(build_integrator(loops, build_recommended(recommended)))
         return
-    print_text(format_integrator(loops, recommended, wanted, shows_all=details))
+    print_text(format_integrator(loops, recommended, wanted, shows_all=form.shows_all))
 
 
 class _Form(NamedTuple):

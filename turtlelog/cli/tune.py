@@ -20,7 +20,7 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
 from turtlelog.cli.targets import require_new_target
-from turtlelog.cli.tune_answer import Answer, describe_answer, format_answer
+from turtlelog.cli.tune_answer import Answer, build_answer, format_answer
 from turtlelog.errors import UsageError
 from turtlelog.remote.urls import make_path
 
@@ -41,7 +41,8 @@ class GoalOptions:
     """What is tuned, and for what.
 
     Attributes:
-        vary: A key and its bounds, as in law.kp_linear=0.5:12; may stand several times.
+        grid: A key and its bounds, as in law.kp_linear=0.5:12, and perhaps a step
+            (law.kp_linear=1:12:0.5); may stand several times.
         minimise: A metric, or a formula of metrics and keys, that should be small.
         maximise: The same, that should be large.
         subject_to: What must hold, as in "rotate.overshoot <= 2"; may stand several times.
@@ -50,7 +51,9 @@ class GoalOptions:
         seed: Of the search, and of what --monte-carlo draws; otherwise 0.
     """
 
-    vary: Annotated[list[str] | None, Parameter(metavar="KEY=A:B", completer=complete_keys)] = None
+    grid: Annotated[
+        list[str] | None, Parameter(metavar="KEY=A:B[:STEP]", completer=complete_keys)
+    ] = None
     minimise: Annotated[str | None, Parameter(metavar="EXPRESSION", completer=complete_metrics)] = (
         None
     )
@@ -63,9 +66,13 @@ class GoalOptions:
 
     def parse_goal(self) -> "TuningGoal":
         """Return what is tuned for."""
-        if (self.minimise is None) == (self.maximise is None):
-            found = "none" if self.minimise is None else "both"
-            raise UsageError(f"--minimise: expected it or --maximise, found {found}")
+        if self.minimise is not None and self.maximise is not None:
+            raise UsageError("tune takes --minimise or --maximise, not both")
+        if self.minimise is None and self.maximise is None:
+            raise UsageError(
+                "tune needs --grid KEY=A:B and --minimise or --maximise, for example: turtlelog"
+                " tune paper --grid law.kp_linear=0.5:12 --minimise run.duration"
+            )
         text = self.maximise if self.minimise is None else self.minimise
         return tl.tune.parse_goal(
             text or "", self.subject_to or (), is_maximised=self.minimise is None
@@ -176,7 +183,7 @@ def tune(
 
     The exit code is 1 where no candidate fulfils the constraints.
 
-    Example: turtlelog tune paper --vary law.kp_linear=1:9 --minimise run.duration
+    Example: turtlelog tune paper --grid law.kp_linear=1:9 --minimise run.duration
 
     Constraints stand in --subject-to, as in "rotate.overshoot <= 2".
 
@@ -190,7 +197,7 @@ def tune(
     runs, wanted, seed = robustness.count_runs(), goal.parse_goal(), goal.choose_seed()
     require_new_target(work.output, [] if base is None else [make_path(base)], suffix=".toml")
     scenario = load_changed_scenario(base, options)
-    scenario, keys = _parse_keys(scenario, goal.vary or [], options, trust_law=work.trust_law)
+    scenario, keys = _parse_keys(scenario, goal.grid or [], options, trust_law=work.trust_law)
     more = robustness.list_variations(scenario, [key.key for key in keys])
     with work.find_any_place() as place:
         answer = _search(scenario, keys, goal, wanted, seed, place, work=work)
@@ -202,7 +209,7 @@ def tune(
         if runs and answer.tuned.best.is_feasible:
             answer.spread = _simulate_variants(answer, runs, more, seed, place, work)
     if json:
-        print_json(describe_answer(answer))
+        print_json(build_answer(answer))
     else:
         print_text(format_answer(answer))
     return EXIT_FINE if answer.tuned.best.is_feasible else EXIT_FAILED
@@ -220,7 +227,7 @@ def _parse_keys(
             raise UsageError(f"--set: expected keys that are not tuned, found {key.key}")
     lows = {key.key: key.low for key in keys if key.key not in known}
     whole = {key: int(low) if float(low).is_integer() else low for key, low in lows.items()}
-    scenario = tl.override_scenario(scenario, whole, source="--vary")
+    scenario = tl.override_scenario(scenario, whole, source="--grid")
     resolved = tl.scenario.resolve_scenario(scenario, trust_law=trust_law)
     return scenario, tl.tune.parse_searched_keys(vary, flatten(resolved))
 

@@ -1,21 +1,18 @@
 """What `tune` answers, as text and as JSON."""
 
 import math
-import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.output import format_table
+from turtlelog.cli.output import fill_lines, format_table
 from turtlelog.display import describe_count, format_number
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
     from turtlelog.scenario import Scenario
     from turtlelog.tune import KeyRange, Neighbourhood, SearchedKey, Spread, Tuned, TuningGoal
-
-_WIDTH: Final = 80
-"""Columns of a line of text."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -55,57 +52,133 @@ class Answer:
         return " ".join([self.scenario.name, *told])
 
 
-def describe_answer(answer: Answer) -> dict[str, Any]:
-    """Return the answer as JSON."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConstraintAnswer:
+    """A constraint at the best values; the margin is negative where it does not hold."""
+
+    expression: str
+    value: float | None
+    margin: float | None
+    holds: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RangeAnswer:
+    """How far a key alone can go, and what ends it."""
+
+    key: str
+    low: float
+    high: float
+    low_end: str | None
+    high_end: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpreadAnswer:
+    """The objective over variants of the best: its median, percentiles and worst value."""
+
+    runs: int
+    with_value: int
+    holds: int
+    median: float | None
+    low_5_percent: float | None
+    high_95_percent: float | None
+    worst: float | None
+    varied: Mapping[str, list[float]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TuneAnswer:
+    """The best values that were found.
+
+    Attributes:
+        best: Values by key.
+        objective: What they bring; None where no run has a value.
+        minimise: What was to be small; None if something was to be large.
+        maximise: What was to be large; None if something was to be small.
+        unit: Of the objective.
+        is_feasible: Whether all constraints hold.
+        constraints: Each of them.
+        evaluations: How many candidates were simulated.
+        failed: How many of them failed.
+        failure: Why the first failed.
+        feasible: How many candidates fulfil the constraints.
+        at_bounds: Keys whose best value is at a bound.
+        is_flat: Whether all candidates have one value.
+        neighbourhood: How far each key can go.
+        slack: How much worse the objective may become there.
+        spread: Of variants; None where none were simulated.
+    """
+
+    best: Mapping[str, float]
+    objective: float | None
+    minimise: str | None
+    maximise: str | None
+    unit: str | None
+    is_feasible: bool
+    constraints: list[ConstraintAnswer]
+    evaluations: int
+    failed: int
+    failure: str | None
+    feasible: int
+    at_bounds: list[str]
+    is_flat: bool
+    neighbourhood: list[RangeAnswer]
+    slack: float | None
+    spread: SpreadAnswer | None
+
+
+def build_answer(answer: Answer) -> TuneAnswer:
+    """Return the answer as JSON has it."""
     tuned, spread = answer.tuned, answer.spread
-    return {
-        "best": dict(zip((key.key for key in answer.keys), tuned.best.point, strict=True)),
-        "objective": tuned.best.objective,
-        "minimise": None if answer.goal.is_maximised else answer.goal.objective.text,
-        "maximise": answer.goal.objective.text if answer.goal.is_maximised else None,
-        "unit": answer.unit or None,
-        "is_feasible": tuned.best.is_feasible,
-        "constraints": [
-            {
-                "expression": one.expression,
-                "value": one.value,
-                "margin": _tell_margin(one.margin),
-                "holds": one.holds,
-            }
+    return TuneAnswer(
+        best=dict(zip((key.key for key in answer.keys), tuned.best.point, strict=True)),
+        objective=tuned.best.objective,
+        minimise=None if answer.goal.is_maximised else answer.goal.objective.text,
+        maximise=answer.goal.objective.text if answer.goal.is_maximised else None,
+        unit=answer.unit or None,
+        is_feasible=tuned.best.is_feasible,
+        constraints=[
+            ConstraintAnswer(
+                expression=one.expression,
+                value=one.value,
+                margin=_tell_margin(one.margin),
+                holds=one.holds,
+            )
             for one in tuned.best.constraints
         ],
-        "evaluations": tuned.evaluations,
-        "failed": tuned.failed,
-        "failure": tuned.failure or None,
-        "feasible": tuned.feasible,
-        "at_bounds": [*tuned.at_bounds],
-        "is_flat": tuned.is_flat,
-        "neighbourhood": [
-            {
-                "key": one.key,
-                "low": one.low,
-                "high": one.high,
-                "low_end": one.low_constraint or one.low_end,
-                "high_end": one.high_constraint or one.high_end,
-            }
+        evaluations=tuned.evaluations,
+        failed=tuned.failed,
+        failure=tuned.failure or None,
+        feasible=tuned.feasible,
+        at_bounds=[*tuned.at_bounds],
+        is_flat=tuned.is_flat,
+        neighbourhood=[
+            RangeAnswer(
+                key=one.key,
+                low=one.low,
+                high=one.high,
+                low_end=one.low_constraint or one.low_end,
+                high_end=one.high_constraint or one.high_end,
+            )
             for one in (answer.around.ranges if answer.around else ())
         ],
-        "slack": answer.around.slack if answer.around else None,
-        "spread": None if spread is None else _describe_spread(spread),
-    }
+        slack=answer.around.slack if answer.around else None,
+        spread=None if spread is None else _build_spread(spread),
+    )
 
 
-def _describe_spread(spread: "Spread") -> dict[str, Any]:
-    return {
-        "runs": spread.runs,
-        "with_value": spread.with_value,
-        "holds": spread.holds,
-        "median": spread.median,
-        "low_5_percent": spread.low,
-        "high_95_percent": spread.high,
-        "worst": spread.worst,
-        "varied": {one.key: [one.low, one.high] for one in spread.varied},
-    }
+def _build_spread(spread: "Spread") -> SpreadAnswer:
+    return SpreadAnswer(
+        runs=spread.runs,
+        with_value=spread.with_value,
+        holds=spread.holds,
+        median=spread.median,
+        low_5_percent=spread.low,
+        high_95_percent=spread.high,
+        worst=spread.worst,
+        varied={one.key: [one.low, one.high] for one in spread.varied},
+    )
 
 
 def format_answer(answer: Answer) -> str:
@@ -116,7 +189,7 @@ def format_answer(answer: Answer) -> str:
     texts = [format_table(table) for table in tables]
     if answer.spread is not None:
         texts.append(format_table(_tabulate_spread(answer, answer.spread)))
-    return "\n".join([textwrap.fill(_conclude(answer), _WIDTH), "", *texts])
+    return "\n".join([fill_lines([_conclude(answer)]), "", *texts])
 
 
 def _conclude(answer: Answer) -> str:

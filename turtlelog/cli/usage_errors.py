@@ -1,8 +1,11 @@
-"""What is wrong with the words of a command, said as every error: expected this, found that."""
+"""What is wrong with the words of a command, and what to type."""
 
+import re
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, get_args, get_origin
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 from cyclopts import CycloptsError
 from cyclopts.exceptions import (
@@ -15,7 +18,7 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
 )
 
-from turtlelog.errors import suggest_names
+from turtlelog.errors import find_near, join_names, quote_name
 
 if TYPE_CHECKING:
     from cyclopts.argument import Argument
@@ -23,14 +26,26 @@ if TYPE_CHECKING:
 _WORDS: Final[dict[Any, str]] = {
     float: "a number",
     int: "a whole number",
-    bool: "no value",
 }
-_LONGEST: Final = 60
-"""Letters of a word that an error line repeats."""
+
+_SHORT: Final = 40
+"""Letters of a value that an error line repeats without quotes."""
+
+_OPTIONS: Final = MappingProxyType(
+    {
+        "--metric": "--only", "--metrics": "--only", "--figures": "--only", "--figure": "--only",
+        "--columns": "--only", "--mechanisms": "--causes", "--effects": "--causes",
+        "--vary": "--grid", "--out": "--output", "--recover": "--partial",
+        "--delay": "--dead-time-s", "--signals": "--details", "--verbose": "--details",
+        "--format": "--json", "--force": "--yes", "--gain": "--kp", "--minimize": "--minimise",
+        "--maximize": "--maximise", "--constraint": "--subject-to", "--filter": "--where",
+    }
+)  # fmt: skip
+"""Options of other commands and programs, and what they are called here."""
 
 
 def describe_usage_error(err: CycloptsError) -> str:
-    """Return an error of the command line's parser as one line, with what was expected and found.
+    """Return an error of the command line's parser as one line: what is wrong, what to type.
 
     Args:
         err: What cyclopts raised.
@@ -41,62 +56,106 @@ def describe_usage_error(err: CycloptsError) -> str:
     err.verbose = False
     # Cyclopts writes in several lines.
     text = " ".join(str(err).split())
-    return f"{_name_command(err)}: expected words as --help shows them, found: {text}"
+    return f"{_name_command(err)}: {text}"
+
+
+def find_split_pair(tokens: Sequence[str]) -> str | None:
+    """Return what is wrong where a goal is two words, as in `--goal 8 3`; None where none is."""
+    found = re.search(r"(?:^|\n)--goal\n([-+.\de]+)\n([-+.\de]+)(?:\n|$)", "\n".join(tokens))
+    if found is None:
+        return None
+    return f"--goal {found[1]} {found[2]}: did you mean --goal {found[1]},{found[2]}?"
 
 
 def _name_command(err: CycloptsError) -> str:
     return " ".join(("turtlelog", *(err.command_chain or ())))
 
 
-def _show(word: object) -> str:
-    text = str(word)
-    return repr(text if len(text) <= _LONGEST else f"{text[:_LONGEST]}...")
-
-
 def _describe_unknown_command(err: Any) -> str:
     known = [name for name, app in err.app.resolved_commands().items() if app.show]
     known = [name for name in known if not name.startswith("-")]
     word = err.unused_tokens[0]
-    return f"turtlelog: expected a command ({suggest_names(word, known)}), found {_show(word)}"
+    near = find_near(word, known)
+    text = f"turtlelog has no command {quote_name(word)}"
+    text += f"; did you mean {join_names(near)}?" if near else ";"
+    return f"{text} {'All' if near else 'all'} commands: turtlelog --help"
 
 
 def _describe_unknown_option(err: Any) -> str:
-    word = err.token.keyword or err.token.value
+    word = (err.token.keyword or err.token.value).split("=")[0]
     known = [name for found in err.argument_collection if found.parse for name in found.names]
     options = [name for name in known if name.startswith("--")]
-    expected = f"an option ({suggest_names(word, options)})" if options else "a command"
-    return f"{_name_command(err)}: expected {expected}, found {_show(word)}"
+    command = _name_command(err)
+    text = f"{command} has no option {word}"
+    near = _suggest_key(word, options, err.root_input_tokens or ())
+    near = near or [one for one in options if one == _OPTIONS.get(word)]
+    near = near or find_near(word, options)
+    if not options:
+        return f"{text}; all commands: turtlelog --help"
+    if near:
+        return f"{text}; did you mean {join_names(near)}? All options: {command} --help-all"
+    return f"{text}; all options: {command} --help-all"
+
+
+def _suggest_key(word: str, options: Sequence[str], tokens: Sequence[str]) -> list[str]:
+    """Return how a key of a scenario is set that was given as an option, as `--kp-linear 2`."""
+    if "--set" not in options:
+        return []
+    from turtlelog.scenario import Scenario, flatten_scenario  # Only mistakes pay for it.
+
+    name = word.removeprefix("--").replace("-", "_")
+    keys = [key for key in flatten_scenario(Scenario()) if key.partition(".")[2] == name]
+    joined = "\n".join(tokens)
+    value = re.search(rf"^{re.escape(word)}[=\n]([^\n]+)", joined, re.MULTILINE)
+    return [f"--set {key}={'VALUE' if value is None else value[1]}" for key in keys]
 
 
 def _describe_unused(err: Any) -> str:
     words = err.unused_tokens
     more = f" and {len(words) - 1} more" if len(words) > 1 else ""
-    return f"{_name_command(err)}: expected no further word, found {_show(words[0])}{more}"
+    return f"{_name_command(err)} takes no word {quote_name(words[0])}{more}. {_show_usage(err)}"
+
+
+def _show_usage(err: Any) -> str:
+    """Return how the command is called, in one line."""
+    app = err.app
+    for name in err.command_chain or ():
+        if name in {command for command in app if not command.startswith("-")}:
+            app = app[name]
+    return str(app.usage or f"Usage: {_name_command(err)}")
 
 
 def _describe_missing(err: Any) -> str:
     argument = err.argument
-    place = "" if argument.index is not None else f"{err.keyword or argument.name}: "
-    return f"{_name_command(err)}: {place}expected {_describe_value(argument)}, found none"
+    if err.keyword:
+        return f"{_name_command(err)}: {err.keyword} needs {_describe_value(argument)}"
+    name = argument.name if argument.index is None else _name_place(argument)
+    return f"{_name_command(err)} needs {name}. {_show_usage(err)}"
 
 
 def _describe_count(err: Any) -> str:
     place, most = err.keyword or _name_place(err.argument), err.max_allowed
-    found = f"found {err.actual_count}"
-    return f"{_name_command(err)}: {place}: expected at most {most} words, {found}"
+    return f"{place}: takes at most {most} words, not {err.actual_count}"
 
 
 def _describe_value_error(err: Any) -> str:
     place = err.token.keyword if err.token and err.token.keyword else _name_place(err.argument)
+    value = err.token.value if err.token else ""
+    choices = err.argument.get_choices(force=True)
     expected = _describe_value(err.argument)
-    return f"{place}: expected {expected}, found {_show(err.token.value if err.token else 'none')}"
+    near = find_near(value, choices) if choices else []
+    hint = f"; did you mean {join_names(near)}?" if near else ""
+    if _takes_no_value(err.argument):
+        return f"{place}: takes no value, not {quote_name(value)}"
+    shown = value if value.isprintable() and 0 < len(value) <= _SHORT else quote_name(value)
+    return f"{place} {shown}: must be {expected}{hint}"
 
 
 def _describe_repeated(err: Any) -> str:
     word = err.token.keyword
     counts = Counter(token.split("=")[0] for token in err.root_input_tokens or ())
     times = max(counts[word], 2)
-    return f"{_name_command(err)}: {word}: expected it once, found it {times} times"
+    return f"{_name_command(err)}: {word} is given {times} times, but takes one value"
 
 
 _DESCRIPTIONS: Final = {
@@ -116,16 +175,17 @@ def _name_place(argument: "Argument") -> str:
     return name if name.startswith("-") else name.upper()
 
 
+def _takes_no_value(argument: "Argument") -> bool:
+    return argument.hint is bool or bool in get_args(argument.hint)
+
+
 def _describe_value(argument: "Argument") -> str:
     """Return what a place takes: its choices, its metavar, or a word for its type."""
     choices = argument.get_choices(force=True)
     if choices:
-        return suggest_names("", choices, most=len(choices))
+        return join_names(choices)
     hint = argument.hint
     kinds = [kind for kind in get_args(hint) if kind is not type(None)] or [hint]
-    is_list = get_origin(hint) is list
-    if argument.index is not None:
-        return f"at least one {_name_place(argument)}" if is_list else _name_place(argument)
     return (
         _WORDS.get(kinds[0])
         or argument.parameter.metavar

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.angles import wrap_angle
 from turtlelog.display import describe_count, format_number, join_words
-from turtlelog.errors import CompareError, suggest_names
+from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.measure import is_lawless
 from turtlelog.paths import closes_by_itself
 from turtlelog.run import Run
@@ -313,8 +313,7 @@ def _require_known(summaries: "Sequence[RunSummary]", varied: Collection[str], s
     keys = dict.fromkeys([*CONDITIONS, *(key for one in summaries for key in one.parameters)])
     for name in varied:
         if name not in keys:
-            near = suggest_names(name, list(keys))
-            raise CompareError(f"{source}: expected {near}, found {name!r}")
+            raise CompareError(f"{source}: {describe_unknown('key', name, keys)}")
 
 
 def _list_unknown(condition: str, known: Sequence[Conditions]) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ from typing import Any, Final
 from turtlelog import expressions
 from turtlelog.compare.like_loops import order_ids
 from turtlelog.compare.ranking import Conditions, find_conditions
-from turtlelog.errors import CompareError, suggest_names
+from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.loops import Declaration
@@ -391,7 +391,8 @@ def _list_names(summaries: Sequence[RunSummary]) -> list[str]:
 
 def _require_name(name: str, known: Sequence[str], source: str) -> None:
     if name not in known:
-        raise CompareError(f"{source}: expected {suggest_names(name, known)}, found {name!r}")
+        problem = describe_unknown("metric or parameter", name, known)
+        raise CompareError(f"{source}: {problem}")
 
 
 def _describe_lack(summary: RunSummary, values: Mapping[str, Any]) -> str:

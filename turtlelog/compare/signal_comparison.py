@@ -1,7 +1,6 @@
 """Signals of a run beside those of a reference: how far they are off, and what they may be."""
 
 import dataclasses
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -21,6 +20,7 @@ from turtlelog.compare.tube import (
     read_rows,
 )
 from turtlelog.differences import Difference, SignalDifference as SignalDifference
+from turtlelog.errors import find_near, join_names
 from turtlelog.measure import SIGNALS, Signal, list_signal_units, list_signals, read_signal
 from turtlelog.run import Run
 
@@ -137,9 +137,9 @@ def explain_lack(name: str, reference: Run, run: Run) -> str:
     """Return why a signal cannot be compared: a run does not hold it, or its law has none such."""
     known = list(list_signal_units([reference.declaration, run.declaration]))
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=2)
+        near = find_near(name, known, most=2)
         states = ", ".join(found for found in known if found not in SIGNALS) or "none"
-        hint = f"; the nearest are {', '.join(near)}" if near else ""
+        hint = f"; did you mean {join_names(near)}?" if near else ""
         return f"neither a signal nor a state of these laws (they have {states}){hint}"
     if name in _OF_TRACK and not share_track(reference, run):
         return "the laws do not track one path"

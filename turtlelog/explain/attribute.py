@@ -35,7 +35,7 @@ from turtlelog.explain.shapley import (
 )
 from turtlelog.laws import LAWS, find_law, list_mechanisms
 from turtlelog.loops import Declaration, Mechanism
-from turtlelog.measure import list_metrics, measure_run, suggest_metrics
+from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
@@ -205,7 +205,7 @@ def require_mechanisms(run: Run, metric: str, mechanisms: Sequence[str] | None) 
 def _require_metric(declaration: Declaration, metric: str) -> None:
     known = list_metrics(declaration)
     if metric not in known:
-        raise ExplainError(f"metric {metric!r}: expected {suggest_metrics(metric, known)}")
+        raise ExplainError(describe_no_metric(metric, known))
 
 
 def _require_distinct(mechanisms: Sequence[str] | None) -> None:

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.effects import EFFECTS
-from turtlelog.errors import ExplainError, suggest_names
+from turtlelog.errors import ExplainError, describe_unknown
 from turtlelog.laws import find_law, list_mechanisms, list_sample_counters, name_law
 from turtlelog.loops import Mechanism
 from turtlelog.run import Run
@@ -113,7 +113,7 @@ def find_mechanism(name: str, table: Mapping[str, Mechanism], scenario: Scenario
         return table[name]
     if name == SAMPLING:
         raise ExplainError(f"mechanism: {describe_no_sampling(scenario)}")
-    raise ExplainError(f"mechanism: expected {suggest_names(name, table)}, found {name!r}")
+    raise ExplainError(describe_unknown("cause", name, table, place="turtlelog list causes"))
 
 
 def describe_no_sampling(scenario: Scenario) -> str:

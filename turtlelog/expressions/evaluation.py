@@ -1,9 +1,9 @@
 """Tree and values -> value, whole columns at a time; what is not known stays unknown."""
 
-import difflib
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
+from turtlelog.errors import find_near, join_names, quote_name
 from turtlelog.expressions.operands import (
     Kind,
     Operand,
@@ -15,7 +15,7 @@ from turtlelog.expressions.operands import (
     make_operand,
     negate_truth,
 )
-from turtlelog.expressions.tokens import build_error, quote_text
+from turtlelog.expressions.tokens import build_error
 from turtlelog.expressions.tree import (
     Arithmetic,
     Call,
@@ -161,11 +161,11 @@ def check_comparison(expression: Expression, node: Comparison, operands: Sequenc
 
 def describe_unknown_name(name: str, known: Mapping[str, object]) -> str:
     """Return what to say of a name that is not there: the nearest ones that are."""
-    near = difflib.get_close_matches(name, known, n=3)
+    near = find_near(name, known)
     if near:
-        return f"unknown name {quote_text(name)}; the nearest are {', '.join(near)}"
+        return f"unknown name {quote_name(name)}; did you mean {join_names(near)}?"
     listed = ", ".join(list(known)[:8]) + (", ..." if len(known) > 8 else "")
-    return f"unknown name {quote_text(name)}; there are {listed or 'none'}"
+    return f"unknown name {quote_name(name)}; there are {listed or 'none'}"
 
 
 def _describe_node(node: Node, operand: Operand) -> str:

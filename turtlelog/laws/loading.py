@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any, Final
 
 from turtlelog.display import NamedValues
-from turtlelog.errors import LawError, TurtlelogError, describe_error
+from turtlelog.errors import LawError, TurtlelogError, describe_error, describe_unknown
 from turtlelog.expressions.tokens import KEYWORDS
 from turtlelog.laws.base import AnyLaw, Goal, LawPart
 from turtlelog.loops import Declaration, Mechanism
@@ -199,8 +199,8 @@ def require_law_name(kind: str) -> None:
     """
     place, colon, name = kind.rpartition(":")
     if kind not in LAWS and not (colon and place and name):
-        known = ", ".join(LAWS)
-        raise LawError(f"expected {known}, path.py:Class or package.module:Class, found {kind!r}")
+        place = "turtlelog list laws. A law of your own is path.py:Class or package.module:Class"
+        raise LawError(describe_unknown("law", kind, LAWS, place=place))
 
 
 def _load_module(place: str) -> ModuleType:

@@ -20,6 +20,7 @@ from turtlelog.log.read_choice import (
     split_topic,
 )
 from turtlelog.log.recording.topics import COMMAND, POSE
+from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog.run import Run
@@ -52,6 +53,12 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
 
 def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run":
     with name_file(path, expected="a recording, a bag or a log"):
+        path.stat()
+        if path.suffix.lower() == ".toml":
+            raise LogError(
+                "a scenario or specification, not a recording; turtlelog run FILE.toml -o FILE.mcap"
+                " makes one of a scenario"
+            )
         is_folder = path.is_dir()
         has_tables = _may_hold_tables(path) and importers.holds_tables(path)
     is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_bag_file(path)
@@ -93,10 +100,24 @@ def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
 
 
 def read_as_chosen(path: str | Path, choice: ReadChoice) -> "Run":
-    """Return the run in a file as `read_run` does; its notes alone tell what is lost."""
+    """Return the run in a file as `read_run` does, or of a preset; its notes tell what is lost."""
+    if not make_path(path).exists() and (run := _simulate_preset(str(path))) is not None:
+        return run
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", recording.PartialRecordingWarning)
         return read_run(path, **_list_options(choice))
+
+
+def _simulate_preset(name: str) -> "Run | None":
+    """Return the run of a preset, with a note that says so; None for any other name."""
+    from turtlelog.scenario import PRESETS, get_preset  # no file needs it
+
+    if name not in PRESETS:
+        return None
+    from turtlelog.simulate import simulate_run
+
+    run = simulate_run(get_preset(name))
+    return replace(run, notes={**run.notes, "preset": "a preset, simulated first"})
 
 
 def _list_options(choice: ReadChoice) -> ReadOptions:
@@ -125,6 +146,12 @@ def read_file_info(
     if topic is not None:
         return _require_topic(read_file_info(path, choice), topic)
     with name_file(path, expected="a recording, a bag or a log"):
+        path.stat()
+        if path.suffix.lower() == ".toml":
+            raise LogError(
+                "a scenario or specification, not a recording; turtlelog run FILE.toml -o FILE.mcap"
+                " makes one of a scenario"
+            )
         is_folder = path.is_dir()
         has_tables = _may_hold_tables(path) and importers.holds_tables(path)
     is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_bag_file(path)

@@ -8,7 +8,7 @@ from typing import BinaryIO, Final
 
 from turtlelog.errors import LogError, TurtlelogError, describe_error
 from turtlelog.remote.urls import RemotePath, make_path
-from turtlelog.text_files import LFS_POINTER
+from turtlelog.text_files import LFS_POINTER, describe_missing
 
 _DEFECTS = (AssertionError, AttributeError, ImportError, NameError)
 
@@ -40,6 +40,10 @@ def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
         yield
     except _DEFECTS:
         raise
+    except FileNotFoundError as err:
+        from turtlelog.scenario import PRESETS  # Only mistakes pay for it.
+
+        raise LogError(f"{path}: {describe_missing(path, PRESETS)}") from err
     except OSError as err:
         raise LogError(f"{path}: expected {expected}, found: {err.strerror or err}") from err
     except TurtlelogError as err:

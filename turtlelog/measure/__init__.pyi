@@ -23,6 +23,7 @@ from .metrics import (
     ANY_LOOP as ANY_LOOP,
     METRICS as METRICS,
     choose_metrics as choose_metrics,
+    describe_no_metric as describe_no_metric,
     find_metric_kind as find_metric_kind,
     is_lawless as is_lawless,
     is_metric_pattern as is_metric_pattern,
@@ -31,7 +32,6 @@ from .metrics import (
     list_metrics as list_metrics,
     measure_run as measure_run,
     miss_metric as miss_metric,
-    suggest_metrics as suggest_metrics,
 )
 from .outliers import (
     Outlier as Outlier,

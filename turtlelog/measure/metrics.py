@@ -11,7 +11,7 @@ import numpy as np
 
 import turtlelog.measure.table  # noqa: F401  (enters every metric in the registry)
 from turtlelog.display import NamedValues
-from turtlelog.errors import MeasureError
+from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.loops import RESERVED, ControlLoop, Declaration, is_loop_name
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.measure_settings import MeasureSettings
@@ -173,8 +173,8 @@ def _choose(patterns: tuple[str, ...], declaration: Declaration) -> tuple[str, .
         if not found and find_metric_kind(pattern) is not None:
             found = [pattern]
         if not found and not _matches_any_loop(pattern):
-            near = suggest_metrics(pattern, dict.fromkeys([*known, *list_ids_like(pattern)]))
-            raise MeasureError(f"metric {pattern!r}: expected {near}")
+            ids = dict.fromkeys([*known, *list_ids_like(pattern)])
+            raise MeasureError(describe_no_metric(pattern, ids))
         chosen |= dict.fromkeys(found)
     others = (name for name in chosen if name not in known)
     return (*(name for name in known if name in chosen), *others)
@@ -206,16 +206,9 @@ def _matches_any_loop(pattern: str) -> bool:
     return is_loop and any(fnmatchcase(name, plain) for name in LOOP_METRICS)
 
 
-def suggest_metrics(pattern: str, known: Iterable[str]) -> str:
-    """Return the ids nearest to a name that is none, or where they are listed."""
-    import difflib  # Only mistakes pay for it.
-
-    ids = list(known)
-    near = difflib.get_close_matches(pattern, ids, n=3, cutoff=0.5)
-    if not near:
-        names = {name.partition(".")[2]: name for name in ids}
-        near = [names[found] for found in difflib.get_close_matches(pattern, names, cutoff=0.5)]
-    return f"one like {' or '.join(near)}" if near else "an id such as final.position_error"
+def describe_no_metric(pattern: str, known: Iterable[str]) -> str:
+    """Return an error line for a name that is no metric's, with the nearest ids."""
+    return describe_unknown("metric", pattern, known, place="turtlelog list metrics")
 
 
 def measure_run(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.display import NamedValues
-from turtlelog.errors import MeasureError, suggest_names
+from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.loops import STATE_PATTERN, Declaration
 from turtlelog.measure.references import (
     hold_samples,
@@ -93,7 +93,7 @@ def read_signal(run: Run, name: str) -> Signal | None:
     """
     kinds = list_signals(run.declaration)
     if name not in kinds:
-        raise MeasureError(f"signal {name!r}: expected {suggest_names(name, kinds)}")
+        raise MeasureError(describe_unknown("signal", name, kinds, place="turtlelog list signals"))
     kind = kinds[name]
     if name in COMMANDED and not len(run.samples):
         kind = COMMANDED[name]

@@ -16,7 +16,8 @@ from turtlelog.errors import (
     PathError,
     ScenarioError,
     describe_error,
-    suggest_names,
+    find_near,
+    join_names,
 )
 from turtlelog.laws import (
     ABSENT_BY_DEFAULT,
@@ -223,7 +224,12 @@ def restore_scenario(run: Run, *, trust_law: bool = False) -> Scenario:
 
 def describe_unknown_key(key: str, known: list[str]) -> str:
     """Return the end of an error line for a key that is not known, with the nearest that are."""
-    return f"expected {suggest_names(key, known, most=2)}, found an unknown key"
+    near = find_near(key, known)
+    return (
+        f"unknown key; did you mean {join_names(near)}?"
+        if near
+        else (f"unknown key; there are {join_names(known)}")
+    )
 
 
 def _list_unknown(run: Run) -> str:

@@ -6,12 +6,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from turtlelog.errors import ScenarioError
+from turtlelog.errors import ScenarioError, describe_unknown
 from turtlelog.remote.urls import make_path
 from turtlelog.scenario.convert import build_scenario, nest_scenario
 from turtlelog.scenario.model import Scenario
 from turtlelog.scenario.table_files import embed_files
-from turtlelog.text_files import format_toml, parse_toml, read_text_file
+from turtlelog.text_files import describe_missing, format_toml, parse_toml, read_text_file
 
 
 def _describe_paper_run(
@@ -98,8 +98,10 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         return get_preset(name)
     path = make_path(name)
     if path.suffix != ".toml" and not path.is_file():
-        presets = ", ".join(PRESETS)
-        raise ScenarioError(f"{name}: expected a scenario file (.toml) or one of {presets}")
+        if path.is_dir():
+            raise ScenarioError(f"{name}: a folder, not a scenario file (.toml)")
+        place = "turtlelog list presets"
+        raise ScenarioError(describe_unknown("preset or file", name, PRESETS, place=place))
     return read_scenario(name_or_path)
 
 
@@ -113,6 +115,8 @@ def read_scenario(path: str | Path) -> Scenario:
         text = read_text_file(path)
     except UnicodeDecodeError as err:
         raise ScenarioError(f"{path}: expected TOML, found bytes that are no text") from err
+    except FileNotFoundError as err:
+        raise ScenarioError(f"{path}: {describe_missing(path, PRESETS)}") from err
     except (OSError, ValueError) as err:
         found = getattr(err, "strerror", None) or err
         raise ScenarioError(f"{path}: expected a scenario file, found: {found}") from err

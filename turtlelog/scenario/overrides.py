@@ -61,11 +61,11 @@ def _require_tables(scenario: Scenario, values: Mapping[str, Any], source: str) 
             continue
         from difflib import get_close_matches  # Only mistakes pay for it.
 
-        near = [last for last in lasts if last.startswith(key)] or get_close_matches(key, lasts)
-        homes = [name for name in known if name.rpartition(".")[2] in near]
+        ends = [last for last in lasts if last.startswith(key)] or get_close_matches(key, lasts)
+        homes = [name for name in known if name.rpartition(".")[2] in ends]
         if any("." in name for name in homes):
-            expected = " or ".join(homes)
-            raise ScenarioError(f"{source}: {key}: expected {expected}, found no such key")
+            near = " or ".join(homes)
+            raise ScenarioError(f"{source}: {key}: unknown key; did you mean {near}?")
 
 
 def override_gains(

@@ -9,7 +9,7 @@ from turtlelog.display import join_words
 from turtlelog.explain import Attribution, Contribution
 from turtlelog.explain.attribution import THIS_SEED
 from turtlelog.show import palette
-from turtlelog.show.palette import Color, choose_mechanism_colors
+from turtlelog.show.palette import Color, choose_cause_colors
 
 _SAME: Final = 1e-6
 """Of the largest value: a smaller step is none. Two platforms differ by no more in one scenario."""
@@ -21,7 +21,7 @@ _MOST_PERCENT: Final = 1000.0
 """From here on a part of a value that is close to 0 says nothing more."""
 
 _MOST_NAMED: Final = 2
-"""Mechanisms that the words at the last bar name; more would be longer than the picture."""
+"""Causes that the words at the last bar name; more would be longer than the picture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,9 +29,9 @@ class AttributionStep:
     """A bar of the waterfall, with its words.
 
     Attributes:
-        kind: `total` for the logged value, `share` for what takes it down (or up), `left` for what
-            remains without all.
-        mechanism: Its name; empty for total, left, and a step that no mechanism makes.
+        kind: `total` for the logged value, `contribution` for what takes it down (or up), `left`
+            for what remains without all.
+        cause: Its name; empty for total, left, and a step that no cause makes.
         start: Where the bar begins, in the metric's unit: 0, or the end of the step before.
         end: Where it ends.
         name: What stands beside it, in a word or two.
@@ -39,8 +39,8 @@ class AttributionStep:
         color: The total has that of the run, what is left that of the ghost without all.
     """
 
-    kind: Literal["total", "share", "left"]
-    mechanism: str = ""
+    kind: Literal["total", "contribution", "left"]
+    cause: str = ""
     start: float
     end: float
     name: str
@@ -73,13 +73,13 @@ class StepScale:
 
 
 def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
-    """Return the steps from the logged value to what is left without all mechanisms.
+    """Return the steps from the logged value to what is left without all causes.
 
-    Between them stands each mechanism that changes the value, the largest share first. Where log
+    Between them stands each cause that changes the value, the largest contribution first. Where log
     and re-simulation differ, or one seed is not the mean over seeds, that is a step of its own.
 
     Returns:
-        None where the shares are withheld: the attribution says why.
+        None where the contributions are withheld: the attribution says why.
     """
     left = found.without_all
     total = found.resimulated if found.as_logged is None else found.as_logged
@@ -131,7 +131,7 @@ def _list_contributions(
         is_seed = found.seeds is not None
         differs = scale.format_value(found.divided - total, signed=True)
         yield AttributionStep(
-            kind="share",
+            kind="contribution",
             start=total,
             end=found.divided,
             name=THIS_SEED if is_seed else "re-simulated",
@@ -139,36 +139,36 @@ def _list_contributions(
             color=palette.REFERENCE,
         )
     at = found.divided
-    shares = choose_acting_contributions(found)
-    colors = choose_mechanism_colors(found.causes)
-    for share in shares:
-        end = at - (share.contribution or 0.0)
+    acting = choose_acting_contributions(found)
+    colors = choose_cause_colors(found.causes)
+    for one in acting:
+        end = at - (one.contribution or 0.0)
         yield AttributionStep(
-            kind="share",
-            mechanism=share.cause,
+            kind="contribution",
+            cause=one.cause,
             start=at,
             end=end,
-            name=share.cause,
-            text=_describe_share(share, total, scale),
-            color=colors[share.cause],
+            name=one.cause,
+            text=_describe_contribution(one, total, scale),
+            color=colors[one.cause],
         )
         at = end
 
 
 def choose_acting_contributions(found: Attribution) -> Sequence[Contribution]:
-    """Return the shares that are not 0, the largest first."""
+    """Return the contributions that are not 0, the largest first."""
     least = _SAME * max(abs(found.divided), abs(found.without_all or 0.0))
-    acting = [share for share in found.contributions if abs(share.contribution or 0.0) > least]
-    return sorted(acting, key=lambda share: -abs(share.contribution or 0.0))
+    acting = [one for one in found.contributions if abs(one.contribution or 0.0) > least]
+    return sorted(acting, key=lambda one: -abs(one.contribution or 0.0))
 
 
-def _describe_share(share: Contribution, total: float, scale: StepScale) -> str:
+def _describe_contribution(one: Contribution, total: float, scale: StepScale) -> str:
     """Return how taking it out changes the value, and its part of the logged one."""
-    value = share.contribution or 0.0
+    value = one.contribution or 0.0
     size = scale.format_value(-value, signed=True)
-    if share.standard_error is not None:
-        size += f" ± {abs(share.standard_error * scale.factor):.2g}"
-    chance = ", may be chance" if not share.is_clear else ""
+    if one.standard_error is not None:
+        size += f" ± {abs(one.standard_error * scale.factor):.2g}"
+    chance = ", may be chance" if not one.is_clear else ""
     return f"{size}{_tell_part(value, total)}{chance}"
 
 
@@ -180,7 +180,7 @@ def _tell_part(value: float, total: float) -> str:
 
 def _explain_left(found: Attribution) -> str:
     """Return what explains the rest, as far as that is known."""
-    acting = [share.cause for share in choose_acting_contributions(found)]
+    acting = [one.cause for one in choose_acting_contributions(found)]
     little = _explain_little(found, found.without_all or 0.0)
     if little:
         return little.removeprefix(", ")

@@ -27,7 +27,7 @@ An olive stands for their yellow and black, of which one ground or the other swa
 and purple are a shade off, so that the first four differ in grey by at least 0.08 of white.
 """
 
-_OF_MECHANISMS: Final[tuple[Color, ...]] = (
+_OF_CAUSES: Final[tuple[Color, ...]] = (
     (196, 20, 52),
     (164, 196, 116),
     (148, 116, 244),
@@ -125,12 +125,12 @@ def choose_run_colors(count: int) -> tuple[Color, ...]:
     return tuple(_mix_ramp(index / (count - 1)) for index in range(count))
 
 
-def choose_mechanism_colors(names: Sequence[str]) -> dict[str, Color]:
-    """Return a colour for each mechanism, in the order given; none is that of a run.
+def choose_cause_colors(names: Sequence[str]) -> dict[str, Color]:
+    """Return a colour for each cause, in the order given; none is that of a run.
 
     There are six, as many as an attribution divides a value among; more begin again.
     """
-    return {name: _OF_MECHANISMS[number % len(_OF_MECHANISMS)] for number, name in enumerate(names)}
+    return {name: _OF_CAUSES[number % len(_OF_CAUSES)] for number, name in enumerate(names)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -50,6 +50,7 @@ from .simulate_rows import (
     RowRecords as RowRecords,
 )
 from .stored_table import (
+    read_result_facts as read_result_facts,
     read_result_table as read_result_table,
 )
 from .sweep_rows import (

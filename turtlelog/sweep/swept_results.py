@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.errors import LogError, SweepError, TurtlelogError, suggest_names
+from turtlelog.errors import LogError, SweepError, TurtlelogError, describe_unknown
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.parquet_file import list_cells
 from turtlelog.scenario import Scenario, build_scenario, flatten_scenario
@@ -259,8 +259,8 @@ def _match(path: str | Path, patterns: Sequence[str], known: Sequence[str]) -> l
     for pattern in patterns:
         own = [name for name in known if name == pattern or fnmatchcase(name, pattern)]
         if not own:
-            near = suggest_names(pattern, known)
-            raise SweepError(f"--metrics: expected {near} of {path}, found {pattern!r}")
+            problem = describe_unknown(f"metric of {path}", pattern, known)
+            raise SweepError(f"--metrics: {problem}")
         found |= dict.fromkeys(own)
     if len(found) > MOST_METRICS:
         raise SweepError(f"--metrics: expected at most {MOST_METRICS} metrics, found {len(found)}")

@@ -129,7 +129,7 @@ class Candidates:
         trusted = True if self._trusts else None
         keys, values = [*self.keys, "name"], [*point, self._scenario.name]
         return build_row_scenario(
-            self._scenario, keys, values, 0, source="--vary", trust_law=trusted
+            self._scenario, keys, values, 0, source="--grid", trust_law=trusted
         )
 
     def require_bounds(self, points: Sequence[Point]) -> None:
@@ -156,7 +156,7 @@ class Candidates:
                 self.evaluations += 1
             late = results.find_late()
             if late is not None and self._tell is not None:
-                self._tell(f"--vary: {late.partition(': ')[2]}")
+                self._tell(f"--grid: {late.partition(': ')[2]}")
                 self._tell = None
             self._watch(len(self._known))
         return [self._known[point] for point in points]
@@ -222,7 +222,7 @@ class Candidates:
         }
         failed = results.failed[place] or ""
         if failed.startswith(_ROWS):
-            failed = f"--vary: {failed.removeprefix(_ROWS)}"
+            failed = f"--grid: {failed.removeprefix(_ROWS)}"
         objective = None if failed else self._goal.compute_objective(values)
         if objective is not None and not math.isfinite(objective):
             objective = None

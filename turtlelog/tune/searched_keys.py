@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from turtlelog.errors import TuneError
 from turtlelog.sweep.grid import Steps, parse_key_values
@@ -17,21 +17,29 @@ class SearchedKey:
         low: Least value.
         high: Largest value.
         is_whole: Whether it counts, and takes whole numbers alone.
+        steps: The values that it may have; empty where it may have any.
     """
 
     key: str
     low: float
     high: float
     is_whole: bool = False
+    steps: Sequence[float] = ()
 
     def round(self, value: float) -> float | int:
         """Return the nearest value that the key may have."""
         value = min(max(value, self.low), self.high)
+        if self.steps:
+            return min(self.steps, key=lambda step: abs(step - value))
         return round(value) if self.is_whole else float(value)
 
 
+_MOST_STEPS: Final = 10_000
+"""Values of a key with a step: each candidate looks for the nearest of them."""
+
+
 def parse_searched_keys(
-    texts: Sequence[str], parameters: Mapping[str, Any], *, source: str = "--vary"
+    texts: Sequence[str], parameters: Mapping[str, Any], *, source: str = "--grid"
 ) -> tuple[SearchedKey, ...]:
     """Return what texts such as `law.kp_linear=0.5:12` say.
 
@@ -50,8 +58,8 @@ def parse_searched_keys(
     for text in texts:
         one = parse_key_values(text, source=source, is_sampled=True)
         steps = one.values
-        if not one.is_open or not isinstance(steps, Steps):
-            expected = "two bounds, as in 0.5:12"
+        if not isinstance(steps, Steps) or (not one.is_open and len(steps) > _MOST_STEPS):
+            expected = "two bounds and perhaps a step, as in 0.5:12 or 0.5:12:0.5"
             raise TuneError(f"{source}: {one.key}: expected {expected}, found {one.text[:60]!r}")
         if one.key in found:
             raise TuneError(f"{source}: {one.key}: expected each key once, found it twice")
@@ -66,5 +74,11 @@ def parse_searched_keys(
         if is_whole and not (float(low).is_integer() and float(high).is_integer()):
             expected = "whole bounds of a key that counts"
             raise TuneError(f"{source}: {one.key}: expected {expected}, found {one.text[:60]!r}")
-        found[one.key] = SearchedKey(key=one.key, low=low, high=high, is_whole=is_whole)
+        found[one.key] = SearchedKey(
+            key=one.key,
+            low=low,
+            high=high,
+            is_whole=is_whole,
+            steps=() if one.is_open else tuple(steps),
+        )
     return tuple(found.values())

@@ -150,7 +150,7 @@ def test_a_file_that_is_cut_is_one_line(part: float, tmp_path: Path) -> None:
     file.write_bytes(content[:size])
     for read in (read_columns, read_info, open_bag):
         line = f"expected a SQLite file of {len(content)} bytes, found {size} bytes: cut"
-        with pytest.raises(LogError, match=rf"a\.db3: {line} short; turtlelog recover reads"):
+        with pytest.raises(LogError, match=rf"a\.db3: {line} short; turtlelog convert"):
             read(file)
 
 

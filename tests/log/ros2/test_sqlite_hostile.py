@@ -125,7 +125,7 @@ def test_recover_lets_some_rows_claim_too_much(tmp_path: Path) -> None:
     rows[6] = Cell(7, b"\xff\xff\xff\xff\x7f" + rows[6].data[1:])
     file = write(make_bag(messages=rows), tmp_path)
     with pytest.raises(
-        LogError, match=r"claim a wrong length; turtlelog recover reads what is left"
+        LogError, match=r"claim a wrong length; turtlelog convert --recover reads what is left"
     ):
         read_info(file)
     report = recover_recording(file, tmp_path / "out.mcap")

@@ -174,7 +174,7 @@ def test_a_bar_begins_where_the_one_above_it_ends(kp10_rrd: Path) -> None:
 def test_the_main_ghost_is_grey_and_the_others_have_their_mechanisms_colours(
     kp10_rrd: Path,
 ) -> None:
-    colors = palette.choose_mechanism_colors(explain("paper-kp10")[0].causes)
+    colors = palette.choose_cause_colors(explain("paper-kp10")[0].causes)
     for entity, color in (
         (RECORDED, palette.MAIN),
         (MAIN, palette.GHOST),
@@ -303,7 +303,7 @@ def test_the_lines_of_pause_and_dead_time_stand_in_every_plot(explanation_rrd: P
 
 
 def test_the_shares_are_a_table_too(explanation_rrd: Path) -> None:
-    (text,) = read_static(explanation_rrd, "/documents/Shares", "TextDocument:text")
+    (text,) = read_static(explanation_rrd, "/documents/Contributions", "TextDocument:text")
     assert "Why final.position_error is 106.7 mm" in text
     assert "| pause | 0.05 |" in text
     assert "Notes" in read_layout(explanation_rrd)
@@ -330,7 +330,7 @@ def test_where_there_are_neither_shares_nor_a_ghost_nothing_is_written(tmp_path:
     run = simulate_law("Follower")
     found = make_attribution(run, {}, "run.path_length")
     found = replace(found, withheld="they differ")
-    with pytest.raises(ShowError, match="expected shares or a ghost, found none: they differ"):
+    with pytest.raises(ShowError, match="contributions or a ghost, found none: they differ"):
         write_explanation_rrd(run, found, {}, tmp_path / "none.rrd")
     assert not list(tmp_path.iterdir())
 

@@ -65,7 +65,7 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.
                 expected = f"{claimed} bytes" if claimed > size else f"pages of {page} bytes"
                 raise DamageError(
                     f"expected a SQLite file of {expected}, found {size} bytes: cut short;"
-                    " turtlelog recover reads what is left"
+                    " turtlelog convert --recover reads what is left"
                 )
             if size % page:  # SQLite would take zeros for what the last page lacks
                 if place == path:

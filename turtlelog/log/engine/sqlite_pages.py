@@ -191,7 +191,7 @@ class _Pages:
                 lengths = np.minimum(lengths, self.file_size)
             self._bytes += int(lengths.sum())
             if self._bytes > self.most_bytes:
-                fix = "" if self.is_damaged else "; turtlelog recover reads what is left"
+                fix = "" if self.is_damaged else "; turtlelog convert --recover reads what is left"
                 raise DamageError(
                     f"expected rows of up to {self.file_size} bytes in all, the size of the file,"
                     f" found more: rows share their pages, or claim a wrong length{fix}"
@@ -216,7 +216,7 @@ class _Pages:
             number = numbers[is_again][0]
             raise DamageError(
                 f"page {number}: expected each page in one table once, found it twice: pages lead"
-                " in circles, or are shared; turtlelog recover reads what is left"
+                " in circles, or are shared; turtlelog convert --recover reads what is left"
             )
         self._seen[numbers] = True
         return numbers[~is_again]

@@ -70,7 +70,7 @@ Values = NDArray[np.float64]
 _FOUND_LATE: Final = frozenset(MAY_BE_ABSENT) - {"wanted_speed_m_s", "wanted_turn_rate_rad_s"}
 _EVERYTHING: Final = Selection()
 _ANY_SIZE: Final = 2**40  # bytes; nobody knows how large it becomes
-_ADVICE: Final = "turtlelog recover FILE -o OUT rewrites what it still holds"
+_ADVICE: Final = "turtlelog convert --recover FILE -o OUT rewrites what it still holds"
 NOTHING_LEFT: Final = "no message can be recovered: copy the file again from its source"
 """What is said of a damaged file that nothing recovers."""
 

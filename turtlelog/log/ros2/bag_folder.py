@@ -176,8 +176,8 @@ def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
     if len(files) > 1 and (len(stems) > 1 or not all(_PART.search(file.name) for file in files)):
         names = ", ".join(file.name for file in files)
         raise LogError(
-            f"{folder}: expected one bag, found a folder without a readable {METADATA_FILE} and"
-            f" files whose names do not make them parts of one: {names[:200]}: name one of them"
+            f"{folder}: a folder of several recordings, not one bag (it has no readable"
+            f" {METADATA_FILE}): name one of them: {names[:200]}"
         )
 
 

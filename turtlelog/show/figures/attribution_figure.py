@@ -1,4 +1,4 @@
-"""The attribution of one run: a waterfall of its shares, beside the run and its ghost."""
+"""The attribution of one run: a waterfall of its contributions, beside the run and its ghost."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -70,7 +70,7 @@ class Explained:
 
     Attributes:
         run: As recorded.
-        found: The attribution; it has shares, or nothing to divide.
+        found: The attribution; it has contributions, or nothing to divide.
         ghost: What it would have been without all that acts; None where nothing does.
         ghost_name: What the ghost lacks, in words.
     """
@@ -95,7 +95,7 @@ def explain_for_figure(
         report: Called with the simulations that are done, and how many there are.
 
     Raises:
-        ShowError: Where there is not one run, or it has no shares; the line says why.
+        ShowError: Where there is not one run, or it has no contributions; the line says why.
     """
     if len(runs) != 1:
         raise ShowError(f"figure attribution: expected one recording, found {len(runs)}")
@@ -112,7 +112,7 @@ def explain_for_figure(
     found = attribute_run(run, metric=chosen, identified=identified, work=work)
     if not list_attribution_steps(found):
         raise ShowError(
-            f"figure attribution: expected shares of {chosen}, found none: {_tell(found)}"
+            f"figure attribution: expected contributions to {chosen}, found none: {_tell(found)}"
         )
     ghosts = simulate_what_ifs(identified, found)
     name = next(reversed([*ghosts]), "")
@@ -121,7 +121,7 @@ def explain_for_figure(
 
 
 def _tell(found: Attribution) -> str:
-    """Return in one clause why there are no shares."""
+    """Return in one clause why there are no contributions."""
     if found.withheld:
         return found.withheld
     if found.without_value:
@@ -183,7 +183,7 @@ def _draw_waterfall(
             at, below = ends[row], row + 1 - _BAR / 2.0
             axes.plot([at, at], [row + _BAR / 2.0, below], **_CONNECTOR)
     axes.axvline(0.0, color="0.2", linewidth=0.6)
-    names = [f"{_MINUS} {step.name}" if step.mechanism else step.name for step in steps]
+    names = [f"{_MINUS} {step.name}" if step.cause else step.name for step in steps]
     axes.set_yticks(range(len(steps)), names)
     axes.tick_params(axis="y", length=0.0, labelsize=_WORDS_POINTS + 0.5)
     axes.spines["left"].set_visible(False)
@@ -191,11 +191,11 @@ def _draw_waterfall(
     axes.set(ylim=(len(steps) - 0.5, -0.6), xlim=(low - 0.02 * span, low + span))
     words = found.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
     unit = f" [{scale.unit}]" if scale.unit else ""
-    # Of one mechanism the share is just what its removal changes.
+    # The contribution of one cause is just what its removal changes.
     is_average = len(choose_acting_contributions(found)) > 1
     notes = ["bars: averages over the orders of removal"] if is_average else []
     if found.seeds is not None:
-        notes.append(f"shares: means over {found.seeds.used} seeds")
+        notes.append(f"contributions: means over {found.seeds.used} seeds")
     label = "\n".join([f"{words.replace('.', ' ')}{unit}", *notes])
     axes.set(xlabel=label, title=f"what caused {steps[0].text}")
 

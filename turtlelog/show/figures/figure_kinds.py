@@ -376,7 +376,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             is_extra=True,
         ),
         "attribution": FigureKind(
-            title="What caused a metric of one run: its shares, the run and its ghost",
+            title="What caused a metric of one run: the contributions, the run and its ghost",
             paper="",
             draw=draw_attribution,
             needs="samples",

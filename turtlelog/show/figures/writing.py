@@ -25,7 +25,7 @@ from turtlelog.compare import (
     tabulate_table1,
     tabulate_whole_runs,
 )
-from turtlelog.errors import ShowError, make_portable, suggest_names
+from turtlelog.errors import ShowError, describe_unknown, make_portable
 from turtlelog.measure import measure_run
 from turtlelog.processes import CAN_FORK, count_cores, map_in_processes
 from turtlelog.remote.urls import make_path
@@ -297,7 +297,7 @@ def _find_kind(
     name: str, runs: Sequence[Run], kinds: Mapping[str, FigureKind] | None = None
 ) -> FigureKind:
     if name not in FIGURES:
-        raise ShowError(f"figure: expected {suggest_names(name, FIGURES)}, found {name!r}")
+        raise ShowError(describe_unknown("figure", name, FIGURES, place="turtlelog list figures"))
     kind = (kinds or FIGURES)[name]
     lack = kind.find_lack(runs)
     if lack:

@@ -26,7 +26,7 @@ from turtlelog.run import Run
 from turtlelog.show.documents import choose_essentials
 from turtlelog.show.output_files import replace_file
 from turtlelog.show.page_policy import write_policy_tag
-from turtlelog.show.palette import GHOST, choose_mechanism_colors, choose_run_colors
+from turtlelog.show.palette import GHOST, choose_cause_colors, choose_run_colors
 from turtlelog.show.report.conclusion import conclude, conclude_cause, conclude_checks
 from turtlelog.show.report.drawn import Drawn, Plots
 from turtlelog.show.report.page_plots import Violation, draw_plots
@@ -145,7 +145,7 @@ def _list_ghosts(explanation: Explanation | None) -> list[Drawn]:
     """Return the what-ifs as ghosts; the plots over time show that without all effects."""
     if explanation is None or explanation.attribution is None:
         return []
-    colors = choose_mechanism_colors(explanation.attribution.causes)
+    colors = choose_cause_colors(explanation.attribution.causes)
     last = [*explanation.what_ifs][-1:]
     return [
         Drawn(

@@ -90,7 +90,7 @@ def write_attribution(name: str, found: Attribution) -> str:
             left = 100.0 * (first - low) / span
             width = max(100.0 * (last - first) / span, _LEAST_PERCENT)
             style = f"left:{left:.3f}%;width:{width:.3f}%;background:{to_hex(step.color)}"
-            sign = "without " if step.mechanism else ""
+            sign = "without " if step.cause else ""
             parts.append(
                 f'<div class="step"><span class="what">{sign}{show(step.name)}</span>'
                 f'<span class="bar"><i style="{style}"></i></span>'

@@ -1,4 +1,4 @@
-"""A run beside its ghosts: what it would have been without its effects, and their shares."""
+"""A run beside its ghosts: what it would have been without its effects, and their contributions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from turtlelog.show.attribution_steps import (
     list_attribution_steps,
 )
 from turtlelog.show.close_up import Lettering, name_ends
-from turtlelog.show.palette import Color, choose_mechanism_colors
+from turtlelog.show.palette import Color, choose_cause_colors
 from turtlelog.show.rerun import entities, plane
 from turtlelog.show.rerun.content import Content, describe_content, find_largest
 from turtlelog.show.rerun.entities import GHOSTS, RUNS, join_path, name_part
@@ -100,8 +100,8 @@ def write_explanation_rrd(
     """
     scene = _build_scene(recorded, found, what_ifs)
     if found.withheld and not scene.ghosts:
-        raise ShowError(f"{path}: expected shares or a ghost, found none: {found.withheld}")
-    texts = {"Shares": _describe_contributions(found), **(documents or {})}
+        raise ShowError(f"{path}: expected contributions or a ghost, found none: {found.withheld}")
+    texts = {"Contributions": _describe_contributions(found), **(documents or {})}
     texts = {**add_thinning(texts, scene.runs)}
     metrics = [measure_run(run) for run in scene.runs]
     dead_times = list_dead_times(recorded, metrics[0])
@@ -186,7 +186,7 @@ class _Scene:
 
 
 def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run]) -> _Scene:
-    colors = choose_mechanism_colors(found.causes)
+    colors = choose_cause_colors(found.causes)
     ghosts = [
         Ghost(
             name=f"without {lacks}",
@@ -223,7 +223,7 @@ def _name_briefly(lacks: str, found: Attribution) -> str:
 
 
 def _choose_look(color: Color | None, *, is_main: bool) -> Look:
-    """Return the look of a ghost: the main one is grey, others have their mechanism's colour."""
+    """Return the look of a ghost: the main one is grey, others have their cause's colour."""
     if is_main or color is None:
         return Look(color=palette.GHOST, is_ghost=True, width=_WIDTH)
     return Look(color=color, is_ghost=True, width=_THIN_WIDTH, size=_THIN_SIZE)
@@ -300,7 +300,7 @@ def _name_steps(found: Attribution) -> str:
 def _explain_bars(
     found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]]
 ) -> tuple[str, ...]:
-    """Return why a bar is not what a ghost lacks, where several mechanisms act together.
+    """Return why a bar is not what a ghost lacks, where several causes act together.
 
     Args:
         found: The attribution.
@@ -317,12 +317,12 @@ def _explain_bars(
         if value is not None
     ]
     if len(told) > _MOST_TOLD:
-        told = ["each thin one is without one mechanism"]
+        told = ["each thin one is without one cause"]
     return (*lines, f"Ghosts: {', '.join(told)}") if told else tuple(lines)
 
 
 def _describe_contributions(found: Attribution) -> str:
-    """Return a Markdown table of each mechanism's share, and what it comes to in sentences."""
+    """Return a Markdown table of each cause's contribution, and what it comes to in sentences."""
     table = Table(
         title=_name_steps(found),
         columns=(

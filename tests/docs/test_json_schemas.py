@@ -1,0 +1,69 @@
+"""What commands print as JSON is what the page of schemas says."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from tests.cli.conftest import Call, call as call, kp4 as kp4, kp10 as kp10
+from tests.docs.json_schemas import ANSWERS, PAGE, find_answer, format_page, know_types
+
+TYPED = {
+    "run": ["run", "paper-kp4"],
+    "theory": ["theory"],
+    "theory --lag": ["theory", "--lag", "0.1"],
+    "theory FILE": ["theory", "KP4"],
+    "info": ["info", "KP4"],
+    "metrics": ["metrics", "KP4", "KP10"],
+    "compare": ["compare", "KP4", "KP10"],
+    "compare --reference": ["compare", "--reference", "KP4", "KP10"],
+    "explain": ["explain", "KP4", "--causes", "queue"],
+    "identify": ["identify", "KP4"],
+    "replay": ["replay", "KP4", "--set", "law.kp_linear=3", "--expect-equal"],
+    "replay --law": ["replay", "KP4", "--law"],
+    "replay --plant": ["replay", "KP4", "--plant"],
+    "list": ["list", "causes"],
+    "check": ["check", "KP4", "--expect", "rotate.overshoot <= 0"],
+    "convert": ["convert", "KP4", "-o", "out.csv"],
+    "convert --recover": ["convert", "--recover", "KP4", "-o", "out.mcap"],
+    "sweep": ["sweep", "textbook", "--grid", "law.kp_linear=1:2", "-o", "out.parquet"],
+}
+
+
+def test_the_page_is_that_of_the_answers() -> None:
+    assert PAGE.read_text("utf-8") == format_page()
+
+
+@pytest.mark.parametrize("typed", TYPED)
+def test_what_is_printed_has_the_fields_and_types_of_the_answer(
+    call: Call,
+    kp4: Path,
+    kp10: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    typed: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    files = {"KP4": kp4, "KP10": kp10}
+    found = call(*(files.get(word, word) for word in TYPED[typed]), "--json").json
+    know_types()
+    for value in found if isinstance(found, list) else [found]:
+        answer = msgspec.convert(value, find_answer(typed), dec_hook=_take, strict=True)
+        assert _list_keys(msgspec.to_builtins(answer, enc_hook=dict)) == _list_keys(value)
+
+
+def _take(_: type, value: Any) -> Any:
+    return value
+
+
+def _list_keys(value: Any) -> Any:
+    """Return the keys of a value, of all that is in it."""
+    if isinstance(value, dict):
+        return {key: _list_keys(inner) for key, inner in value.items()}
+    return [_list_keys(inner) for inner in value] if isinstance(value, list | tuple) else None
+
+
+def test_every_answer_but_for_slow_ones_is_tried() -> None:
+    slow = {"tune", "metrics -o TABLE", "compare BAG SCENARIO", "plot", "plot TABLE", "report"}
+    assert ANSWERS.keys() - TYPED.keys() == slow
