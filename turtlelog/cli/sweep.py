@@ -300,6 +300,8 @@ def _describe_best(output: Path) -> str:
             if metric is not None:
                 ends = np.nanmin(metric.values), np.nanmax(metric.values)
                 low, high = (format_short(float(end), metric.unit) for end in ends)
+                if low == high:
+                    return f"{metric.name} is {low} in every run that has a value"
                 least = results.tell_row(int(np.nanargmin(metric.values)))
                 return f"{metric.name} is {low} to {high}, least with {least}"
     return "no metric has a value in any row"

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.angles import subtract_headings
+from turtlelog.errors import ShowError
 from turtlelog.loops import DONE, PAUSE, PUSH_KEYS, REFERENCE_WORDS, ControlLoop, read_number
 from turtlelog.measure import find_first_stretch, list_signals, read_reference, read_signal
 from turtlelog.measure.references import project_on_line
@@ -26,6 +27,9 @@ REFERENCE: Final = REFERENCE_WORDS["recorded"]
 BEARING_NOW: Final = REFERENCE_WORDS["bearing_now"]
 """Name of the curve of the bearing from the present position."""
 
+_FARTHEST_M: Final = 1e150
+"""Distance from the origin whose square is still a number [m]."""
+
 _NO_LIMIT: Final = 1e9
 """A speed [m/s], rate [rad/s] or tolerance from which on no robot meets it: its line would only
 flatten every curve beside it, so it is drawn as little as one at infinity."""
@@ -38,6 +42,21 @@ Command = Literal["speed", "turn_rate"]
 
 SENSED_SIGNALS: Final = ("x", "y", "heading")
 """Signals of which there is one that was sensed."""
+
+
+def require_near(runs: Sequence[Run]) -> None:
+    """Refuse poses that no axis reaches.
+
+    Raises:
+        ShowError: With the run and the distance.
+    """
+    for run in runs:
+        far_m = float(np.abs(run.poses.xy_m).max())
+        if far_m > _FARTHEST_M:
+            raise ShowError(
+                f"{run.name}: a pose lies {far_m:g} m from the origin, and pictures show"
+                f" {_FARTHEST_M:g} m at most. Its unit or its type may be wrong"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -478,5 +478,5 @@ def test_a_pose_that_no_axis_reaches_is_an_error(far_m: float, *, is_drawn: bool
     if is_drawn:
         tl.show.draw_figure("plane", [far])
         return
-    with pytest.raises(ShowError, match=r"from the origin, and figures show 1e\+150 m at most"):
+    with pytest.raises(ShowError, match=r"from the origin, and pictures show 1e\+150 m at most"):
         tl.show.draw_figure("plane", [far])

@@ -12,6 +12,7 @@ from tests.show.laws import simulate_pid, simulate_tracker
 from tests.show.rerun.rrds import make_foreign_run
 from turtlelog.check.violation import find_violated_signal
 from turtlelog.cli.check import build_spec
+from turtlelog.errors import ShowError
 from turtlelog.run import Run
 from turtlelog.show.report.conclusion import conclude
 from turtlelog.show.report.drawn import Drawn, Plots
@@ -146,3 +147,13 @@ def test_equal_runs_are_said_to_be_equal() -> None:
     metrics = [tl.measure_run(run) for run in runs]
     assert "a and c are equal in every row." in conclude(runs, names, metrics)
     assert not any("equal" in text for text in conclude(runs[:2], names[:2], metrics[:2]))
+
+
+def test_a_pose_that_no_axis_reaches_is_an_error(tmp_path: Path) -> None:
+    run = read(4)
+    xy_m = run.poses.xy_m.copy()
+    xy_m[7, 0] = 1.7e308
+    far = replace(run, poses=replace(run.poses, xy_m=xy_m))
+    with pytest.raises(ShowError, match=r"from the origin, and pictures show 1e\+150 m at most"):
+        tl.show.write_report([far], tmp_path / "far.html")
+    assert [*tmp_path.iterdir()] == []

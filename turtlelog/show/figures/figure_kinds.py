@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from turtlelog.display import NamedValues
-from turtlelog.errors import ShowError
 from turtlelog.run import Run
 from turtlelog.show.figures.attribution_figure import draw_attribution
 from turtlelog.show.figures.command_panels import draw_command, draw_wanted
@@ -47,6 +45,7 @@ from turtlelog.show.shared_curves import (
     Command,
     list_loops,
     read_curve,
+    require_near,
 )
 from turtlelog.show.state_groups import are_comparable, group_states
 
@@ -62,10 +61,6 @@ _LOOPS: Final[Mapping[str, str]] = {
     "distance": "a loop of the distance",
 }
 """What a panel is of, by the signal that is controlled."""
-
-
-_FARTHEST_M: Final = 1e150
-"""Distance from the origin whose square is still a number [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,13 +155,7 @@ class FigureKind:
         Raises:
             ShowError: Where a pose lies too far away for the limits of axes.
         """
-        for run in runs:
-            far_m = float(np.abs(run.poses.xy_m).max())
-            if far_m > _FARTHEST_M:
-                raise ShowError(
-                    f"{run.name}: a pose lies {far_m:g} m from the origin, and figures show"
-                    f" {_FARTHEST_M:g} m at most. Its unit or its type may be wrong"
-                )
+        require_near(runs)
         if self.draw is not None:
             self.draw(figure, runs)
         else:

@@ -39,6 +39,7 @@ from turtlelog.show.report.sections import (
     write_provenance,
     write_table,
 )
+from turtlelog.show.shared_curves import require_near
 from turtlelog.version import __version__
 
 _MOST_COLUMNS: Final = 4
@@ -94,6 +95,7 @@ def write_report(
     """
     if not runs:
         raise ShowError(f"{path}: expected at least one run to report on, found none")
+    require_near(runs)
     load_library("bokeh")
     # The text of a URL without its signature knows the whole one, but no copy of it does.
     texts = (source if isinstance(source, str) else str(source) for source in sources)
