@@ -85,10 +85,12 @@ def test_hardly_any_well_excited_axis_is_refused() -> None:
     assert score.refused <= 0.05 * score.axes
 
 
+@pytest.mark.thorough
 def test_the_dead_time_is_found_within_two_milliseconds() -> None:
     assert score_all().find_median_error("dead_time_s", 1.5 * NOISE_M) < 2e-3
 
 
+@pytest.mark.thorough
 def test_robots_of_first_order_get_no_second() -> None:
     assert score_all().of_second_order <= 0.01 * score_all().axes
 

@@ -82,6 +82,7 @@ def test_batch_measures_what_a_single_run_measures(block: int) -> None:
             require_row(rows, row, override_scenario(base, {"law.kp_linear": gain}))
 
 
+@pytest.mark.thorough
 def test_a_law_with_one_phase_and_two_loops_is_measured_as_in_a_single_run() -> None:
     metrics = (*(f"{loop}.{name}" for loop in ("approach", "align") for name in CURVES), *COURSES)
     for seed in range(3):

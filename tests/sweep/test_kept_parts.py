@@ -133,7 +133,7 @@ def whole_of_command(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Return the table of the command, which nothing ended."""
     folder = tmp_path_factory.mktemp("whole")
     done = run_command(*SWEEP, "-o", "t.parquet", *NOISE, folder=folder)
-    assert done.stdout.startswith("t.parquet: 40 rows")
+    assert done.stdout.startswith("40 runs over ")
     return (folder / "t.parquet").read_bytes()
 
 
@@ -156,7 +156,8 @@ def test_sweep_that_is_ended_from_outside_goes_on(
         assert "of 40 rows are done; the same command goes on\n" in err
     assert partial.exists()
     again = run_command(*SWEEP, "-o", "t.parquet", *NOISE, folder=tmp_path)
-    assert again.stdout.startswith("t.parquet: 40 rows, 0 failed")
+    assert again.stdout.startswith("40 runs over ")
+    assert ", 0 failed:" in again.stdout
     assert (tmp_path / "t.parquet").read_bytes() == whole_of_command
 
 
@@ -198,7 +199,8 @@ def test_full_disk_is_one_line_and_the_sweep_goes_on(
     assert full.returncode == 2
     assert full.stderr == f"turtlelog: error: {message}\n"
     again = run_command(*words, folder=tmp_path)
-    assert again.stdout.startswith("t.parquet: 40 rows, 0 failed")
+    assert again.stdout.startswith("40 runs over ")
+    assert ", 0 failed:" in again.stdout
 
 
 def test_results_and_partial_file_of_another_sweep_are_refused(tmp_path: Path) -> None:

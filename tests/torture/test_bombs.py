@@ -88,7 +88,7 @@ def test_a_small_file_takes_little_whatever_it_claims(name: str, tmp_path: Path)
         most_memory_mb = START_MB + (MOST_MEMORY_MB - START_MB) // 5
         most_cpu_s = MOST_CPU_OF_FIFTH_S
     assert path.stat().st_size < MOST_BYTES
-    for words in (["info", str(path)], ["recover", str(path), "-o", str(output)]):
+    for words in (["info", str(path)], ["convert", "--recover", str(path), "-o", str(output)]):
         code, memory_mb, cpu_s, said = run(*words)
         assert code in {0, 2}, said[-500:]
         assert memory_mb < most_memory_mb, words
