@@ -166,7 +166,7 @@ def test_a_value_is_held_where_at_says(call: Call, table: Path) -> None:
         (["--metric", ","], "--metric: expected names separated by commas, found ','"),
         (
             ["--metric", "rotate.*"],
-            '--metrics: no metric of t.parquet "rotate.*"; there are translate.stable',
+            't.parquet: no metric "rotate.*"; there are translate.stable',
         ),
         (["-o", "m.gif"], "--output m.gif: expected a name that ends in .pdf, .png, .svg"),
         (["-o", "none/m.png"], "none/m.png: expected"),
