@@ -1,4 +1,4 @@
-"""Small files that ask for much: memory and time of `info`, `metrics` and `recover` of each.
+"""Small files that ask for much: what `info`, `metrics`, `convert --recover` take.
 
 A file of less than 10 MB takes less than 256 MB and 10 s of processor time in every command, and
 ends with an answer or one line. Alone this prints a row a file, or those of the names it is given;
@@ -19,7 +19,7 @@ from typing import Final
 
 from benchmarks.table import ROOT, Row, run_alone
 
-COMMANDS: Final = ("info", "metrics", "recover")
+COMMANDS: Final = ("info", "metrics", "convert --recover")
 MOST_BYTES: Final = 10_000_000
 MOST_MB: Final = 256
 MOST_S: Final = 10
@@ -96,8 +96,8 @@ def try_file(name: str, commands: Sequence[str] = COMMANDS) -> Iterator[Taken]:
         path = _run_python(_MAKE, name, made).strip()
         size = sum(found.lstat().st_size for found in Path(made).rglob("*") if not found.is_dir())
         for command in commands:
-            output = ["-o", f"{other}/out.mcap"] if command == "recover" else []
-            words = [sys.executable, "-m", "turtlelog", command, path, *output]
+            output = ["-o", f"{other}/out.mcap"] if command == "convert --recover" else []
+            words = [sys.executable, "-m", "turtlelog", *command.split(), path, *output]
             limits = str(_ADDRESS_BYTES), str(_PATIENCE_S)
             found = json.loads(_run_python(_RUN, *limits, *words))
             yield Taken(file=name, size=size, command=command, **found)

@@ -32,7 +32,7 @@ def run_main(code: str, *words: str, folder: Path) -> subprocess.CompletedProces
     )
 
 
-@pytest.mark.everyday("check", "run", "metrics", "replay", "recover", "info", "theory", "compare")
+@pytest.mark.everyday("check", "run", "metrics", "replay", "convert", "info", "theory", "compare")
 @pytest.mark.parametrize(
     "words",
     [
@@ -44,7 +44,7 @@ def run_main(code: str, *words: str, folder: Path) -> subprocess.CompletedProces
         ("replay", RECORDING, "--law"),
         ("run", "textbook", "-o", "run.mcap"),
         ("theory", "--kp", "4"),
-        ("recover", RECORDING, "-o", "recovered.mcap"),
+        ("convert", "--recover", RECORDING, "-o", "recovered.mcap"),
     ],
     ids=lambda words: words[0],
 )

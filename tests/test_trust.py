@@ -134,7 +134,7 @@ ANSWERED = [
     "view run.mcap --save view.rrd",
     "plot run.mcap -o figures --format svg --only heading,plane",
     "convert run.mcap -o bag -o poses.csv",
-    "recover run.mcap -o whole.mcap",
+    "convert --recover run.mcap -o whole.mcap",
 ]
 """What answers without the law."""
 

@@ -102,9 +102,7 @@ def test_what_is_no_text_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "t.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(CompareError, match="expected TOML, found bytes that are no text"):
         tl.check.load_tolerances(tmp_path / "t.toml")
-    with pytest.raises(
-        CompareError, match=r"none.toml: expected a specification or tolerance file, found: No such"
-    ):
+    with pytest.raises(CompareError, match=r"none\.toml: no such file; did you mean .*/t\.toml\?"):
         tl.check.load_tolerances(tmp_path / "none.toml")
     with pytest.raises(
         CompareError, match="expected a specification or tolerance file, found: Is a directory"

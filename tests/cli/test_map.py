@@ -34,7 +34,10 @@ def _table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     )
 
 
-def test_map_says_the_best_rows_and_the_border_beside_theory(call: Call, table: Path) -> None:
+def test_map_says_the_best_rows_and_the_border_beside_theory(
+    call: Call, table: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("UV_RUN_RECURSION_DEPTH", "1")
     done = call("plot", table.name)
     assert (done.code, done.err) == (0, "")
     assert done.out.startswith("t.parquet: translate.stable: the border lies within one cell of")
@@ -42,8 +45,8 @@ def test_map_says_the_best_rows_and_the_border_beside_theory(call: Call, table: 
         "lies within one cell of theory's line in 5 of 5 columns",
         "60 rows; loop.transport_delay_ticks by law.kp_linear",
         "translate.overshoot: 0 % to 216 %, best in row 0 and 8 more (",
-        "; no value: 15 rows too short best translate.overshoot: ",
-        "run --from t.parquet --row 0",
+        "; no value: 15 rows too short best translate.overshoot: "
+        "uv run turtlelog run --from t.parquet --row 0",
     )
     assert [text for text in told if text not in done.flat] == []
     assert max(map(len, done.out.splitlines())) <= 80
@@ -166,7 +169,7 @@ def test_a_value_is_held_where_at_says(call: Call, table: Path) -> None:
         (["--metric", ","], "--metric: expected names separated by commas, found ','"),
         (
             ["--metric", "rotate.*"],
-            '--metrics: no metric of t.parquet "rotate.*"; there are translate.stable',
+            't.parquet: no metric "rotate.*"; there are translate.stable',
         ),
         (["-o", "m.gif"], "--output m.gif: expected a name that ends in .pdf, .png, .svg"),
         (["-o", "none/m.png"], "none/m.png: expected"),

@@ -9,6 +9,7 @@ from tests.show.rerun.rrds import make_foreign_run
 from turtlelog.cli.app import main
 
 RECORDING = Path(__file__).parents[2] / "recordings" / "paper" / "kp4.mcap"
+SHOWN = {name: kind.title for name, kind in tl.show.FIGURES.items()}
 
 
 def run_plot(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -19,11 +20,22 @@ def run_plot(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str,
     return ended.value.code, printed.out, printed.err
 
 
+def split_answer(out: str) -> tuple[str, list[str]]:
+    """Return what is shown, in one line, and the lines on files."""
+    lines = out.splitlines()
+    written = [line for line in lines if line.startswith("wrote ")]
+    assert lines[len(lines) - len(written) :] == written
+    return " ".join(lines[: len(lines) - len(written)]), written
+
+
 def test_plot_writes_what_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [str(RECORDING), "-o", str(tmp_path), "--only", "heading,plane", "--format", "svg"]
     code, out, err = run_plot(capsys, *words)
     assert (code, err) == (0, "")
-    assert out == f"wrote {tmp_path / 'heading.svg'}\nwrote {tmp_path / 'plane.svg'}\n"
+    assert out.splitlines() == [
+        "2 figures of paper-kp4: heading, plane.",
+        *(f"wrote {tmp_path / name}" for name in ("heading.svg", "plane.svg")),
+    ]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["heading.svg", "plane.svg"]
 
 
@@ -33,7 +45,12 @@ def test_many_runs_are_drawn_in_the_order_of_their_gains(
     paths = [str(RECORDING.with_name(f"{name}.mcap")) for name in ("kp10", "kp2")]
     words = [*paths, "-o", str(tmp_path), "--only", "heading", "--format", "svg,svg"]
     code, out, _ = run_plot(capsys, *words)
-    assert (code, out) == (0, f"wrote {tmp_path / 'heading.svg'}\n")
+    path = tmp_path / "heading.svg"
+    said, written = split_answer(out)
+    assert (code, written) == (0, [f"wrote {path}"])
+    assert said == (
+        f"{path} shows the figure heading of paper-kp10 and paper-kp2: {SHOWN['heading']}."
+    )
     comments = re.findall("<!-- (paper-kp[0-9]+) -->", (tmp_path / "heading.svg").read_text())
     assert comments == ["paper-kp2", "paper-kp10"]
 
@@ -62,8 +79,10 @@ def test_of_somebody_s_recording_that_is_drawn_which_it_holds_and_the_rest_is_to
     words = [str(tmp_path / "bag.mcap"), "-o", str(tmp_path / "out"), "--format", "svg"]
     code, out, err = run_plot(capsys, *words)
     drawn = ["heading.svg", "position.svg", "turn-rate.svg", "speed.svg", "plane.svg", "panel.svg"]
-    written = [Path(line.removeprefix("wrote ")).name for line in out.splitlines()]
-    assert (code, written) == (0, [*drawn, "whole-runs.tex", "metrics.tex"])
+    said, written = split_answer(out)
+    assert said.startswith("6 figures and 2 tables of bag: heading, position, ")
+    names = [Path(line.removeprefix("wrote ")).name for line in written]
+    assert (code, names) == (0, [*drawn, "whole-runs.tex", "metrics.tex"])
     told = err.splitlines()
     assert told[0].startswith("plot: left out plant, step-responses, root-locus, ")
     assert told[0].endswith(": expected the controller's samples, found none")
@@ -131,7 +150,10 @@ def test_a_file_holds_one_figure_that_gives_an_overview(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, err = run_plot(capsys, str(RECORDING), "-o", str(tmp_path / "kp4.png"))
-    assert (code, out) == (0, f"wrote {tmp_path / 'kp4.png'}\n")
+    path = tmp_path / "kp4.png"
+    said, written = split_answer(out)
+    assert (code, written) == (0, [f"wrote {path}"])
+    assert said == f"{path} shows the figure panel of paper-kp4: {SHOWN['panel']}."
     assert err == "plot: the figure panel; --only chooses another (turtlelog list figures)\n"
     assert (tmp_path / "kp4.png").read_bytes().startswith(b"\x89PNG")
     assert [path.name for path in tmp_path.iterdir()] == ["kp4.png"]
@@ -205,10 +227,12 @@ def test_a_preset_or_a_scenario_file_is_simulated_and_drawn(
 ) -> None:
     scenario = tmp_path / "mine.toml"
     scenario.write_text("[law]\nkp_angular = 4.0\n")
-    for word in ("paper-kp10", str(scenario)):
+    for word, name in (("paper-kp10", "paper-kp10"), (str(scenario), "textbook")):
         target = tmp_path / "bode.svg"
         code, out, _ = run_plot(capsys, word, "-o", str(target), "--only", "bode")
-        assert (code, out) == (0, f"wrote {target}\n")
+        said, written = split_answer(out)
+        assert (code, written) == (0, [f"wrote {target}"])
+        assert said == f"{target} shows the figure bode of {name}: {SHOWN['bode']}."
     code, out, err = run_plot(capsys, "nix.toml", "-o", str(tmp_path / "a.svg"))
     assert (code, out) == (2, "")
     assert "nix.toml: no such file" in err
@@ -238,7 +262,8 @@ def test_a_violation_has_the_moments_of_check(
     kp10, formula = str(RECORDING.with_name("kp10.mcap")), "always(abs(cross_track) <= 0.05)"
     target = tmp_path / "outside.svg"
     words = [kp10, "-o", str(target), "--only", "violation", "--expect", formula]
-    assert run_plot(capsys, *words) == (0, f"wrote {target}\n", "")
+    code, out, err = run_plot(capsys, *words)
+    assert (code, split_answer(out)[1], err) == (0, [f"wrote {target}"], "")
     with pytest.raises(SystemExit):
         main(["check", kp10, "--expect", formula, "--json"])
     (result,) = json.loads(capsys.readouterr().out)["results"]

@@ -193,7 +193,10 @@ def test_several_formulas_are_checked_without_a_file(call: Call, robot: Path) ->
     ("words", "line"),
     [
         (["--expect", "always(speed <"], "--expect: column 15: expected a number or name"),
-        (["--expect", "x < 1", "--reference", "x.mcap"], "--reference: expected no --expect"),
+        (
+            ["--expect", "x < 1", "--reference", "x.mcap"],
+            "--reference: leave it out beside --expect, which has no tolerances",
+        ),
     ],
 )
 def test_a_formula_that_cannot_be_judged_is_refused(
@@ -283,7 +286,9 @@ def test_metrics_of_a_bag_are_asked_for_in_tests(robot: Path) -> None:
     assert lag == pytest.approx(0.1 * math.log(2.0), abs=0.02)
     with pytest.raises(tl.check.MissingValueError, match="the goal is not known"):
         assert recording.metric("final.position_error") <= 1.0
-    with pytest.raises(tl.TurtlelogError, match=r"expected run\.path_length"):
+    with pytest.raises(
+        tl.TurtlelogError, match=r'"run\.path_lenght"; did you mean run\.path_length\?'
+    ):
         recording.metric("run.path_lenght")
 
 

@@ -46,7 +46,9 @@ def test_a_topic_is_chosen_in_every_command(call: Call, robot: Path) -> None:
     assert "chosen" not in answer["notes"]
     # A recording made of a bag has no other topics to choose from.
     assert call("metrics", "own.mcap").err == ""
-    assert call("plot", tracked, "-o", "kf.svg").out == "wrote kf.svg\n"
+    drawn = call("plot", tracked, "-o", "kf.svg").out
+    assert drawn.startswith("kf.svg shows the figure panel of tracker:/tracker: ")
+    assert drawn.endswith("\nwrote kf.svg\n")
     assert call("explain", tracked).code in {0, 2}
     refused = call("convert", f"{robot}:/odom", "-o", robot)
     assert "expected another file to write to, found the input itself" in refused.err

@@ -6,7 +6,6 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
-from turtlelog.laws import LAWS
 
 OWN = Path(__file__).parents[2] / "examples" / "turn_and_drive.py"
 KIND = f"{OWN}:TurnAndDrive"
@@ -64,8 +63,8 @@ def test_the_same_law_by_both_options_is_one_law(call: Call) -> None:
         ),
         (
             ("--law", "turn"),
-            f"--law: law.kind: expected {', '.join(LAWS)}, path.py:Class or package.module:Class,"
-            " found 'turn'",
+            '--law: law.kind: no law "turn"; list: turtlelog list laws.'
+            " A law of your own is path.py:Class or package.module:Class",
         ),
     ],
 )

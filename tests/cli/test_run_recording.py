@@ -96,7 +96,7 @@ def test_a_stripped_view_is_called_by_its_file(call: Call, tmp_path: Path) -> No
     ("words", "line"),
     [
         (["riddle.mcap"], "riddle.mcap: expected a recording with its whole scenario, found none"),
-        (["none.mcap"], "none.mcap: expected"),
+        (["none.mcap"], "none.mcap: no such file; did you mean riddle.mcap?"),
         (["paper", "--strip-scenario"], "--strip-scenario: expected -o or --rrd beside it"),
         (
             ["paper", "--strip-scenario", "--realtime", "-o", "a.mcap"],

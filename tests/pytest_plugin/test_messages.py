@@ -148,12 +148,12 @@ def test_it(recording):
 
 
 UNKNOWN = {
-    'metric("rotate.overshot") < 1': "*metric: *rotate.overshoot, * found 'rotate.overshot'",
-    'phase("rotat")': "*phase: expected rotate*, found 'rotat'",
-    'phase("rotate").overshot < 1': "*metric of rotate: expected overshoot*, found 'overshot'",
+    'metric("rotate.overshot") < 1': '*metric: *"rotate.overshot"; *mean rotate.overshoot[?]',
+    'phase("rotat")': '*phase: unknown name "rotat"; did you mean rotate[?]',
+    'phase("rotate").overshot < 1': '*metric of rotate: *"overshot"; did you mean overshoot[?]',
     'holds("always(cros_track < 1)")': '*column 8: unknown name "cros_track"; *cross_track*',
     'holds("always(x < ")': "*holds: column 11: expected a number or name, found the end",
-    'holds("x < 1", phase="rotat")': "*phase: expected rotate, found 'rotat'",
+    'holds("x < 1", phase="rotat")': '*phase: unknown name "rotat"; did you mean rotate[?]',
     'metric("rotate.overshoot", bnad=1) < 1': "*expected settings among band, *, found bnad",
     'matches("nothing.mcap")': "*nothing.mcap: expected a reference, found no such file*",
 }

@@ -21,8 +21,8 @@ def test_states_and_phases(recording):
 """
 
 FAILS = {
-    'phase("rotate")': "*phase: expected a, b, final or run, found 'rotate'",
-    'phase("a").overshoot < 1': "*metric of a: expected *, found 'overshoot'",
+    'phase("rotate")': '*phase: unknown name "rotate"; there are a, b, final, run',
+    'phase("a").overshoot < 1': '*metric of a: unknown name "overshoot"; there are duration, *',
     'metric("rotate.overshoot") < 1': "*rotate.overshoot: expected < 1, found no value: no_phase"
     " (the run declares no loop rotate (it declares a, b))",
     'metric("a.rms_error") < 1': "  gains           law.gain_a = 4.0, law.gain_b = 1.0",

@@ -43,7 +43,7 @@ def test_a_row_of_a_map_is_run_again_from_its_url(
     )
     with RangeServer(files={f"t.parquet{SIGNED}": table.read_bytes()}) as server:
         url = server.url("t.parquet")
-        assert _run(["map", url + SIGNED, "-o", str(tmp_path / "map.html")]) == 0
+        assert _run(["plot", url + SIGNED, "-o", str(tmp_path / "map.html")]) == 0
         told = capsys.readouterr().out.splitlines()
         assert any(line.endswith(f" run --from {url} --row 3") for line in told)
         assert "SECRET" not in (tmp_path / "map.html").read_text("utf-8")

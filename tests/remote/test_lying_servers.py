@@ -104,15 +104,23 @@ def test_an_answer_that_lies_is_one_line(
     assert server.sent < LEAST_TAKEN + (2**21 if answer is lies.endless_file else 0)
 
 
-@pytest.mark.parametrize("command", ["metrics", "recover"])
+@pytest.mark.parametrize(
+    "words", [["metrics"], ["convert", "--recover", "-o", "out.mcap"]], ids=" ".join
+)
 @pytest.mark.parametrize("answer", [lies.endless_chunks, lies.bomb, lies.long_web_page])
 def test_other_commands_refuse_the_same(
-    command: str, answer: Answer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    answer: Answer,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    words = ["-o", str(tmp_path / "out.mcap")] if command == "recover" else []
+    monkeypatch.chdir(tmp_path)
     with LyingServer(answer=answer) as server:
-        assert run([command, server.url(), *words, "--max-download", "2MiB"]) == 2
-    assert capsys.readouterr().err.count("turtlelog: error: ") == 1
+        assert run([*words, server.url(), "--max-download", "2MiB"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("turtlelog: error: ") == 1
+    assert f"turtlelog: error: {server.url()}: " in told
     assert server.sent < LEAST_TAKEN
     assert not list(tmp_path.iterdir())
 

@@ -65,7 +65,7 @@ def test_what_fails_leaves_what_was_there(memory: dict[str, object]) -> None:
         ),
         (["convert", KP4, "-o", "memory://o/poses.parquet"], ["poses.parquet"]),
         (["run", "paper-kp4", "-o", "memory://o/r.mcap"], ["r.mcap"]),
-        (["recover", KP4, "-o", "memory://o/r.mcap"], ["r.mcap"]),
+        (["convert", "--recover", KP4, "-o", "memory://o/r.mcap"], ["r.mcap"]),
     ],
 )
 def test_commands_write_to_urls(

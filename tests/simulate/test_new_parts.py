@@ -220,7 +220,7 @@ def test_new_parts_are_explained_and_listed(copy: Path) -> None:
     run(copy, "-m", "turtlelog", "run", "textbook", *SCENARIO, "-o", "explained.mcap")
     found = ask(copy, "explain", "explained.mcap", "--metric", "run.path_length")
     assert "weaken" in json.dumps(found)
-    for kind, name in (("laws", "creep"), ("plants", "sled"), ("mechanisms", "weaken")):
+    for kind, name in (("laws", "creep"), ("plants", "sled"), ("causes", "weaken")):
         assert name in {entry["name"] for entry in ask(copy, "list", kind)["entries"]}
 
 

@@ -198,7 +198,9 @@ def test_metrics_that_vary_come_first_and_at_most_four_unasked(tmp_path: Path) -
     ]
     asked = read_swept_results(path, ["rotate.*"])
     assert [metric.name for metric in asked.metrics] == ["rotate.overshoot"]
-    with pytest.raises(SweepError, match=r"--metrics: expected .* found 'nope'"):
+    with pytest.raises(
+        SweepError, match=r't\.parquet: no metric "nope"; there are run\.duration, .*'
+    ):
         read_swept_results(path, ["nope"])
 
 

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import File, Json, Place, ReadingOptions, read_runs
-from turtlelog.cli.output import fill_lines, print_json, print_note, print_text
+from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.recover import recover_file
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
@@ -159,9 +159,9 @@ def convert(
         " equal."
         for path, kind in kinds.items()
     ]
-    lines += [f"wrote {path}" for path in written]
-    lines += [f"absent in {file}: {', '.join(run.absent)}"] if run.absent else []
-    print_text(fill_lines([*lines, *notes]))
+    absent = [f"absent in {file}: {', '.join(run.absent)}"] if run.absent else []
+    ends = fill_lines([*absent, *notes])
+    print_text("\n".join([fill_lines(lines), *list_written(written), ends]))
 
 
 def _describe_held(run: "Run", path: Path, kind: str, tables: TableOptions) -> str:

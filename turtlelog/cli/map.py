@@ -11,7 +11,7 @@ from cyclopts import Group, Parameter
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys
 from turtlelog.cli.map_answer import build_map_answer, list_map_lines, list_sensitivity_lines
-from turtlelog.cli.output import fill_lines, print_json, print_note, print_text
+from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
 from turtlelog.cli.page_options import PageOptions
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import PICTURES, require_new_target
@@ -168,4 +168,4 @@ def _answer(
     if kind == "tornado":
         lines = [lines[0], *list_sensitivity_lines(view)]
     lines = [line if " run --from " in line else fill_lines([line], indent=2) for line in lines]
-    print_text("\n".join([*lines, *([] if output is None else [f"wrote {output}"])]))
+    print_text("\n".join([*lines, *list_written([] if output is None else [output])]))

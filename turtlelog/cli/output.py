@@ -188,6 +188,11 @@ def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
     )
 
 
+def list_written(paths: Iterable[object]) -> list[str]:
+    """Return a line for every file that was written; a path stays whole, blanks in it as well."""
+    return [escape_controls(hide_secrets(f"wrote {path}")) for path in paths]
+
+
 def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return lines of cells below each other, indented, as many of the columns as a line holds."""
     while rows:

@@ -24,7 +24,7 @@ from turtlelog.cli.options import (
     require_jobs,
     split_names,
 )
-from turtlelog.cli.output import fill_lines, print_json, print_note, print_text
+from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
 from turtlelog.cli.page_options import TIMELESS, PageOptions
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import PICTURES, require_new_target
@@ -251,7 +251,7 @@ def _tell(answer: PlotAnswer, runs: "Sequence[Run]", *, json: bool) -> None:
         return
     written = [*(figure.file for figure in answer.figures), *answer.tables]
     written += [] if answer.movie is None else [answer.movie]
-    print_text(fill_lines([_describe_shown(answer, runs), *(f"wrote {path}" for path in written)]))
+    print_text("\n".join([fill_lines([_describe_shown(answer, runs)]), *list_written(written)]))
 
 
 def _describe_shown(answer: PlotAnswer, runs: "Sequence[Run]") -> str:

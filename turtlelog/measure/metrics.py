@@ -12,7 +12,7 @@ import numpy as np
 import turtlelog.measure.table  # noqa: F401  (enters every metric in the registry)
 from turtlelog.display import NamedValues
 from turtlelog.errors import MeasureError, describe_unknown
-from turtlelog.loops import RESERVED, ControlLoop, Declaration, is_loop_name
+from turtlelog.loops import ControlLoop, Declaration, is_loop_name
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Metric, Metrics, Missing, Result, Status
@@ -192,7 +192,7 @@ def is_metric_pattern(pattern: str) -> bool:
 def list_ids_like(pattern: str) -> list[str]:
     """Return the metrics of the loop that a name speaks of, whatever law has it."""
     loop, dot, _ = pattern.partition(".")
-    if not dot or loop in RESERVED:
+    if not dot or not is_loop_name(loop):
         return []
     return [f"{loop}.{name}" for name in LOOP_METRICS]
 

@@ -259,11 +259,10 @@ def _match(path: str | Path, patterns: Sequence[str], known: Sequence[str]) -> l
     for pattern in patterns:
         own = [name for name in known if name == pattern or fnmatchcase(name, pattern)]
         if not own:
-            problem = describe_unknown(f"metric of {path}", pattern, known)
-            raise SweepError(f"--metrics: {problem}")
+            raise SweepError(f"{path}: {describe_unknown('metric', pattern, known)}")
         found |= dict.fromkeys(own)
     if len(found) > MOST_METRICS:
-        raise SweepError(f"--metrics: expected at most {MOST_METRICS} metrics, found {len(found)}")
+        raise SweepError(f"--metric: expected at most {MOST_METRICS} metrics, found {len(found)}")
     return [*found]
 
 

@@ -335,7 +335,7 @@ def test_a_file_is_not_recovered_onto_itself(sound: bytes, tmp_path: Path) -> No
 
 
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"none\.mcap: expected an MCAP file, found: No such file"):
+    with pytest.raises(LogError, match=r"none\.mcap: no such file\Z"):
         recover_recording(tmp_path / "none.mcap", tmp_path / "out.mcap")
 
 

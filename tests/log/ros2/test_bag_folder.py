@@ -138,9 +138,9 @@ def test_files_that_no_name_makes_one_bag_are_not_joined(
     names: tuple[str, str], tmp_path: Path
 ) -> None:
     write_split(tmp_path, *names)
-    with pytest.raises(LogError, match="expected one bag, found a folder without") as caught:
+    with pytest.raises(LogError, match="a folder of several recordings, not one bag") as caught:
         read_bag(tmp_path)
-    assert str(caught.value).endswith(f"{', '.join(names)}: name one of them")
+    assert str(caught.value).endswith(f": name one of them: {', '.join(names)}")
 
 
 def test_a_topic_of_two_types_in_two_files_is_one_line(tmp_path: Path) -> None:

@@ -385,7 +385,7 @@ def test_a_table_without_a_value_is_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("only", "runs", "match"),
     [
-        (["headng"], [], "expected heading or heading-error, found 'headng'"),
+        (["headng"], [], 'no figure "headng"; did you mean heading\\?'),
         (["heading"], [], "figure heading: expected a recording, found none"),
         (["wanted-speed"], [keep_poses(simulate(4))], "expected what the law wanted before clip"),
         (["plant"], [keep_poses(simulate(4))], "figure plant: expected the law's gain, found none"),

@@ -133,7 +133,7 @@ def _choose_grid(count: int, height_inch: float, page: Page) -> tuple[int, int]:
     room = page.height_inch / (height_inch * _SQUEEZED)
     if rows > max(room, 1.0):
         raise ShowError(
-            f"--metrics: expected at most {columns * max(int(room), 1)} on a slide, found {count}"
+            f"--metric: expected at most {columns * max(int(room), 1)} on a slide, found {count}"
         )
     return rows, columns
 

@@ -50,7 +50,7 @@ def write_map_report(
 <html lang="en"><head><meta charset="utf-8">{write_policy_tag()}
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark"><link rel="icon" href="data:,">
-<title>{name}: turtlelog map</title><style>{style}
+<title>{name}: turtlelog plot</title><style>{style}
 figure{{margin:0;background:#fff;padding:8px}}
 figure img{{width:100%;max-width:1100px}}</style></head>
 <body><header><h1>{name}</h1></header><main>
