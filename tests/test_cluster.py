@@ -212,6 +212,7 @@ def test_a_cluster_answers_as_this_computer_does(
     assert len(here[1]) > 300
 
 
+@pytest.mark.thorough
 def test_a_cluster_tunes_as_this_computer_does(
     cluster: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

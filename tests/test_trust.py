@@ -168,6 +168,12 @@ def test_a_law_in_a_table_is_named_and_not_run(folder: Path, changes: str) -> No
     assert answer.stderr.endswith(f"found '{EVIL}'\n")
 
 
+@pytest.mark.everyday(
+    "replay run.mcap --plant",
+    "metrics run.mcap",
+    "check spec.toml run.mcap --artifacts artifacts",
+    "convert --recover run.mcap -o whole.mcap",
+)
 @pytest.mark.parametrize("words", ANSWERED)
 def test_what_needs_no_law_answers_without_it(folder: Path, words: str) -> None:
     answer = call(folder, *words.split())
@@ -182,6 +188,12 @@ def test_nothing_else_runs_it(folder: Path, words: str) -> None:
     assert answer.returncode in {0, 2}, answer.stderr
 
 
+@pytest.mark.everyday(
+    "replay run.mcap --trust-law",
+    "run own.toml",
+    "run --from table.parquet --row 0 --trust-law",
+    "sweep textbook --law elsewhere/evil.py:Law --grid seed=0:1 -o named.parquet",
+)
 @pytest.mark.parametrize(
     "words",
     [
@@ -317,6 +329,7 @@ def test_untrusting(recording):
     assert "trust_law=True) to run the code" in text
 
 
+@pytest.mark.everyday("body0", "body2")
 @pytest.mark.parametrize(
     "body",
     [

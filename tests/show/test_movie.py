@@ -82,6 +82,7 @@ def test_a_gif_can_be_read_back(runs: tuple[Run, ...], tmp_path: Path) -> None:
     assert seen[-1] == (20, 20)
 
 
+@pytest.mark.thorough
 def test_an_mp4_can_be_read_back(
     runs: tuple[Run, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -179,6 +179,7 @@ def respond(process: Process, period_s: float, gains: PidGains, angle: Array) ->
     return terms * plant * z**-whole
 
 
+@pytest.mark.thorough
 def test_margins_are_those_of_matrix_exponentials() -> None:
     cases = draw_cases()[::2]
     assert len({process for process, *_ in cases}) == 40

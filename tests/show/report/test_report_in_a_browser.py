@@ -89,6 +89,7 @@ def test_the_slider_drives_turtles_and_values_by_keyboard(
     assert read_pixels(page, "#plane") != before
 
 
+@pytest.mark.thorough
 def test_runs_and_play_answer_the_space_bar_in_the_order_of_tab(
     two_runs: Path, open_report: Open
 ) -> None:
@@ -164,6 +165,7 @@ TIPS = """() => {
 }"""
 
 
+@pytest.mark.thorough
 def test_the_mouse_reads_all_runs_at_a_time_that_every_plot_shows(
     two_runs: Path, open_report: Open
 ) -> None:
