@@ -100,6 +100,8 @@ def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> N
         (["run", "--kp", "x"], "--kp x: must be a number"),
         (["run", "--kp"], "turtlelog run: --kp needs a number"),
         (["run", "--kpp", "3"], "turtlelog run has no option --kpp; did you mean --kp?"),
+        (["plot", "--metrics", "a"], "plot has no option --metrics; did you mean --metric?"),
+        (["sweep", "--metric", "a"], "sweep has no option --metric; did you mean --metrics?"),
         (
             ["info", "-x"],
             "turtlelog info has no option -x; all options: turtlelog info --help-all",

@@ -105,7 +105,7 @@ def test_an_mp4_can_be_read_back(
     [
         (["plot", "{kp1}", "--movie", "a.avi"], "expected a name that ends in .mp4 or .gif"),
         (["plot", "--movie", "a.gif"], "expected recordings to film, found none"),
-        (["plot", "{kp1}"], "--output: expected a folder or a file to write, found none"),
+        (["plot", "{kp1}"], "plot needs a file or a folder to write: -o NAME.png or -o FOLDER"),
         (["plot", "{kp1}", "--movie", "a.gif", "--length", "nan"], "1 to 60 s for .gif, found nan"),
         (["plot", "{kp1}", "--movie", "a.gif", "--length", "0.9"], "1 to 60 s for .gif, found 0.9"),
         (["plot", "{kp1}", "--movie", "no/a.gif"], "found no such folder"),
@@ -131,11 +131,13 @@ def test_what_cannot_be_filmed_is_refused_in_a_line(
 def test_both_commands_film(tmp_path: Path) -> None:
     """Two films are made."""
     kp1 = str(RECORDINGS / "kp1.mcap")
-    for command in ("plot", "view"):
+    answers = {"plot": "plot.gif shows paper-kp1 driving.\n", "view": ""}
+    for command, answer in answers.items():
         done = run_command(
             command, kp1, "--movie", f"{command}.gif", "--length", "1", folder=tmp_path
         )
-        assert (done.returncode, done.stdout + done.stderr) == (0, f"wrote {command}.gif\n")
+        said = f"{answer}wrote {command}.gif\n"
+        assert (done.returncode, done.stdout + done.stderr) == (0, said)
     assert (tmp_path / "plot.gif").read_bytes() == (tmp_path / "view.gif").read_bytes()
 
 

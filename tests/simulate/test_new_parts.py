@@ -217,6 +217,7 @@ def test_new_parts_run_and_are_recorded_and_replayed(copy: Path) -> None:
 
 
 def test_new_parts_are_explained_and_listed(copy: Path) -> None:
+    """Five commands are started, each in its own process."""
     run(copy, "-m", "turtlelog", "run", "textbook", *SCENARIO, "-o", "explained.mcap")
     found = ask(copy, "explain", "explained.mcap", "--metric", "run.path_length")
     assert "weaken" in json.dumps(found)

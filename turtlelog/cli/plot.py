@@ -185,7 +185,7 @@ def _tell_whole(names: Iterable[str], page: "Page") -> None:
 def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]:
     """Return the files of a movie without figures."""
     if movie.movie is None:
-        raise UsageError("--output: expected a folder or a file to write, found none")
+        raise UsageError("plot needs a file or a folder to write: -o NAME.png or -o FOLDER")
     if not files:
         raise UsageError("--movie: expected recordings to film, found none")
     return files

@@ -88,6 +88,7 @@ def _describe_unknown_option(err: Any) -> str:
     command = _name_command(err)
     text = f"{command} has no option {word}"
     near = _suggest_key(word, options, err.root_input_tokens or ())
+    near = near or [one for one in options if one in {f"{word}s", word.removesuffix("s")}]
     near = near or [one for one in options if one == _OPTIONS.get(word)]
     near = near or find_near(word, options)
     if not options:
