@@ -33,6 +33,7 @@ def test_what_nobody_sees_is_escaped(kind: str) -> None:
         assert eval(f"'{shown}'") == f"a{letter}b"
 
 
+@pytest.mark.thorough
 @given(st.text())
 def test_what_is_seen_stays_and_escaping_twice_is_escaping_once(text: str) -> None:
     assert escape_controls(SEEN) == SEEN

@@ -122,7 +122,7 @@ def test_an_error_stands_on_a_line_of_its_own(
     shown = terminal.read()
     assert (answer.code, answer.out) == (2, "")
     assert "reading 1/2 files" in shown
-    assert "\x1b[2Kturtlelog: error: missing.mcap: expected" in shown
+    assert "\x1b[2Kturtlelog: error: missing.mcap: no such file" in shown
 
 
 @on_terminals

@@ -196,6 +196,7 @@ def test_shares_are_told_up_to_a_tenth_of_what_the_effects_add(
     assert bool(shares) == is_told
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("part", "is_told"), [(0.9e-6, True), (1.1e-6, False)])
 def test_where_the_effects_add_nothing_a_millionth_is_the_same(
     part: float, *, is_told: bool

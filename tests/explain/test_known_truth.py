@@ -42,7 +42,7 @@ def test_nothing_is_exact_that_is_not_true(family: str, amount: int) -> None:
     assert sum(said == "exact true" for _, said in total) >= 2
 
 
-@pytest.mark.everyday("logged 1e-4")
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "family", ["logged 1e-4", "logged 1e-2", "misread 1e-5", "misread 1e-4", "misread 1e-3"]
 )

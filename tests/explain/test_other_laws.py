@@ -118,6 +118,7 @@ def test_the_delay_of_another_law_is_named() -> None:
     assert "tolerance" not in text
 
 
+@pytest.mark.thorough
 def test_the_mechanisms_of_a_law_take_part() -> None:
     run = simulate_strange(loop__transport_delay_ticks=6)
     found = attribute_run(run, metric="run.duration", trust_law=True)

@@ -108,7 +108,7 @@ def test_published_gains_reach_every_pose_as_well() -> None:
     assert [run.stop_reason for run in runs] == ["within_tolerance"] * POSES
 
 
-@pytest.mark.everyday("ours")
+@pytest.mark.thorough
 @pytest.mark.parametrize("gains", [{}, PUBLISHED], ids=["ours", "published"])
 def test_lyapunov_function_falls_at_every_sample_without_limits(gains: dict[str, Any]) -> None:
     """Two hundred runs are simulated."""

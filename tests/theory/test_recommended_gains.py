@@ -202,6 +202,7 @@ def test_margins_are_those_of_matrix_exponentials() -> None:
         assert abs(turns[-1] - turns[0]) < (1.1 if gains.ki else 0.6) * math.pi
 
 
+@pytest.mark.thorough
 def test_margins_are_those_of_python_control() -> None:
     for process, period_s, one in draw_cases()[::24]:
         assert one.gains is not None

@@ -123,6 +123,7 @@ def test_names_are_text_and_a_narrow_window_has_one_column(
     assert lefts[0] == lefts[1]
 
 
+@pytest.mark.thorough
 def test_paper_shows_light_copies_of_the_plots_without_controls(
     two_runs: Path, open_report: Open
 ) -> None:
