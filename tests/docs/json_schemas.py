@@ -1,9 +1,13 @@
-"""The page of JSON schemas, from dataclasses. To write it: python -m tests.docs.json_schemas."""
+"""What `--json` prints, as a page and as JSON schemas, from dataclasses.
+
+To write both: python -m tests.docs.json_schemas.
+"""
 
 import ast
 import importlib
 import inspect
 import json
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -11,6 +15,7 @@ from typing import Any, Final
 import msgspec
 
 PAGE: Final = Path(__file__).parents[2] / "docs" / "json.md"
+SCHEMAS: Final = PAGE.with_name("schemas.json")
 
 ANSWERS: Final = {
     "run": "run_answer:RunAnswer",
@@ -44,8 +49,8 @@ HEAD: Final = """# JSON
 
 `--json` prints one JSON value and nothing else: a list from `info` and `metrics`, an object from
 the others. Quantities are in SI units and radians unless the name or unit says otherwise. A value
-that does not exist is null, with a `status` or `reason` beside it. Below are the JSON schemas of
-the answers, a line for each of their parts.
+that does not exist is null, with a `status` or `reason` beside it. For programs the same is in
+[schemas.json](schemas.json): a JSON schema for each command.
 """
 
 
@@ -77,19 +82,76 @@ def know_types() -> None:
                 exec(imports, module.__dict__)
 
 
-def format_page() -> str:
-    """Return the page."""
+def build_schema(typed: str) -> dict[str, Any]:
+    """Return the JSON schema of an answer."""
     know_types()
-    parts = [HEAD]
-    for typed in ANSWERS:
-        schema = msgspec.json.schema(find_answer(typed), schema_hook=lambda _: {})
-        found = "\n".join(
-            f"{json.dumps(name)}: {json.dumps(part, ensure_ascii=False)}"
-            for name, part in schema["$defs"].items()
-        )
-        parts.append(f"## `turtlelog {typed} --json`\n\n```text\n{found}\n```\n")
-    return "\n".join(parts)
+    return msgspec.json.schema(find_answer(typed), schema_hook=lambda _: {})
+
+
+def format_schemas() -> str:
+    """Return the schemas of all answers as JSON."""
+    found = {f"turtlelog {typed} --json": build_schema(typed) for typed in ANSWERS}
+    return json.dumps(found, ensure_ascii=False, indent=1) + "\n"
+
+
+def format_page() -> str:
+    """Return the page: of each answer its keys in a table, and those of what stands within."""
+    return "\n".join([HEAD, *(_format_answer(typed) for typed in ANSWERS)])
+
+
+def _format_answer(typed: str) -> str:
+    parts = build_schema(typed)["$defs"]
+    first = find_answer(typed).__name__
+    names = [first, *(name for name in parts if name != first)]
+    tables = (_format_part(name, parts[name], is_first=name == first) for name in names)
+    return f"## `turtlelog {typed} --json`\n\n" + "\n".join(tables)
+
+
+def _format_part(name: str, part: dict[str, Any], *, is_first: bool) -> str:
+    description, _, attributes = part.get("description", "").partition("Attributes:")
+    attributes = attributes.partition("Raises:")[0]
+    texts = re.findall(r"^ *(\w+): (.*(?:\n {10,}.*)*)", attributes, re.M)
+    meanings = {key: _tell(text) for key, text in texts}
+    about = _tell(description)
+    head = about if is_first else f"`{_name_part(name)}`: {about}".removesuffix(": ")
+    rows = [
+        f"| `{key}` | {_name_kind(kind)} | {meanings.get(key, '').replace('|', chr(92) + '|')} |"
+        for key, kind in part.get("properties", {}).items()
+    ]
+    table = ["| key | value | |", "|---|---|---|", *rows] if rows else []
+    return "\n".join([*([head, ""] if head else []), *table, *([""] if table else [])])
+
+
+def _tell(text: str) -> str:
+    return re.sub(r"\bNone\b", "null", " ".join(text.split()))
+
+
+def _name_kind(kind: dict[str, Any]) -> str:
+    """Return a kind of value in words."""
+    if "anyOf" in kind:
+        return " or ".join(map(_name_kind, kind["anyOf"]))
+    if "$ref" in kind:
+        return f"`{_name_part(kind['$ref'].rpartition('/')[2])}`"
+    if "enum" in kind:
+        return ", ".join(f"`{json.dumps(value)}`" for value in kind["enum"])
+    match kind.get("type"):
+        case "array":
+            items = kind.get("items")
+            of = [items] if items else kind.get("prefixItems", [])
+            return f"list of {', '.join(map(_name_kind, of))}" if of else "list"
+        case "object":
+            values = kind.get("additionalProperties")
+            return (
+                f"object of {_name_kind(values)} by name" if isinstance(values, dict) else "object"
+            )
+        case other:
+            return str(other or "any value")
+
+
+def _name_part(name: str) -> str:
+    return name.removeprefix("_")
 
 
 if __name__ == "__main__":
     PAGE.write_text(format_page(), "utf-8")
+    SCHEMAS.write_text(format_schemas(), "utf-8")

@@ -7,7 +7,15 @@ import msgspec
 import pytest
 
 from tests.cli.conftest import Call, call as call, kp4 as kp4, kp10 as kp10
-from tests.docs.json_schemas import ANSWERS, PAGE, find_answer, format_page, know_types
+from tests.docs.json_schemas import (
+    ANSWERS,
+    PAGE,
+    SCHEMAS,
+    find_answer,
+    format_page,
+    format_schemas,
+    know_types,
+)
 
 TYPED = {
     "run": ["run", "paper-kp4"],
@@ -31,8 +39,9 @@ TYPED = {
 }
 
 
-def test_the_page_is_that_of_the_answers() -> None:
+def test_the_page_and_the_schemas_are_those_of_the_answers() -> None:
     assert PAGE.read_text("utf-8") == format_page()
+    assert SCHEMAS.read_text("utf-8") == format_schemas()
 
 
 @pytest.mark.parametrize("typed", TYPED)
