@@ -78,7 +78,8 @@ def run(words: list[str]) -> int | str | None:
         (lies.several_parts, "expected a range with the size of the file from the server, found"),
         (lies.interim_answers, "expected an answer within 0.5 s, found none: the server hangs"),
         (lies.huge_chunk, "expected an answer in http, found one that breaks its rules"),
-        (lies.endless_trailers, "expected an answer in http, found one that breaks its rules"),
+        # Which comes first: the reader's complaint, or the reset that it makes of the connection.
+        (lies.endless_trailers, "found one that breaks its rules|found that the connection broke"),
         (lies.escapes_in_range, r"found Content-Range bytes \x1b[2J\x1b]0;x\x07 0-1/5"),
         (lies.immense_size, f"found Content-Range bytes 0-16383/{2**62}"),
         (lies.come_again_in_a_century, "expected all of the bytes asked for, found the server's"),
@@ -98,7 +99,7 @@ def test_an_answer_that_lies_is_one_line(
     told = capsys.readouterr()
     line = told.err.splitlines()[-1]
     assert line.startswith(f"turtlelog: error: {server.url()}: ")
-    assert said in line
+    assert any(one in line for one in said.split("|"))
     assert (told.out, told.err.count("turtlelog: error")) == ("", 1)
     assert "Traceback" not in told.err
     assert server.sent < LEAST_TAKEN + (2**21 if answer is lies.endless_file else 0)
