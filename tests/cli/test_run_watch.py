@@ -319,7 +319,7 @@ def test_scenario_file_is_watched_whatever_its_ending(tmp_path: Path) -> None:
         ),
         (("--law", "none.py:Law"), "none.py: expected a file to watch, found none"),
         (("none.toml",), "none.toml: expected a file to watch, found none"),
-        (("nosuch",), "nosuch: expected"),
+        (("nosuch",), 'no preset or file "nosuch"'),
         (
             ("--realtime",),
             "--watch: expected runs as fast as they go, found --realtime",
