@@ -143,6 +143,7 @@ def test_the_details_are_the_table_of_causes_and_of_settings(call: Call, kp10: P
 
 
 def test_the_answer_fits_a_screen(call: Call, kp10: Path, tmp_path: Path) -> None:
+    """Three logs are explained, of which one has noise and one is a robot's."""
     noisy = tl.override_scenario(tl.load_scenario("paper"), {"sensing.noise_heading_rad": 0.01})
     tl.write_recording(tl.simulate_run(noisy), tmp_path / "noisy.mcap")
     for file in (kp10, tmp_path / "noisy.mcap", find_shared("robots", "tb3")):
