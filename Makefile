@@ -74,7 +74,7 @@ pictures: .venv/installed
 
 # Odd runs in every view, figure, movie and report, on one sheet to be looked at.
 contact-sheet: .venv/installed-dev
-	$(BIN)/python tests/show/contact_sheet.py .venv/contact-sheet.png $(BAG)
+	$(BIN)/python tests/draw/contact_sheet.py .venv/contact-sheet.png $(BAG)
 
 # One table of what jobs cost; ONLY="engine loop" chooses, PAGE=docs/performance.md writes it there.
 bench: .venv/installed-dev

@@ -20,7 +20,7 @@ def simulate_gain(preset: str, kp: float) -> tl.compare.RunSummary:
 for preset in ("paper", "textbook"):
     summaries = [simulate_gain(preset, kp) for kp in GAINS]
     table = tl.tabulate_runs(summaries, only=METRICS)
-    print(tl.show.format_table(table), end="")
+    print(tl.draw.format_table(table), end="")
     chosen, _notes = tl.compare.select_runs(summaries, ACCURATE_ENOUGH)
     best = tl.compare.sort_runs(chosen, "run.duration")[0]
     print(f"\nFastest of {len(chosen)} with {ACCURATE_ENOUGH}: {best.name}\n")

@@ -14,7 +14,12 @@ from pathlib import Path
 from typing import Any, Final
 
 _LOADED: Final = (
-    *("turtlelog.cli.app", "turtlelog.explain", "turtlelog.check", "turtlelog.show.shared_curves"),
+    *(
+        "turtlelog.cli.app",
+        "turtlelog.explain",
+        "turtlelog.check",
+        "turtlelog.charts.shared_curves",
+    ),
     *("scipy.optimize", "scipy.signal", "matplotlib.figure", "matplotlib.backends.backend_svg"),
 )
 _LONGEST_S: Final = 120.0

@@ -39,7 +39,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
     "metrics": (lambda: tl.measure_run(RUN), "<Metrics: 131, of which 126 have a value>"),
     "METRICS": (lambda: tl.METRICS, "metrics: <loop>.duration, "),
     "SIGNALS": (lambda: tl.SIGNALS, "signals: x, y, heading, speed, ...>"),
-    "FIGURES": (lambda: tl.show.FIGURES, "figures: plant, "),
+    "FIGURES": (lambda: tl.draw.FIGURES, "figures: plant, "),
     "LAWS": (lambda: LAWS, f"<{len(LAWS)} laws: sequential-p"),
     "kind of metric": (
         lambda: tl.METRICS["run.duration"],
@@ -47,7 +47,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
     ),
     "kind of signal": (lambda: tl.SIGNALS["x"], "<SignalKind [m]: Position in the world frame.>"),
     "kind of figure": (
-        lambda: tl.show.FIGURES["plant"],
+        lambda: tl.draw.FIGURES["plant"],
         "<FigureKind: Impulse, step and ramp response",
     ),
     "signal": (lambda: tl.read_signal(RUN, "x"), "<Signal x: 793 values in m>"),

@@ -121,7 +121,7 @@ def test_no_line_of_a_fenced_text_ends_it(text: str) -> None:
 def test_a_csv_cell_is_no_formula_and_gives_the_text_back(name: str) -> None:
     column = tl.compare.Column(title="n")
     table = tl.compare.Table(title="t", columns=(column,), rows=((name,), (-1.5,)))
-    _, (cell,), (number,) = csv.reader(io.StringIO(tl.show.format_table(table, "csv"), newline=""))
+    _, (cell,), (number,) = csv.reader(io.StringIO(tl.draw.format_table(table, "csv"), newline=""))
     assert number == "-1.5"
     if cell != name:
         assert cell == f"'{name}"

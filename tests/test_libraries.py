@@ -147,7 +147,7 @@ def test_names_without_their_library_leave_the_package(tmp_path: Path) -> None:
         f"import inspect, turtlelog as tl\nfor name in {ABSENT}:\n"
         "    assert name not in dir(tl), name\n    assert name not in tl.__all__, name\n"
         "    assert getattr(tl, name, None) is None, name\n"
-        "assert callable(tl.read_run) and 'TABLE_FORMATS' in tl.show.__all__\n"
+        "assert callable(tl.read_run) and 'TABLE_FORMATS' in tl.draw.__all__\n"
         "help(tl); print(len(inspect.getmembers(tl)) > 100)\nfrom turtlelog import *",
         tmp_path,
     )
@@ -186,7 +186,7 @@ def test_every_public_name_of_a_slim_installation_is_there_or_says_what_to_insta
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("package", ["turtlelog", "turtlelog.show", "turtlelog.show.figures"])
+@pytest.mark.parametrize("package", ["turtlelog", "turtlelog.draw", "turtlelog.draw.figures"])
 def test_import_of_a_name_without_its_library_says_what_to_install(
     package: str, tmp_path: Path
 ) -> None:

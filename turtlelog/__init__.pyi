@@ -4,8 +4,10 @@ __all__: list[str]
 
 from . import (
     check as check,
+    charts as charts,
     compare as compare,
     display as display,
+    draw as draw,
     explain as explain,
     expressions as expressions,
     frames as frames,
@@ -20,7 +22,6 @@ from . import (
     run as run,
     runner as runner,
     scenario as scenario,
-    show as show,
     simulate as simulate,
     sweep as sweep,
     theory as theory,
@@ -45,6 +46,12 @@ from .compare import (
     compare_runs as compare_runs,
     summarise_run as summarise_run,
     tabulate_runs as tabulate_runs,
+)
+from .draw import (
+    open_viewer as open_viewer,
+    write_comparison_rrd as write_comparison_rrd,
+    write_figures as write_figures,
+    write_run_rrd as write_run_rrd,
 )
 from .errors import (
     CheckError as CheckError,
@@ -130,12 +137,6 @@ from .scenario import (
     load_scenario as load_scenario,
     override_scenario as override_scenario,
     parse_scenario as parse_scenario,
-)
-from .show import (
-    open_viewer as open_viewer,
-    write_comparison_rrd as write_comparison_rrd,
-    write_figures as write_figures,
-    write_run_rrd as write_run_rrd,
 )
 from .simulate import (
     simulate_run as simulate_run,

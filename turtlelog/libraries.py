@@ -53,10 +53,10 @@ def load_library(module: str) -> Any:
 
 _NEEDED: Final = MappingProxyType(
     {
-        "turtlelog.show.figures": ("matplotlib",),
-        "turtlelog.show.movie": ("matplotlib",),
-        "turtlelog.show.report": ("matplotlib", "bokeh"),
-        "turtlelog.show.rerun": ("rerun", "pyarrow"),
+        "turtlelog.draw.figures": ("matplotlib",),
+        "turtlelog.draw.movie": ("matplotlib",),
+        "turtlelog.draw.report": ("matplotlib", "bokeh"),
+        "turtlelog.draw.rerun": ("rerun", "pyarrow"),
     }
 )
 """Packages without which libraries none of their names can be used."""

@@ -16,8 +16,8 @@ from turtlelog.check.failure_report import (
     describe_results,
     tabulate_surroundings,
 )
-from turtlelog.show import write_violation_rrd
-from turtlelog.show.rerun.snapshot import open_camera
+from turtlelog.draw import write_violation_rrd
+from turtlelog.draw.rerun.snapshot import open_camera
 
 NO_GRAPHICS = "expected a graphics adapter"
 

@@ -5,12 +5,12 @@ import pytest
 
 import turtlelog as tl
 from tests.check.recordings import simulate
+from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.check import CheckResult, match_run
 from turtlelog.check.spec import Tolerances
 from turtlelog.check.violation import find_violated_signal
 from turtlelog.compare import Tolerance
 from turtlelog.measure import read_signal
-from turtlelog.show.violated_signal import ViolatedSignal
 
 RUN = simulate("paper-kp10")
 

@@ -41,7 +41,7 @@ SHARERS = {
     ],
     "turtlelog.tune.candidates": [["tune", "posture", *TUNE, "--set", "max_duration_s=2"]],
     "turtlelog.explain.game": [["explain", "kp10.mcap", "--jobs", "2"]],
-    "turtlelog.show.figures.writing": [["plot", "kp10.mcap", "-o", "figs", "--only", "heading"]],
+    "turtlelog.draw.figures.writing": [["plot", "kp10.mcap", "-o", "figs", "--only", "heading"]],
 }
 """Commands for each module that hands out work."""
 

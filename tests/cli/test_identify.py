@@ -7,10 +7,10 @@ import pytest
 from rerun.chunk import RrdReader
 
 from tests.cli.conftest import Call
+from tests.draw.rerun.rrds import read_blueprint_parts
 from tests.identify.robots import Log, Truth, make_run, write_bag
 from tests.log.ros2.bags import make_poses, write_mcap
 from tests.log.runs import find_shared
-from tests.show.rerun.rrds import read_blueprint_parts
 from turtlelog.identify import AxisModel, Estimate
 
 LOG = Log(

@@ -28,7 +28,7 @@ def test_every_name_is_listed(call: Call) -> None:
     assert found["signals"] == [*tl.SIGNALS]
     assert found["presets"] == [*tl.PRESETS]
     assert found["laws"] == [*LAWS]
-    assert found["figures"] == [*tl.show.FIGURES]
+    assert found["figures"] == [*tl.draw.FIGURES]
     scenario = tl.load_scenario("paper")
     from turtlelog.explain.mechanisms import find_mechanisms
 

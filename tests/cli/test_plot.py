@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
-from tests.show.rerun.rrds import make_foreign_run
+from tests.draw.rerun.rrds import make_foreign_run
 from turtlelog.cli.app import main
 
 RECORDING = Path(__file__).parents[2] / "recordings" / "paper" / "kp4.mcap"
-SHOWN = {name: kind.title for name, kind in tl.show.FIGURES.items()}
+SHOWN = {name: kind.title for name, kind in tl.draw.FIGURES.items()}
 
 
 def run_plot(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -186,7 +186,7 @@ def test_a_folder_gets_each_figure_once_and_table_1_after_the_final_errors(
     written = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert written == sorted(
         [
-            *(f"{name}.pdf" for name, kind in tl.show.FIGURES.items() if kind.is_usual),
+            *(f"{name}.pdf" for name, kind in tl.draw.FIGURES.items() if kind.is_usual),
             "metrics.tex",
             "table1.tex",
             "whole-runs.tex",

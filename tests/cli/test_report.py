@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
+from turtlelog.charts.close_up import format_length
 from turtlelog.cli.app import main
-from turtlelog.show.close_up import format_length
-from turtlelog.show.report.conclusion import conclude_checks
+from turtlelog.draw.report.conclusion import conclude_checks
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 
@@ -142,7 +142,7 @@ def test_of_a_bag_the_files_in_its_folder_are_hashed(tmp_path: Path) -> None:
     bag.mkdir()
     for name in ("metadata.yaml", "bag_0.mcap"):
         (bag / name).write_text(name)
-    tl.show.write_report([tl.read_run(RECORDINGS / "kp4.mcap")], path, sources=[bag])
+    tl.draw.write_report([tl.read_run(RECORDINGS / "kp4.mcap")], path, sources=[bag])
     keys = [hashlib.sha256(name.encode()).hexdigest() for name in ("bag_0.mcap", "metadata.yaml")]
     expected = f"<code>bag_0.mcap {keys[0]}, metadata.yaml {keys[1]}</code>"
     assert expected in path.read_text("utf-8")

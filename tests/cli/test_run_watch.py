@@ -15,9 +15,9 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
+from tests.draw.rerun.headless import start_headless
 from tests.log.live import ROOT
-from tests.show.rerun.headless import start_headless
-from turtlelog.show.rerun.viewer import ViewerProcess
+from turtlelog.draw.rerun.viewer import ViewerProcess
 
 PATIENCE_S = 60.0
 
@@ -373,7 +373,7 @@ def test_a_window_that_is_closed_ends_the_watch(
             viewer.wait_for_end(199 * 16_000_000)
             viewer.process.end()
 
-        monkeypatch.setattr(tl.show, "open_window", open_window)
+        monkeypatch.setattr(tl.draw, "open_window", open_window)
         user = threading.Thread(target=save_and_close)
         user.start()
         answer = call("run", "--watch", "--live", "--law", f"{law}:Own")

@@ -66,7 +66,7 @@ def test_ways_to_look_that_exclude_each_other_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("ending", "option"), [("open_viewer", None), ("show.follow_recording", "--follow")]
+    ("ending", "option"), [("open_viewer", None), ("draw.follow_recording", "--follow")]
 )
 def test_ctrl_c_ends_a_look_as_well_as_the_windows_own_button(
     ending: str, option: str | None, kp10: Path, call: Call, monkeypatch: pytest.MonkeyPatch

@@ -9,9 +9,9 @@ import turtlelog as tl
 from tests.fresh_process import run_command
 from turtlelog.cli.movie import MovieOptions
 from turtlelog.cli.view import PictureOptions, _choose_time, _parse_size, _require_picture
+from turtlelog.draw.rerun.snapshot import _require_inside
 from turtlelog.errors import ShowError, UsageError
 from turtlelog.scenario import get_preset
-from turtlelog.show.rerun.snapshot import _require_inside
 
 
 @pytest.mark.parametrize("size", ["479x320", "480x319"])

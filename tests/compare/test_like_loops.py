@@ -3,7 +3,7 @@
 import pytest
 
 import turtlelog as tl
-from tests.show.laws import simulate_law, simulate_tracker
+from tests.draw.laws import simulate_law, simulate_tracker
 from turtlelog.compare.like_loops import group_ids, group_loops, order_ids
 from turtlelog.laws import SequentialP
 from turtlelog.loops import ControlLoop, Declaration

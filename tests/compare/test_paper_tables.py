@@ -16,7 +16,7 @@ def test_table_1_has_a_row_per_gain_in_rising_order() -> None:
 
 
 def test_table_1_stands_beside_the_papers_figures() -> None:
-    text = tl.show.format_table(tl.compare.tabulate_table1(RUNS, beside_paper=True))
+    text = tl.draw.format_table(tl.compare.tabulate_table1(RUNS, beside_paper=True))
     assert "0.0253  0.0253  0.082518  0.081545" in text
     assert "1.0739  1.0739  0.106728  0.106728" in text
     assert "0.0825 m is not 0.0815 m because" in text

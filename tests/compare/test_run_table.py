@@ -80,7 +80,7 @@ def test_a_missing_value_shows_its_status() -> None:
 
 def test_marks_are_written_as_each_format_has_them() -> None:
     table = tl.tabulate_runs(SUMMARIES[:2], only=["run.duration"])
-    text = tl.show.format_table(table).splitlines()
+    text = tl.draw.format_table(table).splitlines()
     assert text[-5:] == [
         "---------------------------",
         "paper-kp1      1    20.528!",
@@ -88,9 +88,9 @@ def test_marks_are_written_as_each_format_has_them() -> None:
         "",
         "* best, ! worst of a column.",
     ]
-    assert "| paper-kp2 | 2 | **12.672** |" in tl.show.format_table(table, "md")
-    assert r"paper-kp1 & 1 & \textit{20.528} \\" in tl.show.format_table(table, "tex")
-    assert tl.show.format_table(table, "csv").splitlines()[2] == "paper-kp2,2.0,12.672"
+    assert "| paper-kp2 | 2 | **12.672** |" in tl.draw.format_table(table, "md")
+    assert r"paper-kp1 & 1 & \textit{20.528} \\" in tl.draw.format_table(table, "tex")
+    assert tl.draw.format_table(table, "csv").splitlines()[2] == "paper-kp2,2.0,12.672"
 
 
 def test_columns_are_chosen_by_name_pattern_and_parameter() -> None:

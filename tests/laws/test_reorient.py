@@ -6,11 +6,11 @@ import pytest
 
 import turtlelog as tl
 from tests.laws.sequential_runs import build_run
+from turtlelog.charts.shared_curves import list_levels
 from turtlelog.errors import LawError
 from turtlelog.explain import identify_run
 from turtlelog.laws import Goal, Pose, SequentialP, SequentialPParameters
 from turtlelog.scenario import override_scenario
-from turtlelog.show.shared_curves import list_levels
 
 BOTH = pytest.mark.parametrize("kind", ["sequential-p", "sequential-pid"])
 TICK_NS = 16_000_000

@@ -5,9 +5,6 @@ import pytest
 
 # pytester forgets the modules that a run inside this process has loaded, and numpy loads but once:
 # what the plugin loads when it is asked is loaded here, for all runs.
-import turtlelog.check.recording
-import turtlelog.pytest_plugin.explaining
-import turtlelog.show  # noqa: F401
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.charts.shared_curves import Curve
 from turtlelog.check.formula import find_unit
 from turtlelog.check.formula_trace import FormulaTrace
 from turtlelog.check.judge_formula import MIRRORED
@@ -29,7 +30,6 @@ from turtlelog.expressions import (
 )
 from turtlelog.measure import list_signals
 from turtlelog.run import Run
-from turtlelog.show.shared_curves import Curve
 
 Values = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from turtlelog.remote.urls import make_path
 from turtlelog.run import Run, slice_run
 
 if TYPE_CHECKING:
-    from turtlelog.show.rerun.snapshot import Camera
+    from turtlelog.draw.rerun.snapshot import Camera
 
 
 _WIDTH = 92
@@ -253,7 +253,7 @@ class ArtifactWriter:
         return Artifacts(files=(rrd, png, mcap))
 
     def _open_camera(self) -> "Camera":
-        from turtlelog.show.rerun.snapshot import open_camera
+        from turtlelog.draw.rerun.snapshot import open_camera
 
         if self._camera is None:
             self._camera = self._viewer.enter_context(open_camera(size=_SIZE))
@@ -262,7 +262,7 @@ class ArtifactWriter:
 
 def _write_view(run: Run, result: CheckResult, rrd: Path, *, at_s: float) -> None:
     from turtlelog.check.violation import find_violated_signal
-    from turtlelog.show import write_violation_rrd
+    from turtlelog.draw import write_violation_rrd
 
     found = find_violated_signal(run, result)
     # What is known of the scenario has a tab of its own.

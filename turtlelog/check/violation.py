@@ -8,6 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.charts.shared_curves import Curve
+from turtlelog.charts.violated_signal import SignalSearch, ViolatedSignal, ViolationMoment
 from turtlelog.check.decisive_band import BandReader, find_scale, list_leaves, names_signals
 from turtlelog.check.formula import check_run
 from turtlelog.check.formula_trace import FormulaTrace, find_span, find_window, read_signals
@@ -18,8 +20,6 @@ from turtlelog.compare.signal_comparison import trace_tube
 from turtlelog.expressions import Call, Comparison, Name
 from turtlelog.measure import list_metrics, list_signals, measure_run, read_signal
 from turtlelog.run import Run
-from turtlelog.show.shared_curves import Curve
-from turtlelog.show.violated_signal import SignalSearch, ViolatedSignal, ViolationMoment
 
 Values = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
-from turtlelog import show
+from turtlelog import draw
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import split_names
 from turtlelog.cli.progress import show_progress
@@ -15,7 +15,7 @@ from turtlelog.errors import ShowError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Run
-    from turtlelog.show.figures import FigureKind
+    from turtlelog.draw.figures import FigureKind
 
     Only = Collection[str] | Mapping[str, FigureKind]
 
@@ -59,7 +59,7 @@ class AskedOptions:
 
     def bind(self, names: Sequence[str], runs: "Sequence[Run]") -> "Only":
         """Return figures by name, with what they are asked to show."""
-        kinds = show.FIGURES
+        kinds = draw.FIGURES
         unknown = [name for name in names if name not in kinds]
         if unknown or not runs:
             return names
@@ -82,7 +82,7 @@ def _bind_attribution(
     asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]"
 ) -> "FigureKind":
     """Explain the run; it may take seconds."""
-    from turtlelog.show.figures.attribution_figure import draw_attribution, explain_for_figure
+    from turtlelog.draw.figures.attribution_figure import draw_attribution, explain_for_figure
 
     with show_progress("explaining", 100.0, "%") as progress:
         explained = explain_for_figure(runs, metric=asked.metric, report=progress.count)
@@ -90,13 +90,13 @@ def _bind_attribution(
 
 
 def _bind_gains(asked: AskedOptions, kind: "FigureKind", _: "Sequence[Run]") -> "FigureKind":
-    from turtlelog.show.figures.gain_figure import draw_gains
+    from turtlelog.draw.figures.gain_figure import draw_gains
 
     return replace(kind, draw=partial(draw_gains, metrics=asked.list_metrics()))
 
 
 def _bind_strips(asked: AskedOptions, kind: "FigureKind", _: "Sequence[Run]") -> "FigureKind":
-    from turtlelog.show.figures.strip_figure import draw_strips
+    from turtlelog.draw.figures.strip_figure import draw_strips
 
     return replace(kind, draw=partial(draw_strips, metrics=asked.list_metrics()))
 
@@ -106,7 +106,7 @@ def _bind_violation(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run
     import turtlelog as tl
     from turtlelog.check.violation import find_judged_signal
     from turtlelog.cli.check import build_spec
-    from turtlelog.show.figures.violation_figure import draw_violation
+    from turtlelog.draw.figures.violation_figure import draw_violation
 
     if len(runs) != 1 or asked.expect is None:
         return kind

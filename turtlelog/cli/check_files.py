@@ -223,7 +223,7 @@ def _write_report(
         print_note(f"{path}: no report: none of the recordings could be read")
         return
     names = dict(zip(runs, tl.compare.name_runs([*runs.values()]), strict=True))
-    tl.show.write_report(
+    tl.draw.write_report(
         [*runs.values()],
         path,
         sources=[*runs],

@@ -111,7 +111,7 @@ def _describe_alike(table: "Table", summaries: "Sequence[RunSummary]", ranking: 
 
 def _format(table: "Table") -> str:
     """Return a table without its title: the first line stands above it."""
-    return "\n" + tl.show.format_table(replace(table, title=""), width=find_width()).strip("\n")
+    return "\n" + tl.draw.format_table(replace(table, title=""), width=find_width()).strip("\n")
 
 
 def _list_reasons(table: "Table", summaries: "Sequence[RunSummary]") -> list[str]:

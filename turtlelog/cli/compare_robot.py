@@ -170,8 +170,8 @@ def _build_band(band: "ErrorBand") -> _BandAnswer:
 
 def _draw(found: "RobotComparison", plot: Path | None, rrd: Path | None) -> None:
     if plot is not None:
-        tl.show.write_prediction_figure(found, plot)
+        tl.draw.write_prediction_figure(found, plot)
         print_note(f"wrote {plot}")
     if rrd is not None:
-        tl.show.write_prediction_rrd(found, rrd)
+        tl.draw.write_prediction_rrd(found, rrd)
         print_note(f"wrote {rrd}")

@@ -45,13 +45,13 @@ def demo(
     from turtlelog.log import replace_when_complete
 
     table1 = tl.compare.tabulate_table1(runs, beside_paper=True)
-    for kind in tl.show.TABLE_FORMATS:
+    for kind in tl.draw.TABLE_FORMATS:
         with replace_when_complete(output / f"table1.{kind}") as path:
-            path.write_text(tl.show.format_table(table1, kind), encoding="utf-8")
-    print_note(f"wrote {output / 'table1'}.{{{','.join(tl.show.TABLE_FORMATS)}}}")
+            path.write_text(tl.draw.format_table(table1, kind), encoding="utf-8")
+    print_note(f"wrote {output / 'table1'}.{{{','.join(tl.draw.TABLE_FORMATS)}}}")
     print_note("")
     tables = [
-        tl.show.format_table(replace(table, notes=()), width=find_width())
+        tl.draw.format_table(replace(table, notes=()), width=find_width())
         + fill_lines([*table.notes, ""])
         for table in (table1, tl.compare.tabulate_whole_runs(runs))
     ]

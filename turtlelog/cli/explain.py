@@ -151,7 +151,7 @@ def _draw(
         raise ExplainError(f"{path}: there is nothing to draw, because {_NOTHING}")
     with show_progress("simulating without", 100.0, "%") as progress:
         without = tl.explain.simulate_what_ifs(found, attribution, report=progress.count)
-    tl.show.write_explanation_rrd(run, attribution, without, path)
+    tl.draw.write_explanation_rrd(run, attribution, without, path)
     print_note(f"wrote {path}")
 
 

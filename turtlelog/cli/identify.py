@@ -92,10 +92,10 @@ def identify(
     if scenario is not None and robot is not None:
         _write_scenario(robot, scenario)
     if plot is not None:
-        tl.show.write_robot_figure(model, runs[0], plot)
+        tl.draw.write_robot_figure(model, runs[0], plot)
         print_note(f"wrote {plot}")
     if rrd is not None:
-        tl.show.write_robot_rrd(model, runs[0], rrd)
+        tl.draw.write_robot_rrd(model, runs[0], rrd)
         print_note(f"wrote {rrd}")
     return EXIT_FINE if any(axis.is_known for axis in model.axes) else EXIT_FAILED
 

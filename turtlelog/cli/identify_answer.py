@@ -119,7 +119,7 @@ def _format_values(known: "Sequence[AxisModel]") -> str:
             for axis in known
         ),
     )
-    return "\n" + tl.show.format_table(table, width=find_width()).strip("\n")
+    return "\n" + tl.draw.format_table(table, width=find_width()).strip("\n")
 
 
 def format_value(found: "Estimate | None", name: str) -> str:

@@ -141,7 +141,7 @@ def _list_causes() -> Entries:
 def _list_figures() -> Entries:
     return [
         {"name": name, "paper's figure": kind.paper or None, "meaning": kind.title}
-        for name, kind in tl.show.FIGURES.items()
+        for name, kind in tl.draw.FIGURES.items()
     ]
 
 

@@ -146,13 +146,13 @@ def _write(
 ) -> None:
     suffix = output.suffix.lower()
     if suffix == ".rrd":
-        tl.show.write_map_rrd(view, limits, output)
+        tl.draw.write_map_rrd(view, limits, output)
     elif suffix == ".html":
         command = ["turtlelog", "plot", str(view.results.path), *words, "-o", str(output)]
-        tl.show.write_map_report(view, limits, output, command=shlex.join(command))
+        tl.draw.write_map_report(view, limits, output, command=shlex.join(command))
     else:
         page = where.build_page([suffix[1:]], None, usual="page")
-        tl.show.write_map_figure(view, limits, output, kind=kind, page=page)
+        tl.draw.write_map_figure(view, limits, output, kind=kind, page=page)
 
 
 def _answer(

@@ -120,7 +120,7 @@ def print_chosen(
 
 def _format(table: "Table") -> str:
     """Return a table without its title: the first line stands above it."""
-    text = tl.show.format_table(replace(table, title=""), width=find_width())
+    text = tl.draw.format_table(replace(table, title=""), width=find_width())
     return "\n" + text.strip("\n")
 
 

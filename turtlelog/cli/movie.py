@@ -43,7 +43,7 @@ def require_movie(options: MovieOptions, files: Sequence[Path]) -> None:
         expected = "expected a name that ends in .mp4 or .gif"
         raise UsageError(f"--movie {options.movie}: {expected}, found another")
     require_new_target(options.movie, files, suffix=suffix)
-    from turtlelog.show.movie.encoding import require_encoder
+    from turtlelog.draw.movie.encoding import require_encoder
 
     require_encoder(suffix)
 
@@ -52,7 +52,7 @@ def film_runs(runs: "Sequence[Run]", options: MovieOptions, *, timeline: str) ->
     """Write the movie, if one is asked for."""
     if options.movie is None:
         return
-    from turtlelog.show.movie import write_movie
+    from turtlelog.draw.movie import write_movie
 
     with show_progress("filming", 100.0, "%") as progress:
         write_movie(

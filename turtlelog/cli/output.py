@@ -127,7 +127,7 @@ def print_lines(lines: Iterable[str]) -> None:
 def print_tables(tables: "Sequence[Table]", kind: str) -> None:
     """Print tables in a format, an empty line between them."""
     texts = (
-        format_table(table) if kind == "txt" else tl.show.format_table(table, kind)
+        format_table(table) if kind == "txt" else tl.draw.format_table(table, kind)
         for table in tables
     )
     print_text("\n".join(texts), is_data=kind == "csv")
@@ -208,7 +208,7 @@ def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
 def format_table(table: "Table", *, indent: int = 0) -> str:
     """Return a table that fits the terminal; as wide as it needs where a file or program reads."""
     room = shutil.get_terminal_size().columns - indent if sys.stdout.isatty() else None
-    return tl.show.format_table(table, width=room)
+    return tl.draw.format_table(table, width=room)
 
 
 def print_note(text: str) -> None:

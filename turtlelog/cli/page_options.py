@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
-from turtlelog import show
+from turtlelog import draw
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtlelog.show import Page
+    from turtlelog.draw import Page
 
 
 TIMELESS: Final = frozenset(
@@ -74,7 +74,7 @@ class PageOptions:
                 raise UsageError(f"{option}: expected a figure over time, found {found}")
         if self.dpi is not None and "png" not in formats:
             raise UsageError(f"--dpi: expected png files, found {', '.join(formats)}")
-        return show.Page(
+        return draw.Page(
             kind=self.kind or usual,
             **({} if self.text_width is None else {"text_width_mm": self.text_width}),
             dpi=self.dpi,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog import show
+from turtlelog import draw
 from turtlelog.cli.asked_figures import AskedOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.map import ViewOptions, draw_table, find_table
@@ -35,7 +35,7 @@ from turtlelog.remote.urls import RemotePath
 if TYPE_CHECKING:
     from turtlelog import Run
     from turtlelog.cli.asked_figures import Only
-    from turtlelog.show import Page
+    from turtlelog.draw import Page
 
 
 def plot(  # noqa: PLR0913 (each is an option of the command)
@@ -138,9 +138,9 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     else:
         drawn, tables = _draw_all(output, drawing)
         figures = {path: path.stem for path in drawn}
-        left_out = show.list_left_out(runs, names) if runs else ()
+        left_out = draw.list_left_out(runs, names) if runs else ()
     if page.has_marks and (names or is_file):
-        left_out = (*left_out, *show.list_unmarked(runs, figures.values()))
+        left_out = (*left_out, *draw.list_unmarked(runs, figures.values()))
     for line in left_out:
         print_note(f"plot: {line}")
     _tell_whole(figures.values(), page)
@@ -233,8 +233,8 @@ def _build_answer(
             FigureAnswer(
                 file=str(path),
                 figure=name,
-                title=tl.show.FIGURES[name].title,
-                paper=tl.show.FIGURES[name].paper or None,
+                title=tl.draw.FIGURES[name].title,
+                paper=tl.draw.FIGURES[name].paper or None,
             )
             for path, name in figures.items()
         ],
@@ -325,7 +325,7 @@ def _require_one(output: Path, names: list[str] | None, formats: str | None) -> 
 
 
 def _choose_overview(runs: "Sequence[Run]") -> str:
-    found = [name for name in _OVERVIEWS if not tl.show.FIGURES[name].find_lack(runs)]
+    found = [name for name in _OVERVIEWS if not tl.draw.FIGURES[name].find_lack(runs)]
     name = [*found, _OVERVIEWS[0]][0]
     print_note(f"plot: the figure {name}; --only chooses another (turtlelog list figures)")
     return name
@@ -351,7 +351,7 @@ class _Drawing:
 
     def add_figures(self, write: Callable[[str, bytes], Path]) -> list[Path]:
         """Draw the figures and write each in its formats."""
-        from turtlelog.show.figures.writing import add_figures
+        from turtlelog.draw.figures.writing import add_figures
 
         return add_figures(
             write,
@@ -365,7 +365,7 @@ class _Drawing:
 
 @_collect_rarely()
 def _draw_one(output: Path, drawing: _Drawing) -> Path:
-    from turtlelog.show.output_files import replace_file
+    from turtlelog.draw.output_files import replace_file
 
     with show_progress("drawing"), replace_file(output) as part:
 
@@ -380,10 +380,10 @@ def _draw_one(output: Path, drawing: _Drawing) -> Path:
 @_collect_rarely()
 def _draw_all(output: Path, drawing: _Drawing) -> tuple[list[Path], list[Path]]:
     """Return the figures and the tables that were written into a folder."""
-    from turtlelog.show.figures.writing import add_tables
-    from turtlelog.show.output_files import replace_together
+    from turtlelog.draw.figures.writing import add_tables
+    from turtlelog.draw.output_files import replace_together
 
-    names = tl.show.FIGURES if drawing.only is None else drawing.only
+    names = tl.draw.FIGURES if drawing.only is None else drawing.only
     with (
         show_progress("drawing", len(drawing.formats) * len(names), "files at most") as progress,
         replace_together(output) as write,

@@ -26,8 +26,8 @@ from turtlelog.errors import ExplainError, TurtlelogError
 
 if TYPE_CHECKING:
     from turtlelog import CheckResult, Run
-    from turtlelog.show.report import CheckLine, Explanation
-    from turtlelog.show.violated_signal import ViolatedSignal
+    from turtlelog.charts.violated_signal import ViolatedSignal
+    from turtlelog.draw.report import CheckLine, Explanation
 
 
 def report(
@@ -71,7 +71,7 @@ def report(
     words += [] if explain == "auto" else ["--explain", explain]
     words += list_reading_words(topics or ReadingOptions())
     with show_progress("drawing"):
-        tl.show.write_report(
+        tl.draw.write_report(
             runs,
             output,
             sources=files,
@@ -129,8 +129,8 @@ def build_check_lines(
         runs: By their files: those that could be read.
     """
     from turtlelog.check.violation import find_violated_signal
-    from turtlelog.show.report import CheckLine
-    from turtlelog.show.report.violation_plots import MOST_VIOLATIONS
+    from turtlelog.draw.report import CheckLine
+    from turtlelog.draw.report.violation_plots import MOST_VIOLATIONS
 
     def tell(value: float | None, unit: str) -> str:
         return "" if value is None else format_number(value, unit)
@@ -169,9 +169,9 @@ def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
     run = _choose_run(runs, choice)
     if run is None:
         return None
+    from turtlelog.draw.report import Explanation
     from turtlelog.explain import require_trust
     from turtlelog.explain.what_ifs import simulate_what_ifs
-    from turtlelog.show.report import Explanation
 
     try:
         require_trust(run, trust_law=False)

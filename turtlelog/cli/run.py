@@ -42,8 +42,8 @@ from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
+    from turtlelog.draw.rerun.viewer import ViewerProcess
     from turtlelog.runner import Sink
-    from turtlelog.show.rerun.viewer import ViewerProcess
     from turtlelog.simulate import Tick
 
 ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]
@@ -274,7 +274,7 @@ def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str
     if live.connect is not None or not live.live:
         yield None, live.connect
         return
-    with tl.show.open_window(_ADVICE) as (window, url):
+    with tl.draw.open_window(_ADVICE) as (window, url):
         yield window, url
 
 
@@ -296,7 +296,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
     with ExitStack() as closing:
         closing.enter_context(interrupt_on_quit())
         sinks: list[Sink] = []
-        viewer = None if url is None else tl.show.LiveViewer(scenario, url)
+        viewer = None if url is None else tl.draw.LiveViewer(scenario, url)
         if viewer is not None:
             closing.callback(viewer.close, {})  # also where nothing comes to run
         if live.realtime and output is not None:

@@ -141,7 +141,7 @@ def _describe_loop(answer: LoopAnswer) -> str:
 
 def _join(head: Sequence[str], tables: "Sequence[Table]", rest: Sequence[str]) -> str:
     shown = [_narrow(table) for table in tables if table.rows]
-    texts = [tl.show.format_table(table, width=find_width()).strip("\n") for table in shown]
+    texts = [tl.draw.format_table(table, width=find_width()).strip("\n") for table in shown]
     return "\n\n".join([fill_lines(head), *texts, fill_lines(rest)])
 
 

@@ -111,7 +111,7 @@ def view(
             print_note(f"wrote {save}")
         if picture.snapshot is not None:
             with show_progress("taking the picture"):
-                tl.show.write_snapshot(
+                tl.draw.write_snapshot(
                     rrds[0],
                     picture.snapshot,
                     at_s=_choose_time(picture, span_s),
@@ -165,13 +165,13 @@ def _require_one_way(
 
 
 def _follow(path: Path, url: str | None) -> None:
-    run = tl.show.follow_recording(path, url)
+    run = tl.draw.follow_recording(path, url)
     if run.stop_reason is None:
         print_note(f"{path}: not finished: followed up to {run.end_ns / 1e9:.3f} s")
 
 
 def _serve(rrds: list[Path]) -> None:
-    with tl.show.serve_recordings(rrds) as address:
+    with tl.draw.serve_recordings(rrds) as address:
         print_text(address)
         with outlive_reader():
             sys.stdout.flush()

@@ -1,0 +1,482 @@
+"""What figures show, read from their structure."""
+
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+import turtlelog as tl
+from tests.draw.laws import simulate_pid, simulate_tracker
+from tests.draw.rerun.rrds import make_foreign_run
+from turtlelog.draw import list_left_out
+from turtlelog.draw.figures.figure_curves import find_gains
+from turtlelog.draw.figures.page import PageKind, choose_lines
+from turtlelog.errors import ShowError
+from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
+from turtlelog.scenario import get_preset
+
+Columns = TypeVar("Columns", SampleColumns, CommandColumns)
+
+GAINS = (1, 2, 4, 10)
+THEORY = ["plant", "step-responses", "root-locus"]
+
+
+@cache
+def simulate(kp: int) -> tl.Run:
+    return tl.simulate_run(get_preset(f"paper-kp{kp}"))
+
+
+RUNS = [simulate(kp) for kp in GAINS]
+
+
+def list_legend(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def find_line(figure: Figure, label: str, axes: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    (line,) = [line for line in figure.axes[axes].get_lines() if line.get_label() == label]
+    return np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+
+
+@pytest.mark.parametrize("kp", GAINS)
+def test_the_plant_s_responses_and_the_closed_loop_s_are_the_textbook_s(kp: int) -> None:
+    time_s, values = find_line(tl.draw.draw_figure("step-responses", [simulate(kp)]), f"Kp = {kp}")
+    assert values == pytest.approx(1.0 - np.exp(-kp * time_s), abs=1e-12)
+    place, _ = find_line(tl.draw.draw_figure("root-locus", [simulate(kp)]), f"Kp = {kp}")
+    assert place.tolist() == [-kp]
+
+
+def test_the_plant_answers_a_ramp_with_a_parabola() -> None:
+    figure = tl.draw.draw_figure("plant")
+    curves = [axes.get_lines()[0].get_xydata() for axes in figure.axes]
+    assert all(np.asarray(curve).shape == (201, 2) for curve in curves)
+    impulse, step, ramp = (np.asarray(curve) for curve in curves)
+    assert (impulse[:, 1] == 1.0).all()
+    # python-control integrates step by step: 4e-14 off after 5 s.
+    assert step[:, 1] == pytest.approx(step[:, 0], abs=1e-12)
+    assert ramp[:, 1] == pytest.approx(ramp[:, 0] ** 2 / 2.0)
+
+
+def test_commands_hold_until_the_next() -> None:
+    (line,) = [
+        line
+        for line in tl.draw.draw_figure("turn-rate", [simulate(4)]).axes[0].get_lines()
+        if line.get_label() == "commanded"
+    ]
+    assert line.get_drawstyle() == "steps-post"
+
+
+def test_what_the_law_wanted_reaches_57_metres_a_second() -> None:
+    figure = tl.draw.draw_figure("wanted-speed", RUNS)
+    largest = [float(find_line(figure, f"paper-kp{kp}")[1].max()) for kp in GAINS]
+    assert largest == pytest.approx([5.69, 11.39, 22.77, 56.94], abs=0.02)
+
+
+def test_errors_stand_on_a_logarithmic_scale_where_exponentials_are_straight() -> None:
+    figure = tl.draw.draw_figure("error-log", [simulate(1)])
+    assert [axes.get_yscale() for axes in figure.axes] == ["log", "log"]
+    time_s, sizes = find_line(figure, "paper-kp1")
+    free = (time_s > 3.0) & (time_s < 6.0)
+    slope = np.polyfit(time_s[free], np.log(sizes[free]), 1)[0]
+    # Six ticks of dead time let it decay a little faster than exp(-t).
+    assert slope == pytest.approx(-1.1, abs=0.02)
+
+
+def test_the_plane_keeps_its_proportions_and_shows_how_runs_end() -> None:
+    figure = tl.draw.draw_figure("plane", RUNS)
+    whole, close = figure.axes
+    assert (whole.get_aspect(), close.get_aspect()) == (1.0, 1.0)
+    low, high = close.get_xlim()
+    assert high - low < 0.5
+    assert low < 2.0 < high
+
+
+@pytest.mark.parametrize(("kind", "width_mm"), [("column", 87.5), ("page", 181.0)])
+def test_figures_are_as_wide_as_the_page_has_room(kind: PageKind, width_mm: float) -> None:
+    figure = tl.draw.draw_figure("heading", [simulate(1)], page=tl.draw.Page(kind=kind))
+    assert figure.get_size_inches()[0] * 25.4 == pytest.approx(width_mm)
+
+
+@pytest.mark.parametrize("text_width_mm", [0.0, 119.0, 1001.0, float("nan"), float("inf")])
+def test_a_page_of_no_sensible_width_is_refused(text_width_mm: float) -> None:
+    with pytest.raises(ShowError, match="text width: expected 120 to 1000 mm"):
+        tl.draw.Page(text_width_mm=text_width_mm)
+
+
+def keep_poses(run: tl.Run) -> tl.Run:
+    samples, commands = empty(run.samples), empty(run.commands)
+    return replace(run, samples=samples, commands=commands, goal_xy_m=None, parameters={})
+
+
+def empty(columns: Columns) -> Columns:
+    tables = {field.name: getattr(columns, field.name) for field in fields(columns)}
+    known = {name: table[:0] for name, table in tables.items() if table is not None}
+    return replace(columns, **known)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Write a figure twice in every format."""
+    folders = [tmp_path_factory.mktemp(name) for name in ("once", "again")]
+    return [path for folder in folders for path in tl.write_figures(RUNS, folder, only=["heading"])]
+
+
+@pytest.mark.thorough
+def test_figures_are_written_in_every_format(written: list[Path]) -> None:
+    assert [path.name for path in written[:3]] == ["heading.pdf", "heading.png", "heading.svg"]
+    starts = [path.read_bytes()[:5] for path in written[:3]]
+    assert starts == [b"%PDF-", b"\x89PNG\r", b"<?xml"]
+
+
+def test_fonts_stand_in_the_pdf_as_truetype(written: list[Path]) -> None:
+    pdf = written[0].read_bytes()
+    assert b"/FontFile2" in pdf
+    assert b"/Type3" not in pdf
+
+
+def test_files_have_the_size_of_the_page(written: list[Path]) -> None:
+    points = re.search(rb"/MediaBox \[ 0 0 ([0-9.]+)", written[0].read_bytes())
+    assert points is not None
+    assert float(points[1]) / 72.0 * 25.4 == pytest.approx(87.5, abs=0.01)
+    pixels = int.from_bytes(written[1].read_bytes()[16:20])
+    assert pixels / 300.0 * 25.4 == pytest.approx(87.5, abs=0.1)
+
+
+def test_the_same_runs_give_the_same_files(written: list[Path]) -> None:
+    assert [path.read_bytes() for path in written[:3]] == [
+        path.read_bytes() for path in written[3:]
+    ]
+
+
+def test_without_runs_there_is_theory() -> None:
+    assert [name for name, kind in tl.draw.FIGURES.items() if not kind.find_lack([])] == THEORY
+
+
+def test_runs_stand_in_the_order_of_their_gains() -> None:
+    figure = tl.draw.draw_figure("heading", [simulate(10), simulate(2), simulate(4), simulate(1)])
+    assert list_legend(figure)[:4] == ["paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10"]
+
+
+@pytest.mark.parametrize(
+    ("name", "runs"), [("heading", 1), ("panel", 4), ("plane", 20), ("root-locus", 20)]
+)
+def test_a_legend_names_everything_once_and_covers_no_curve(name: str, runs: int) -> None:
+    drawn = (RUNS * 5)[:runs]
+    figure = tl.draw.draw_figure(name, drawn, page=tl.draw.Page(text_width_mm=120.0))
+    figure.draw_without_rendering()
+    names = list_legend(figure)
+    assert len(set(names)) == len(names)
+    box = figure.legends[0].get_window_extent()
+    # The last pixel of each side is the renderer's rounding.
+    assert box.x0 > -1.0
+    assert box.x1 < figure.bbox.x1 + 1.0
+    assert box.y1 < figure.bbox.y1 + 1.0
+    assert all(axes.get_window_extent().y1 <= box.y0 + 1.0 for axes in figure.axes)
+
+
+def test_a_plane_that_stands_alone_takes_one_column() -> None:
+    short = simulate(1).slice(end_s=1.0)
+    figure = tl.draw.draw_figure("plane", [short])
+    width, height = figure.get_size_inches()
+    assert len(figure.axes) == 1
+    assert width == pytest.approx(87.5 / 25.4)
+    assert height > width
+
+
+OF_ONE = ("attribution", "rates")
+"""Figures of one run."""
+
+
+@pytest.mark.everyday("panel", "plane", "rates", "step-responses", "states")
+@pytest.mark.parametrize("name", [name for name in tl.draw.FIGURES if name != "violation"])
+def test_no_lettering_is_cut_off_on_the_narrowest_page(name: str) -> None:
+    """A figure is drawn as a whole."""
+    runs = {"path-error": [simulate_tracker("kanayama")], "states": [simulate_pid()]}
+    narrow = tl.draw.Page(text_width_mm=120.0)
+    drawn = RUNS[-1:] if name in OF_ONE else runs.get(name, RUNS)
+    figure = tl.draw.draw_figure(name, drawn, page=narrow)
+    figure.draw_without_rendering()
+    page = figure.bbox
+    left, low, right, high = np.multiply(figure.get_tightbbox().extents, figure.dpi)
+    assert left > -1.0
+    assert low > -1.0
+    assert right < page.x1 + 1.0
+    assert high < page.y1 + 1.0
+
+
+@pytest.mark.parametrize("count", [2, 4, 7, 12])
+def test_runs_differ_in_colour_and_neighbours_in_dashes(count: int) -> None:
+    looks = choose_lines(count)
+    assert len({to_rgb(look["color"]) for look in looks}) == count
+    assert all(one["linestyle"] != other["linestyle"] for one, other in pairwise(looks))
+
+
+@pytest.mark.parametrize(("count", "width"), [(13, None), (24, None), (25, 0.7), (100, 0.7)])
+def test_many_lines_are_whole_and_more_are_thin(count: int, width: float | None) -> None:
+    assert {(look["linestyle"], look.get("linewidth")) for look in choose_lines(count)} == {
+        ("-", width)
+    }
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 20])
+def test_runs_stay_apart_in_grey(count: int) -> None:
+    red_green_blue = np.array([to_rgb(look["color"]) for look in choose_lines(count)])
+    greys = np.sort(red_green_blue @ [0.299, 0.587, 0.114])
+    assert np.diff(greys).min() > (0.08 if count <= 4 else 0.02)
+    assert greys.max() < 0.8  # of white
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("_first", " _first"),
+        ("ideal", "run ideal"),
+        ("cost $5 and $x_", "cost \\$5 and \\$x_"),
+        ("\u9f9f \u03c4", "? \u03c4"),
+        ("a-long-name-of-a-run-" * 5, "a-long-name-of…ame-of-a-run-"),
+    ],
+    ids=["hidden", "taken", "dollars", "no glyph", "long"],
+)
+def test_names_of_all_kinds_can_be_printed(name: str, shown: str) -> None:
+    figure = tl.draw.draw_figure("heading", [replace(simulate(1), name=name)])
+    figure.draw_without_rendering()
+    assert list_legend(figure) == [shown, "goal bearing", "ideal"]
+
+
+def test_names_that_differ_in_the_middle_stay_apart() -> None:
+    runs = [replace(simulate(1), name=f"{'a' * 40}{part}{'b' * 40}") for part in "xy"]
+    first, second = list_legend(tl.draw.draw_figure("heading", runs))[:2]
+    assert (first[:2], second[:2]) == ("1:", "2:")
+
+
+HELD = ["heading", "position", "turn-rate", "speed", "plane", "panel"]
+
+
+@pytest.mark.thorough
+def test_of_poses_and_applied_commands_that_is_drawn_and_nothing_else(tmp_path: Path) -> None:
+    written = tl.write_figures([keep_poses(simulate(4))], tmp_path, formats=["svg"])
+    assert [path.stem for path in written] == HELD
+    assert list_left_out([keep_poses(simulate(4))]) == (
+        "left out plant, step-responses, root-locus, heading-error, world-velocity, error-log,"
+        " wanted-speed, table1.tex: expected the controller's samples, found none",
+        "left out position-error: expected a goal, found none",
+    )
+
+
+def test_of_poses_alone_no_command_is_drawn(tmp_path: Path) -> None:
+    run = keep_poses(simulate(4))
+    run = replace(run, poses=replace(run.poses, speed_m_s=None, turn_rate_rad_s=None))
+    written = tl.write_figures([run], tmp_path, formats=["svg"])
+    assert [path.stem for path in written] == ["heading", "position", "plane", "panel"]
+    assert "left out turn-rate, panel (turn rate): expected turn rate commands, found none" in (
+        list_left_out([run])
+    )
+
+
+def test_of_a_whole_run_nothing_is_left_out() -> None:
+    assert list_left_out(RUNS) == list_left_out([simulate(10)]) == ()
+
+
+def test_what_some_runs_lack_is_named_with_them() -> None:
+    bag = replace(keep_poses(simulate(4)), name="bag")
+    lines = list_left_out([bag, simulate(1)], ["heading-error", "plane", "speed"])
+    assert lines == (
+        "left bag out of heading-error: expected the controller's samples, found none",
+        "left bag out of speed: expected speed commands, found none",
+    )
+    bags = [replace(bag, name=f"bag{number}") for number in range(5)]
+    (line,) = list_left_out([*bags, simulate(1)], ["heading-error"])
+    assert line.startswith("left bag0, bag1, bag2 and 2 more out of heading-error: ")
+
+
+@pytest.mark.parametrize("command", ["speed", "turn-rate"])
+def test_commands_of_a_bag_are_those_of_its_topic(command: str) -> None:
+    bag = make_foreign_run(50)
+    time_s, values = find_line(tl.draw.draw_figure(command, [bag]), "commanded")
+    commands = bag.commands
+    expected = commands.speed_m_s if command == "speed" else commands.turn_rate_rad_s
+    assert values.tolist() == expected.tolist()
+    assert time_s == pytest.approx((commands.time_ns - bag.start_ns) / 1e9)
+    _, compared = find_line(tl.draw.draw_figure(command, [bag, simulate(4)]), "bag")
+    assert compared.tolist() == expected.tolist()
+
+
+def test_an_axis_says_what_time_zero_is() -> None:
+    bag = make_foreign_run(50)
+    labels = [
+        tl.draw.draw_figure("heading", runs).axes[0].get_xlabel()
+        for runs in ([simulate(4)], [bag], [simulate(4), bag])
+    ]
+    assert labels == [
+        "time from the first sample [s]",
+        "time from the first pose [s]",
+        "time from the first sample or pose [s]",
+    ]
+
+
+def test_an_axis_of_commands_holds_those_of_a_run_without_limits() -> None:
+    bag = make_foreign_run(50)
+    fast = replace(bag, commands=replace(bag.commands, speed_m_s=np.full(50, 2.0)))
+    low, high = tl.draw.draw_figure("speed", [simulate(4), fast]).axes[0].get_ylim()
+    assert low < 0.0
+    assert high > 2.0
+
+
+def test_a_panel_has_no_empty_views() -> None:
+    figure = tl.draw.draw_figure("panel", [make_foreign_run(50)])
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        "y [m]",
+        "heading\n[deg]",
+        "turn rate\n[rad/s]",
+        "speed\n[m/s]",
+    ]
+    assert all(axes.lines for axes in figure.axes)
+    whole = tl.draw.draw_figure("panel", [simulate(4)])
+    assert figure.get_size_inches()[1] < whole.get_size_inches()[1]
+
+
+def test_theory_is_of_the_gains_of_the_runs_or_of_the_paper_s() -> None:
+    bag = make_foreign_run(50)
+    assert find_gains([bag]) == ()
+    assert find_gains([bag, simulate(4)]) == (4.0,)
+    assert find_gains([]) == (1.0, 2.0, 4.0, 10.0)
+
+
+def list_words(axes: Axes) -> list[str]:
+    return [text.get_text() for text in axes.texts]
+
+
+def test_the_close_up_tells_how_far_each_run_ends_from_the_goal() -> None:
+    _, close = tl.draw.draw_figure("plane", RUNS).axes
+    assert list_words(close) == ["1.01, 2.52, 8.52 mm", "107 mm", "50 mm", "100 mm"]
+    assert close.get_xlim() == pytest.approx((1.85, 2.15))
+    assert close.get_ylim() == pytest.approx((9.85, 10.15))
+
+
+def test_where_no_run_ends_at_the_goal_there_is_no_close_up() -> None:
+    far = replace(simulate(4), goal_xy_m=(2.0, 2.0))
+    (whole,) = tl.draw.draw_figure("plane", [far]).axes
+    assert whole.get_title() == "whole paths"
+    _, close = tl.draw.draw_figure("plane", [simulate(4), stop_far_away(simulate(1))]).axes
+    assert close.get_title() == "how each run ends, 1 of 2 runs outside"
+
+
+def stop_far_away(run: tl.Run) -> tl.Run:
+    xy_m = np.array(run.poses.xy_m)
+    xy_m[-1] = 5.0, 5.0
+    return replace(run, poses=replace(run.poses, xy_m=xy_m))
+
+
+def test_a_table_without_a_value_is_left_out(tmp_path: Path) -> None:
+    written = tl.draw.write_tables([make_foreign_run(50)], tmp_path)
+    assert [path.name for path in written] == ["whole-runs.tex", "metrics.tex"]
+
+
+@pytest.mark.parametrize(
+    ("only", "runs", "match"),
+    [
+        (["headng"], [], 'no figure "headng"; did you mean heading\\?'),
+        (["heading"], [], "figure heading: expected a recording, found none"),
+        (["wanted-speed"], [keep_poses(simulate(4))], "expected what the law wanted before clip"),
+        (["plant"], [keep_poses(simulate(4))], "figure plant: expected the law's gain, found none"),
+    ],
+    ids=["unknown", "no run", "no samples", "no gain"],
+)
+def test_figures_that_cannot_be_are_refused_before_any_is_written(
+    only: Sequence[str], runs: Sequence[tl.Run], match: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ShowError, match=match):
+        tl.write_figures(runs, tmp_path / "new", only=["plane" if runs else "plant", *only])
+    assert not (tmp_path / "new").exists()
+
+
+def test_an_unknown_format_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ShowError, match="expected some of pdf, png, svg, found 'gif'"):
+        tl.write_figures([], tmp_path, formats=["gif"])
+
+
+def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ShowError, match="file: expected a folder to write to"):
+        tl.write_figures([], tmp_path / "file")
+
+
+def test_tables_are_written_as_latex_in_the_order_of_gains(tmp_path: Path) -> None:
+    written = tl.draw.write_tables([simulate(10), simulate(2)], tmp_path)
+    assert [path.name for path in written] == ["whole-runs.tex", "table1.tex", "metrics.tex"]
+    for path in written:
+        text = path.read_text("utf-8")
+        assert rf"\label{{tab:{path.stem}}}" in text
+        assert r"\toprule" in text
+        assert r"\bottomrule" in text
+        assert text.index("paper-kp2") < text.index("paper-kp10")
+    assert r"\caption{Errors 15 s after the first sample}" in written[1].read_text("utf-8")
+
+
+def test_metrics_of_many_runs_stand_in_rows(tmp_path: Path) -> None:
+    metrics = tl.draw.write_tables([*RUNS, simulate(1)], tmp_path)[2].read_text("utf-8")
+    assert metrics.count("paper-kp") == 5
+    assert r"    paper-kp10 & 10 & " in metrics
+
+
+def test_a_run_of_one_pose_is_a_dot() -> None:
+    poses = PoseColumns(time_ns=np.array([0]), xy_m=np.zeros((1, 2)), heading_rad=np.zeros(1))
+    figure = tl.draw.draw_figure("position", [replace(keep_poses(simulate(4)), poses=poses)])
+    (line,) = (line for line in figure.axes[0].get_lines() if line.get_label() == "paper-kp4")
+    assert (len(np.asarray(line.get_xdata())), line.get_marker()) == (1, "o")
+
+
+def test_a_long_run_is_thinned_and_says_so() -> None:
+    poses = tl.simulate_run(get_preset("textbook")).poses
+    rows = np.arange(30_000)
+    long = replace(
+        poses,
+        time_ns=rows * 16_000_000,
+        xy_m=np.column_stack([np.sin(rows / 100.0), np.cos(rows / 100.0)]),
+        heading_rad=np.zeros(30_000),
+        speed_m_s=None,
+        turn_rate_rad_s=None,
+    )
+    run = replace(keep_poses(simulate(4)), poses=long)
+    for name in ("position", "plane"):
+        figure = tl.draw.draw_figure(name, [run])
+        (line,) = (line for line in figure.axes[0].get_lines() if line.get_label() == run.name)
+        drawn = np.asarray(line.get_ydata())
+        assert len(drawn) < 21_000
+        assert drawn.max() == long.xy_m[:, 0 if name == "position" else 1].max()
+        assert "over 20,000 points are\nthinned" in figure.get_supxlabel()
+
+
+def test_without_python_control_figures_of_theory_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "control", None)
+    run = tl.simulate_run(get_preset("paper-kp10"))
+    theory = "plant, step-responses, root-locus"
+    assert f"left out {theory}: expected python-control, found none" in list_left_out([run])
+    with pytest.raises(ShowError, match="figure plant: expected python-control, found none"):
+        tl.write_figures([], tmp_path)
+    assert tl.draw.draw_figure("heading", [run]).axes
+
+
+@pytest.mark.parametrize(("far_m", "is_drawn"), [(1e150, True), (1.1e150, False), (1.7e308, False)])
+def test_a_pose_that_no_axis_reaches_is_an_error(far_m: float, *, is_drawn: bool) -> None:
+    run = simulate(4)
+    xy_m = run.poses.xy_m.copy()
+    xy_m[7, 0] = -far_m
+    far = replace(run, poses=replace(run.poses, xy_m=xy_m))
+    if is_drawn:
+        tl.draw.draw_figure("plane", [far])
+        return
+    with pytest.raises(ShowError, match=r"from the origin, and pictures show 1e\+150 m at most"):
+        tl.draw.draw_figure("plane", [far])

@@ -1,0 +1,85 @@
+"""Where the legends of a run's plots stand: on the right away from where its curves end."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from turtlelog.draw.rerun.content import Content, find_emptiest_corner, find_ends
+from turtlelog.draw.rerun.layout import build_run_layout
+from turtlelog.draw.rerun.plots import Series
+from turtlelog.draw.rerun.run_scene import build_single
+from turtlelog.scenario import get_preset
+from turtlelog.simulate import simulate_run
+
+TIMES_NS = np.arange(3)
+CONTENT = build_single(simulate_run(get_preset("paper-kp4"))).describe({})
+
+
+def make_series(plot: str, values: Any) -> Series:
+    column: NDArray[np.float64] = np.array(values)[:, np.newaxis]
+    return Series(entity=plot, labels=("",), time_ns=TIMES_NS, values=column)
+
+
+def list_views(part: Any) -> Iterator[Any]:
+    for child in getattr(part, "contents", []) or []:
+        if hasattr(child, "class_identifier"):
+            yield child
+        else:
+            yield from list_views(child)
+
+
+def read_corners(content: Content) -> dict[str, str]:
+    """Return the corner of each plot's legend by the plot's title."""
+    found = {}
+    for view in list_views(build_run_layout(content).root_container):
+        legend = view.properties.get("PlotLegend")
+        if legend is not None and legend.corner is not None:
+            corner = legend.corner.as_arrow_array().to_pylist()[0]
+            found[view.name] = {1: "LeftTop", 2: "RightTop", 3: "LeftBottom", 4: "RightBottom"}[
+                corner
+            ]
+    return found
+
+
+def test_legends_stand_where_the_run_of_the_paper_leaves_room() -> None:
+    corners = read_corners(CONTENT)
+    assert corners["Heading [deg]"] == "RightBottom"
+    assert corners["Turn rate [rad/s]"] == "RightTop"
+    assert corners["Speed [m/s]"] == "LeftBottom"
+
+
+@pytest.mark.parametrize(
+    ("end", "corner"), [(0.6, "RightBottom"), (0.4, "RightTop"), (0.5, "RightTop")]
+)
+def test_a_legend_on_the_right_avoids_where_the_curve_ends(end: float, corner: str) -> None:
+    ranges = dict.fromkeys(CONTENT.ranges, (0.0, 1.0))
+    content = replace(CONTENT, ranges=ranges, ends=dict.fromkeys(ranges, end))
+    corners = read_corners(content)
+    assert corners["Heading [deg]"] == corners["Turn rate [rad/s]"] == corner
+    assert corners["Speed [m/s]"] == "LeftBottom"
+
+
+@pytest.mark.parametrize(("level", "corner"), [(0.39, "LeftTop"), (0.41, "LeftBottom")])
+def test_a_legend_takes_two_fifths_of_the_height(level: float, corner: str) -> None:
+    values = np.array([0.7, level, level, level, level, 0.05, 0.95, 0.05, 0.95, 0.05])
+    assert find_emptiest_corner(np.arange(10), values, (0.0, 1.0)) == corner
+
+
+def test_legends_stand_in_their_usual_places_while_a_run_grows() -> None:
+    corners = read_corners(replace(CONTENT, ends={}))
+    assert corners["Heading [deg]"] == "RightBottom"
+    assert corners["Distance [m]"] == "RightTop"
+
+
+def test_a_curve_ends_at_its_last_known_value_the_first_of_a_plot_counts() -> None:
+    ranges = {"speed": (0.0, 1.0)}
+    first = make_series("speed/wanted", [0.1, 0.2, np.nan])
+    second = make_series("speed/commanded", [0.1, 0.2, 0.9])
+    assert find_ends([first, second], ranges) == {"speed": 0.2}
+    assert find_ends([make_series("speed", [np.nan] * 3), second], ranges) == {"speed": 0.9}
+    assert find_ends([make_series("heading_deg", [1.0, 2.0, 3.0])], ranges) == {}
+    assert find_ends([], ranges) == {}

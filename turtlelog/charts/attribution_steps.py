@@ -1,0 +1,198 @@
+"""An attribution as steps from the logged value down to what is left: the bars of a waterfall."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from turtlelog.charts import palette
+from turtlelog.charts.palette import Color, choose_cause_colors
+from turtlelog.display import join_words
+from turtlelog.explain import Attribution, Contribution
+from turtlelog.explain.attribution import THIS_SEED
+
+_SAME: Final = 1e-6
+"""Of the largest value: a smaller step is none. Two platforms differ by no more in one scenario."""
+
+_DIGITS: Final = 4
+"""Of the largest value; all others have as many decimals, so that they add up to the eye."""
+
+_MOST_PERCENT: Final = 1000.0
+"""From here on a part of a value that is close to 0 says nothing more."""
+
+_MOST_NAMED: Final = 2
+"""Causes that the words at the last bar name; more would be longer than the picture."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttributionStep:
+    """A bar of the waterfall, with its words.
+
+    Attributes:
+        kind: `total` for the logged value, `contribution` for what takes it down (or up), `left`
+            for what remains without all.
+        cause: Its name; empty for total, left, and a step that no cause makes.
+        start: Where the bar begins, in the metric's unit: 0, or the end of the step before.
+        end: Where it ends.
+        name: What stands beside it, in a word or two.
+        text: Its size in words, with its part of the logged value.
+        color: The total has that of the run, what is left that of the ghost without all.
+    """
+
+    kind: Literal["total", "contribution", "left"]
+    cause: str = ""
+    start: float
+    end: float
+    name: str
+    text: str
+    color: Color
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepScale:
+    """In which unit an attribution is drawn.
+
+    Attributes:
+        factor: What a value in the metric's unit is multiplied by.
+        unit: To stand on the axis: `mm` of a metric in m that stays below 1 m; empty for a number.
+        decimals: Of its values.
+    """
+
+    factor: float
+    unit: str
+    decimals: int
+
+    def format_value(self, value: float, *, signed: bool = False) -> str:
+        """Return a value of the metric's unit in words, never a plain 0 of one that is not."""
+        scaled = value * self.factor
+        sign = "+" if signed else ""
+        text = f"{scaled:{sign}.{self.decimals}f}"
+        if not float(text):
+            text = f"{scaled:{sign}.1g}" if scaled else "0"
+        return f"{text} {self.unit}".strip()
+
+
+def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
+    """Return the steps from the logged value to what is left without all causes.
+
+    Between them stands each cause that changes the value, the largest contribution first. Where log
+    and re-simulation differ, or one seed is not the mean over seeds, that is a step of its own.
+
+    Returns:
+        None where the contributions are withheld: the attribution says why.
+    """
+    left = found.without_all
+    total = found.resimulated if found.as_logged is None else found.as_logged
+    if found.withheld or total is None or left is None:
+        return ()
+    scale = choose_step_scale(found)
+    steps = [
+        AttributionStep(
+            kind="total",
+            start=0.0,
+            end=total,
+            name="as simulated" if found.as_logged is None else "as logged",
+            text=f"{scale.format_value(total)}{_explain_little(found, total)}",
+            color=palette.MAIN,
+        )
+    ]
+    steps += _list_contributions(found, total, scale)
+    part = _tell_part(left, total) if len(steps) > 1 else ""
+    steps.append(
+        AttributionStep(
+            kind="left",
+            start=0.0,
+            end=left,
+            name="left",
+            text=f"{scale.format_value(left)}{part}, {_explain_left(found)}",
+            color=palette.GHOST,
+        )
+    )
+    return tuple(steps)
+
+
+def choose_step_scale(found: Attribution) -> StepScale:
+    """Return the unit and the decimals of an attribution's values: they are those of all of it."""
+    values = (found.as_logged, found.resimulated, found.without_all)
+    largest = max(abs(value) for value in (*values, found.divided, 0.0) if value is not None)
+    factor, unit = (1e3, "mm") if found.unit == "m" and largest < 1.0 else (1.0, found.unit)
+    digits = _DIGITS - 1 - (math.floor(math.log10(largest * factor)) if largest else 0)
+    return StepScale(
+        factor=factor, unit="" if unit == "1" else unit, decimals=min(max(digits, 0), 9)
+    )
+
+
+def _list_contributions(
+    found: Attribution, total: float, scale: StepScale
+) -> Iterator[AttributionStep]:
+    """Yield what lies between the logged value and what is left."""
+    largest = max(abs(total), abs(found.divided))
+    if abs(total - found.divided) > _SAME * largest:
+        is_seed = found.seeds is not None
+        differs = scale.format_value(found.divided - total, signed=True)
+        yield AttributionStep(
+            kind="contribution",
+            start=total,
+            end=found.divided,
+            name=THIS_SEED if is_seed else "re-simulated",
+            text=f"{differs}{', to the mean over seeds' if is_seed else ', not as logged'}",
+            color=palette.REFERENCE,
+        )
+    at = found.divided
+    acting = choose_acting_contributions(found)
+    colors = choose_cause_colors(found.causes)
+    for one in acting:
+        end = at - (one.contribution or 0.0)
+        yield AttributionStep(
+            kind="contribution",
+            cause=one.cause,
+            start=at,
+            end=end,
+            name=one.cause,
+            text=_describe_contribution(one, total, scale),
+            color=colors[one.cause],
+        )
+        at = end
+
+
+def choose_acting_contributions(found: Attribution) -> Sequence[Contribution]:
+    """Return the contributions that are not 0, the largest first."""
+    least = _SAME * max(abs(found.divided), abs(found.without_all or 0.0))
+    acting = [one for one in found.contributions if abs(one.contribution or 0.0) > least]
+    return sorted(acting, key=lambda one: -abs(one.contribution or 0.0))
+
+
+def _describe_contribution(one: Contribution, total: float, scale: StepScale) -> str:
+    """Return how taking it out changes the value, and its part of the logged one."""
+    value = one.contribution or 0.0
+    size = scale.format_value(-value, signed=True)
+    if one.standard_error is not None:
+        size += f" ± {abs(one.standard_error * scale.factor):.2g}"
+    chance = ", may be chance" if not one.is_clear else ""
+    return f"{size}{_tell_part(value, total)}{chance}"
+
+
+def _tell_part(value: float, total: float) -> str:
+    """Return in brackets which part of the logged value that is; nothing where it says nothing."""
+    percent = 100.0 * value / total if total else math.inf
+    return f" ({percent:.0f} %)" if abs(percent) < _MOST_PERCENT else ""
+
+
+def _explain_left(found: Attribution) -> str:
+    """Return what explains the rest, as far as that is known."""
+    acting = [one.cause for one in choose_acting_contributions(found)]
+    little = _explain_little(found, found.without_all or 0.0)
+    if little:
+        return little.removeprefix(", ")
+    if not acting:
+        return "no effect changes it"
+    return f"without {join_words(acting) if len(acting) <= _MOST_NAMED else 'all of these'}"
+
+
+def _explain_little(found: Attribution, value: float) -> str:
+    """Return that the tolerances leave as much, of an error at the end that they bound."""
+    if found.metric not in {"final.position_error", "final.heading_error"}:
+        return ""
+    if abs(value) > found.resolution.size or "tolerance" not in found.resolution.reason:
+        return ""
+    return ", no more than the tolerances leave"

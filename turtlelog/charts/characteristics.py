@@ -1,0 +1,290 @@
+"""Metrics that have a place on a curve, as figures, views and reports mark them."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from turtlelog.charts.shared_curves import (
+    Curve,
+    read_command,
+    read_curve,
+    read_distance_to_reference,
+)
+from turtlelog.charts.tracked_path import read_along_error
+from turtlelog.loops import PAUSE, ControlLoop, Declaration
+from turtlelog.measure import (
+    MeasureSettings,
+    Metric,
+    find_dead_time,
+    read_signal,
+)
+from turtlelog.measure.metric import Missing
+from turtlelog.measure.response import Response, find_loop_samples, find_response
+from turtlelog.run import Run
+
+ALONG_ERROR: Final = "along_track_error"
+TO_REFERENCE: Final = "distance_to_reference"
+
+_ROUNDING_NS: Final = 1_000
+"""Times of metrics are rounded seconds: a command that begins within this counts as begun [ns]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Characteristic:
+    """One metric on its curve.
+
+    Attributes:
+        signal: Which curve, as `read_marked_curve` reads it; empty for a pause, which is one of the
+            whole run.
+        metric: Its id; `run.pause` for a pause.
+        word: What it is, for a label: `rise`, `settled`, `overshoot`.
+        value: In `unit`.
+        unit: As the metric has it.
+        at_s: When it is taken, from the first sample [s]; where its span begins, if it is one of a
+            pause or a saturation; of a dead time at the pose that is answered by the loop's largest
+            change of command, which the robot follows that much later.
+        level: Of the curve then, in its unit (headings in deg); None for a pause.
+        span_s: From when to when it lasts [s]: of a rise from 10 % to 90 %, of a settling time from
+            when the curve stays in its band to the end of the loop's stretch, of pause, dead time
+            and saturation all of it; None for a single moment.
+        levels: Two levels that belong to it, in the unit of the curve: of a rise 10 % and 90 % of
+            the step, of a settling time the low and high end of its band, of peak and overshoot the
+            reference and the peak; None for others.
+        loop: Whose it is; empty where it is of the whole run.
+        start_s: Where the stretch of its loop begins, from the first sample [s].
+    """
+
+    signal: str
+    metric: str
+    word: str
+    value: float
+    unit: str
+    at_s: float
+    level: float | None
+    span_s: tuple[float, float] | None = None
+    levels: tuple[float, float] | None = None
+    loop: str = ""
+    start_s: float = 0.0
+
+    @property
+    def kind(self) -> str:
+        """Name of the metric without its loop: `rise_time`, `settling_time`, `pause`."""
+        return self.metric.rpartition(".")[2]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Place:
+    """Where a metric has its place."""
+
+    metric: str
+    signal: str
+    word: str
+    loop: ControlLoop | None = None
+
+    @property
+    def kind(self) -> str:
+        return self.metric.rpartition(".")[2]
+
+
+_OF_RUN: Final = (
+    _Place(metric="run.time_to_goal", signal="distance", word="near the goal"),
+    _Place(metric="final.position_error", signal="distance", word="at the end"),
+)
+
+
+def list_characteristics(
+    run: Run, metrics: Mapping[str, Metric], settings: MeasureSettings | None = None
+) -> tuple[Characteristic, ...]:
+    """Return the metrics that have a value and a place on a curve, and the pauses.
+
+    Of each loop those of its step on what it controls, and where it is furthest off if its
+    reference moves; its longest saturation on its command; and what is left of a heading.
+
+    Args:
+        run: The run.
+        metrics: What `measure_run` found in it.
+        settings: With which they were measured.
+    """
+    curves: dict[str, Curve | None] = {}
+    responses: dict[str, Response | None] = {}
+    found = []
+    for place in _list_places(run.declaration):
+        metric = metrics.get(place.metric)
+        if metric is None or metric.value is None:
+            continue
+        if place.signal not in curves:
+            curves[place.signal] = read_marked_curve(run, place.signal)
+        if place.loop is not None and place.loop.name not in responses:
+            responses[place.loop.name] = _find_response(run, place.loop, settings)
+        response = None if place.loop is None else responses[place.loop.name]
+        mark = _place(run, place, metric, curves[place.signal], response)
+        if mark is not None:
+            found.append(mark)
+    return (*found, *_list_pauses(run))
+
+
+def read_marked_curve(run: Run, signal: str) -> Curve | None:
+    """Return the curve of a characteristic, headings in deg; None where the run does not hold it.
+
+    Beside signals there are `along_track_error` and `distance_to_reference`, of laws whose
+    reference moves.
+    """
+    if signal in {"speed", "turn_rate"}:
+        return read_command(run, "speed" if signal == "speed" else "turn_rate")
+    if signal == ALONG_ERROR:
+        return read_along_error(run)
+    if signal != TO_REFERENCE:
+        return read_curve(run, signal)
+    values = read_distance_to_reference(run)
+    if values is None:
+        return None
+    return Curve(start_ns=run.start_ns, time_ns=run.samples.time_ns, values=values)
+
+
+def _find_response(
+    run: Run, loop: ControlLoop, settings: MeasureSettings | None
+) -> Response | None:
+    signal = read_signal(run, loop.signal)
+    found = find_response(run, loop, signal, settings or MeasureSettings())
+    return None if isinstance(found, Missing) else found
+
+
+def _place(
+    run: Run, place: _Place, metric: Metric, curve: Curve | None, response: Response | None
+) -> Characteristic | None:
+    """Return a metric at its place, None where it has none."""
+    start_s = 0.0 if response is None else response.start_s
+    at_s = _find_dead_start(run, place.loop) if place.kind == "dead_time" else metric.at_s
+    if metric.value is None or at_s is None or curve is None:
+        return None
+    mark = Characteristic(
+        signal=place.signal,
+        metric=place.metric,
+        word=place.word,
+        value=metric.value,
+        unit=metric.unit,
+        at_s=at_s,
+        level=_read_level(curve, at_s),
+        loop="" if place.loop is None else place.loop.name,
+        start_s=start_s,
+    )
+    if place.kind in {"dead_time", "longest_saturation"}:
+        return replace(mark, span_s=(at_s, at_s + metric.value))
+    return mark if response is None else _add_step(mark, response)
+
+
+def _find_dead_start(run: Run, loop: ControlLoop | None) -> float | None:
+    """Return the time of the pose that a loop answers by its largest change of command [s].
+
+    There the dead time is seen best: the robot follows that much later. The first answers, which
+    may have waited, and those before the dead time last changed have another one.
+    """
+    found = None if loop is None else find_dead_time(run, loop)
+    if loop is None or found is None or isinstance(found, Missing):
+        return None
+    rows = find_loop_samples(run, loop)
+    command = read_command(run, "speed" if loop.command == "speed" else "turn_rate")
+    if rows is None or command is None:
+        return None
+    times_ns = run.poses.time_ns[run.samples.pose_sequence[rows]]
+    since_ns = found.changes[-1].time_ns if found.changes else times_ns[0]
+    jumps = np.abs(np.diff(command.values[rows])) * (times_ns[1:] > since_ns)
+    if not len(jumps) or not jumps.any():
+        return None
+    return float(times_ns[1 + int(jumps.argmax())] - run.start_ns) / 1e9
+
+
+def _add_step(mark: Characteristic, response: Response) -> Characteristic:
+    """Return a metric of a step with the levels that it refers to."""
+    unit = 180.0 / np.pi if response.loop.signal == "heading" else 1.0
+    initial, reference = response.initial * unit, response.reference * unit
+    step = reference - initial
+    end_s = response.start_s + float(response.time_s[-1])
+    if mark.kind == "rise_time":
+        return replace(
+            mark,
+            span_s=(mark.at_s - mark.value, mark.at_s),
+            levels=(initial + 0.1 * step, initial + 0.9 * step),
+        )
+    if mark.kind == "settling_time":
+        half = response.band * abs(step)
+        return replace(mark, span_s=(mark.at_s, end_s), levels=(reference - half, reference + half))
+    if mark.kind in {"overshoot", "peak"} and mark.level is not None:
+        return replace(mark, levels=(reference, mark.level))
+    return mark
+
+
+def _list_pauses(run: Run) -> Iterator[Characteristic]:
+    for span in run.find_phase_spans():
+        if span.phase == PAUSE:
+            start_s, end_s = (
+                (span.start_ns - run.start_ns) / 1e9,
+                (span.end_ns - run.start_ns) / 1e9,
+            )
+            yield Characteristic(
+                signal="",
+                metric="run.pause",
+                word="pause",
+                value=end_s - start_s,
+                unit="s",
+                at_s=start_s,
+                level=None,
+                span_s=(start_s, end_s),
+            )
+
+
+def _list_places(declaration: Declaration) -> tuple[_Place, ...]:
+    found = [place for loop in declaration.loops for place in _list_of_loop(declaration, loop)]
+    return (*found, *_OF_RUN)
+
+
+def _list_of_loop(declaration: Declaration, loop: ControlLoop) -> Iterator[_Place]:
+    def mark(metric: str, signal: str, word: str) -> _Place:
+        return _Place(metric=f"{loop.name}.{metric}", signal=signal, word=word, loop=loop)
+
+    controlled = _name_controlled(loop)
+    alike = [other for other in declaration.loops if other.signal == loop.signal]
+    whose = f"{loop.name} " if len(alike) > 1 else ""
+    if loop.moves:
+        yield mark("largest_error", controlled, f"{whose}furthest off")
+    else:
+        yield mark("settling_time", controlled, f"{whose}settled")
+        yield mark("overshoot", controlled, f"{whose}overshoot")
+        yield mark("peak", controlled, f"{whose}peak")
+        yield mark("rise_time", controlled, f"{whose}rise")
+    yield mark("dead_time", controlled, f"{whose}dead time")
+    if loop.signal == "heading":
+        yield mark("final_error", "heading_error", _name_end(declaration, loop))
+    commanding = [other for other in declaration.loops if other.command == loop.command]
+    whose = f"{loop.name} " if len(commanding) > 1 else ""
+    yield mark("longest_saturation", loop.command, f"{whose}saturated for")
+    if loop.command == "speed" and not declaration.follows_path:
+        yield mark("cross_track_max", "cross_track", "furthest")
+
+
+def _name_controlled(loop: ControlLoop) -> str:
+    """Return the curve on which a loop's metrics stand."""
+    if loop.signal == "distance" and loop.moves:
+        return TO_REFERENCE
+    return ALONG_ERROR if loop.signal == "along_track" and loop.moves else loop.signal
+
+
+def _name_end(declaration: Declaration, loop: ControlLoop) -> str:
+    """Return what the error of a heading's loop at its end is called."""
+    phases = {name: acting for name, acting in declaration.phases.items() if name != PAUSE}
+    names = list(phases)
+    own = [number for number, name in enumerate(names) if loop.name in phases[name]]
+    following = phases[names[own[-1] + 1]] if own and own[-1] + 1 < len(names) else ()
+    drives = any(found.command == "speed" for found in declaration.loops if found.name in following)
+    return "when driving off" if drives else f"at the end of {loop.name}"
+
+
+def _read_level(curve: Curve, at_s: float) -> float:
+    """Return the value of a curve at a time, in a line between its rows where it does not hold."""
+    time_ns = curve.start_ns + round(at_s * 1e9)
+    if curve.holds:
+        row = int(np.searchsorted(curve.time_ns, time_ns + _ROUNDING_NS, side="right")) - 1
+        return float(curve.values[max(row, 0)])
+    return float(np.interp(time_ns, curve.time_ns, curve.values))

@@ -1,0 +1,184 @@
+"""What keeps many runs readable: equal ones once, restless ones dimmed, short names, a bar."""
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from turtlelog.charts.palette import FEW
+from turtlelog.charts.shared_curves import is_limit
+from turtlelog.compare.run_names import has_one_gain, list_differing
+from turtlelog.compare.run_summary import complete_parameters
+from turtlelog.run import Run
+
+MANY: Final = len(FEW)
+"""More runs have no hues of their own: their colours follow their order, and a bar tells it."""
+
+_ARRIVED: Final = frozenset({"within_tolerance", "standstill"})
+"""Reasons to stop of a run that came to rest by itself."""
+
+_MOST_SWINGS: Final = 10
+"""A command that changes its sign more often in the last half of a run swings on; those of the
+paper's runs that come to rest do so at most 4 times."""
+
+LONGEST_NAME: Final = 24
+"""In letters: a legend takes half of a plot 350 pixels wide with more."""
+
+_BETWEEN_WORDS: Final = re.compile(r"(?<=\w)([-_ ])(?=[A-Za-z])")
+
+_MOST_KEYS: Final = 3
+"""Keys that a name tells; with more it would be as long as the name that it stands for."""
+
+_WORDS: Final[Mapping[str, str]] = {
+    "loop.transport_delay_ticks": "delay",
+    "loop.command_queue": "command queue",
+    "loop.pose_queue": "pose queue",
+    "loop.start_backlog": "backlog",
+    "law.pause_ticks": "pause",
+    "limits.speed_m_s": "speed limit",
+    "limits.turn_rate_rad_s": "turn rate limit",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainScale:
+    """The number by which many runs differ, in their order.
+
+    Attributes:
+        word: What it is: `Kp`, `pause_ticks`.
+        values: One per run.
+        unit: Of a gain; empty of other numbers, whose keys say theirs.
+    """
+
+    word: str
+    values: tuple[float, ...]
+    unit: str = ""
+
+
+def group_equal(runs: Sequence[Run]) -> list[list[int]]:
+    """Return the numbers of runs in groups of those whose rows are all equal, from time zero."""
+    groups: dict[tuple[bytes, ...], list[int]] = {}
+    for number, run in enumerate(runs):
+        poses, samples, commands = run.poses, run.samples, run.commands
+        columns = (
+            *(poses.time_ns - run.start_ns, poses.xy_m, poses.heading_rad),
+            *(samples.time_ns - run.start_ns, samples.speed_m_s, samples.turn_rate_rad_s),
+            *(commands.time_ns - run.start_ns, commands.speed_m_s, commands.turn_rate_rad_s),
+            np.array(run.goal_xy_m or (), dtype=np.float64),
+        )
+        track = repr((run.path, run.declaration, *run.phase_names)).encode()
+        key = (track, *(column.tobytes() for column in columns))
+        groups.setdefault(key, []).append(number)
+    return list(groups.values())
+
+
+def find_restless(runs: Sequence[Run]) -> frozenset[int]:
+    """Return the numbers of runs that never come to rest, where others do."""
+    found = frozenset(number for number, run in enumerate(runs) if _is_restless(run))
+    return found if len(found) < len(runs) else frozenset()
+
+
+def _is_restless(run: Run) -> bool:
+    table = run.samples if len(run.samples) else run.commands
+    if run.stop_reason in _ARRIVED or not len(table):
+        return False
+    late = table.time_ns >= (run.start_ns + run.end_ns) // 2
+    swings = (_count_swings(values[late]) for values in (table.speed_m_s, table.turn_rate_rad_s))
+    return max(swings) > _MOST_SWINGS
+
+
+def _count_swings(values: "np.typing.NDArray[np.float64]") -> int:
+    signs = np.sign(values[values != 0.0])
+    return int(np.count_nonzero(np.diff(signs)))
+
+
+def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
+    """Return the gain, where no two runs have the same, or the one number by which runs differ.
+
+    None where they differ by more, or by words. Seeds count only where nothing else differs.
+    """
+    differing = list_differing(runs)
+    differing = [key for key in differing if not key.endswith("seed")] or differing
+    gains = {key for run in runs for key in run.declaration.list_gains()}
+    word = ""
+    is_of_gain = bool(gains & {*differing}) and all(map(has_one_gain, runs))
+    if is_of_gain and ({*differing} <= gains or _are_apart(runs, min(gains))):
+        word, differing = "Kp", [min(gains)]
+    elif len(differing) == 1:
+        word = _WORDS.get(differing[0], differing[0].rpartition(".")[2])
+    if not word:
+        return None
+    values = [run.parameters.get(differing[0]) for run in runs]
+    numbers = [float(v) for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
+    if len(numbers) < len(runs) or not all(np.isfinite(numbers)):
+        return None
+    unit = find_gain_unit(runs, differing[0])
+    return GainScale(word=word, values=tuple(numbers), unit=unit)
+
+
+def find_gain_unit(runs: Sequence[Run], key: str) -> str:
+    """Return the unit of a key that is the gain of a loop; empty where loops differ, or of none."""
+    loops = [loop for run in runs for loop in run.declaration.loops if loop.gain == key]
+    units = {loop.gain_unit for loop in loops}
+    return units.pop() if len(units) == 1 else ""
+
+
+def _are_apart(runs: Sequence[Run], key: str) -> bool:
+    return len({run.parameters.get(key) for run in runs}) == len(runs)
+
+
+def shorten_names(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, ...]:
+    """Return names as they are, or where one is long, what differs: `Kp 4, no speed limit`."""
+    if max(map(len, names)) <= LONGEST_NAME or len(runs) < 2:
+        return tuple(names)
+    keys = list_differing(runs)
+    gains = {key for run in runs for key in run.declaration.list_gains()}
+    if gains and gains <= {*keys} and all(map(has_one_gain, runs)):
+        keys = [min(gains), *(key for key in keys if key not in gains)]
+    if 0 < len(keys) <= _MOST_KEYS:
+        told = [", ".join(_tell(run, keys, gains)) for run in runs]
+        if len({*told}) == len(told):
+            return tuple(told)
+    return cut_alike(names)
+
+
+def _tell(run: Run, keys: Sequence[str], gains: Collection[str]) -> Iterator[str]:
+    known = complete_parameters(run)
+    for key in keys:
+        value = known.get(key)
+        word = "Kp" if key in gains else _WORDS.get(key, key.rpartition(".")[2].replace("_", " "))
+        if value is None and not run.scenario_is_complete:
+            yield f"{word} unknown"
+        elif value is None or value is False:
+            yield f"no {word}"
+        elif value is True:
+            yield word
+        elif not isinstance(value, int | float):
+            yield f"{word} {value}"
+        elif key.startswith("limits.") and not is_limit(value):
+            yield f"no {word}"
+        else:
+            number = f"{value:g}" if isinstance(value, float) else str(value)
+            yield f"{word} {number}{' ticks' if key.endswith('_ticks') else ''}"
+
+
+def cut_alike(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names without the words that all begin and end with: `kp1` and `kp10`.
+
+    Words are parted by spaces, dashes and underscores before letters, so that numbers stay whole.
+    """
+    # Words and what parts them take turns.
+    parts = [_BETWEEN_WORDS.split(name) for name in names]
+    words = [part[::2] for part in parts]
+    head, tail = _count_alike(words), _count_alike([word[::-1] for word in words])
+    cut = ["".join(part[2 * head : len(part) - 2 * tail]) for part in parts]
+    return tuple(cut) if all(cut) and len({*cut}) == len(cut) else tuple(names)
+
+
+def _count_alike(parts: Sequence[Sequence[str]]) -> int:
+    """Return how many first parts all have in common."""
+    columns = zip(*parts, strict=False)
+    alike = [len({*column}) == 1 for column in columns]
+    return alike.index(False) if False in alike else len(alike)

@@ -1,0 +1,116 @@
+"""What is drawn of a robot in a bag: measured rates without outliers, its path without jumps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.charts.shared_curves import Command, Curve, read_curve, select_rows
+from turtlelog.display import describe_count
+from turtlelog.errors import ReplayError
+from turtlelog.loops import COMMAND_UNITS
+from turtlelog.measure import find_outliers
+from turtlelog.plants import LAGGED, find_plant
+from turtlelog.replay.plant_ticks import find_breaks, read_motion
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredRate:
+    """A measured rate without its outliers, and these.
+
+    Attributes:
+        command: Of which command it is the answer.
+        curve: All other values.
+        outliers: Those that would flatten every curve beside them; they stay in the data.
+    """
+
+    command: Command
+    curve: Curve
+    outliers: Curve
+
+    def name_outliers(self) -> str:
+        """Return the outliers in words, of several the largest; empty where there are none."""
+        found = self.outliers
+        if not len(found.values):
+            return ""
+        row = int(np.abs(found.values).argmax())
+        text = f"{found.values[row]:.4g} {COMMAND_UNITS[self.command]} at {found.time_s[row]:.1f} s"
+        count = len(found.values)
+        return f"outlier {text}" if count == 1 else f"{describe_count(count, 'outlier')} to {text}"
+
+
+def read_measured(run: Run, command: Command) -> MeasuredRate | None:
+    """Return what a robot reports of `speed` or `turn_rate`; None where it reports nothing."""
+    curve = read_curve(run, f"measured_{command}")
+    if curve is None:
+        return None
+    outliers = find_outliers(curve.time_ns, curve.values)
+    rest = np.delete(np.arange(len(curve.values)), outliers)
+    return MeasuredRate(
+        command=command, curve=select_rows(curve, rest), outliers=select_rows(curve, outliers)
+    )
+
+
+def part_path(run: Run) -> Values:
+    """Return the positions of a run [m], shape (n, 2), with NaN before each jump of turtlesim's.
+
+    Nobody drove from the pose before a reset or teleport to the one after it.
+    """
+    return np.insert(run.poses.xy_m, find_jump_rows(run), np.nan, axis=0)
+
+
+def part_curve(run: Run, curve: Curve) -> Curve:
+    """Return a curve of the poses with NaN before each such jump; any other as it is."""
+    rows = find_jump_rows(run)
+    if not len(rows) or not np.array_equal(curve.time_ns, run.poses.time_ns):
+        return curve
+    time_ns = np.insert(curve.time_ns, rows, run.poses.time_ns[rows])
+    return replace(curve, time_ns=time_ns, values=np.insert(curve.values, rows, np.nan))
+
+
+def find_jump_rows(run: Run) -> NDArray[np.int64]:
+    """Return the rows of the poses that a jump leads to, of turtlesim's without samples."""
+    none = np.zeros(0, dtype=np.int64)
+    if len(run.samples) or not is_turtlesim(run):
+        return none
+    try:
+        jumps, _, _ = find_breaks(read_motion(run))
+    except ReplayError:
+        return none
+    return np.asarray(np.searchsorted(run.poses.time_ns, [jump.at_ns for jump in jumps]))
+
+
+def is_turtlesim(run: Run) -> bool:
+    """Whether the poses are turtlesim's: it alone publishes the velocities that it applies.
+
+    A controller's samples are taken to be of a turtle.
+    """
+    publishes = run.poses.speed_m_s is not None or len(run.samples) > 0
+    return publishes and find_plant(run).name != LAGGED
+
+
+def read_pace(run: Run, rows: NDArray[np.int64]) -> Values:
+    """Return how fast a run is between some of its poses [m/s], shape (n - 1,).
+
+    Of runs without samples it is what the robot reports, as the times of their poses jitter; and
+    outliers are as fast as the fastest of all others.
+    """
+    poses = run.poses
+    way_m, time_ns = np.diff(poses.xy_m[rows], axis=0), poses.time_ns[rows]
+    pace = np.hypot(*way_m.T) / (np.diff(time_ns) / 1e9)
+    if len(run.samples) or not len(pace):
+        return np.asarray(pace)
+    reported = poses.measured_speed_m_s if poses.speed_m_s is None else poses.speed_m_s
+    if reported is not None:
+        pace = np.abs(reported[rows][1:])
+    rest = np.delete(pace, find_outliers(time_ns[1:], pace))
+    return np.asarray(np.minimum(pace, rest.max()))
+
+
+def lack_samples(runs: Sequence[Run]) -> bool:
+    """Whether no run holds samples of a controller: poses, and at most commands, of any robot."""
+    return not any(len(run.samples) for run in runs)

@@ -1,0 +1,164 @@
+"""What is drawn of runs whose laws track a path: the path, the error along it, the worst place."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.charts.close_up import Label, Lettering, format_length
+from turtlelog.charts.shared_curves import Curve, list_loops
+from turtlelog.measure import read_signal
+from turtlelog.measure.references import hold_reference, read_reference
+from turtlelog.paths import Path
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+Point = tuple[float, float]
+
+_POINTS_PER_TURN: Final = 1440
+"""A circle that is drawn by so many points departs from itself by 2.4e-6 of its radius, about what
+poses are rounded to."""
+
+ON_PATH_M: Final = 1e-3
+"""A run that is never further than this from its path has no worst place [m]: the corners of a path
+are drawn sharp, and on paper a millimetre of a path of metres is thinner than its line."""
+
+_SHARE: Final = 0.1
+"""The worst place is seen with all poses around it that are off by more than this share of it: the
+whole way out and back."""
+
+_ROOM: Final = 1.15
+"""Half-width of the view of that way, as a multiple of half of its size."""
+
+_MOST_HALVES: Final = 10.0
+"""Half-width of that view at most, as a multiple of the largest error: beside a long stretch of
+path the error must still be seen."""
+
+_LEAST_HALVES: Final = 1.5
+"""Half-width at least, likewise: both the robot and the path are in the view."""
+
+
+def list_paths(runs: Sequence[Run]) -> tuple[Path, ...]:
+    """Return the paths that the laws of runs track, each once, whatever their speeds."""
+    paths = [run.path for run in runs]
+    return tuple(dict.fromkeys(replace(path, speed_m_s=None) for path in paths if path is not None))
+
+
+def outline_path(path: Path) -> Values:
+    """Return the points through which a path is drawn [m], shape (n, 2), a closed one closed."""
+    if path.points is not None:
+        points = [*path.points, *path.points[:1]] if path.is_closed else path.points
+        return np.array(points, dtype=np.float64)
+    turns = 1 if path.kind == "circle" else 2
+    arcs_m = np.linspace(0.0, path.length_m, turns * _POINTS_PER_TURN + 1).tolist()
+    return np.array([path.locate(arc_m)[:2] for arc_m in arcs_m])
+
+
+def has_own_way(run: Run) -> bool:
+    """Whether its reference goes a way of its own, rather than along the path that is tracked."""
+    return run.path is None or any(loop.reference == "recorded" for loop in run.declaration.loops)
+
+
+def read_along_error(run: Run) -> Curve | None:
+    """Return how far the robot is behind its moving reference along the track, at every pose [m].
+
+    None where no loop along the track follows one, or no time belongs to the path.
+    """
+    loops = [loop for loop in list_loops(run, "along_track") if loop.moves]
+    along, reference = (
+        read_signal(run, "along_track"),
+        read_reference(run, loops[0]) if loops else None,
+    )
+    if along is None or not isinstance(reference, np.ndarray):
+        return None
+    values = reference - along.values
+    return Curve(start_ns=run.start_ns, time_ns=along.time_ns, values=values)
+
+
+def read_way_to_reference(run: Run) -> Values | None:
+    """Return the way from every pose to the reference that holds there [m], shape (n, 2)."""
+    held_xy_m = hold_reference(run, run.samples.reference_xy_m)
+    return None if held_xy_m is None else held_xy_m - run.poses.xy_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorstPlace:
+    """Where runs are furthest from the path that they track, and what to show around it.
+
+    Attributes:
+        run: Number of the run that is furthest off.
+        xy_m: Its pose there.
+        path_xy_m: The point of the path that is nearest to it.
+        offset_m: How far off that is.
+        center_xy_m: Middle of what is shown: the way out and back, or its worst part.
+        half_m: Half of its width and height.
+    """
+
+    run: int
+    xy_m: Point
+    path_xy_m: Point
+    offset_m: float
+    center_xy_m: Point
+    half_m: float
+
+
+def find_worst_place(runs: Sequence[Run]) -> WorstPlace | None:
+    """Return where runs are furthest from the one path that they track.
+
+    None where they track none or several, and where none is further off than `ON_PATH_M`.
+    """
+    paths = list_paths(runs)
+    if len(paths) != 1:
+        return None
+    found = [(number, _read_offsets(run)) for number, run in enumerate(runs) if run.path]
+    number, offsets_m = max(found, key=lambda pair: float(pair[1].max(initial=0.0)))
+    if not len(offsets_m) or not offsets_m.max() > ON_PATH_M:
+        return None
+    row, run = int(offsets_m.argmax()), runs[number]
+    along = read_signal(run, "along_track")
+    arc_m = 0.0 if along is None else float(along.values[row])
+    point = paths[0].locate(arc_m)
+    path_xy_m, xy_m = (point.x_m, point.y_m), _to_point(run.poses.xy_m[row])
+    offset_m = float(offsets_m[row])
+    shown = np.vstack([run.poses.xy_m[_find_stretch(offsets_m, row)], path_xy_m])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    center, half_m = (low + high) / 2.0, _ROOM * float((high - low).max()) / 2.0
+    if half_m > _MOST_HALVES * offset_m:
+        center, half_m = np.add(xy_m, path_xy_m) / 2.0, _MOST_HALVES * offset_m
+    return WorstPlace(
+        run=number,
+        xy_m=xy_m,
+        path_xy_m=path_xy_m,
+        offset_m=offset_m,
+        center_xy_m=_to_point(center),
+        half_m=max(half_m, _LEAST_HALVES * offset_m),
+    )
+
+
+def label_worst_place(worst: WorstPlace, lettering: Lettering) -> Label:
+    """Return how far off the worst place is, beyond the robot as seen from the path."""
+    text = format_length(worst.offset_m)
+    away = np.subtract(worst.xy_m, worst.path_xy_m) / worst.offset_m
+    sides = np.abs(away) * (lettering.letter * len(text) / 2.0, lettering.line / 2.0)
+    aside_m = (lettering.gap + float(sides.sum())) * worst.half_m
+    return Label(text=text, xy_m=_to_point(worst.xy_m + aside_m * away), runs=(worst.run,))
+
+
+def _read_offsets(run: Run) -> Values:
+    signal = read_signal(run, "cross_track")
+    return np.zeros(0) if signal is None else np.abs(signal.values)
+
+
+def _find_stretch(offsets_m: Values, row: int) -> slice:
+    """Return the rows around one in which the offset stays above a share of what it is there."""
+    near = np.flatnonzero(offsets_m <= _SHARE * offsets_m[row])
+    place = int(np.searchsorted(near, row))
+    first = int(near[place - 1]) + 1 if place else 0
+    after = int(near[place]) if place < len(near) else len(offsets_m)
+    return slice(first, after)
+
+
+def _to_point(xy_m: Values) -> Point:
+    return float(xy_m[0]), float(xy_m[1])

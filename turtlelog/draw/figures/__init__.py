@@ -1,0 +1,31 @@
+"""Figures for print: the paper's, from any recordings, with matplotlib.
+
+`figure_kinds` names them, `figure_curves` and the files of panels draw them, `page` gives them
+their size and looks, `legend` names what they show, `writing` writes them.
+"""
+
+from turtlelog.libraries import load_library
+
+load_library("matplotlib")
+
+from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind
+from turtlelog.draw.figures.left_out import list_left_out, list_unmarked
+from turtlelog.draw.figures.page import Page
+from turtlelog.draw.figures.prediction_figure import write_prediction_figure
+from turtlelog.draw.figures.robot_figure import write_robot_figure
+from turtlelog.draw.figures.sweep_figures import write_map_figure
+from turtlelog.draw.figures.writing import draw_figure, write_figures, write_tables
+
+__all__ = [
+    "FIGURES",
+    "FigureKind",
+    "Page",
+    "draw_figure",
+    "list_left_out",
+    "list_unmarked",
+    "write_figures",
+    "write_map_figure",
+    "write_prediction_figure",
+    "write_robot_figure",
+    "write_tables",
+]

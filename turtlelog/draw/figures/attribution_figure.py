@@ -1,0 +1,337 @@
+"""The attribution of one run: a waterfall of its contributions, beside the run and its ghost."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patches import Circle
+from numpy.typing import NDArray
+
+from turtlelog.charts.attribution_steps import (
+    AttributionStep,
+    choose_acting_contributions,
+    choose_step_scale,
+    list_attribution_steps,
+)
+from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
+from turtlelog.charts.palette import Color
+from turtlelog.charts.shared_curves import find_steps, find_unit, list_levels, read_curve
+from turtlelog.draw.figures.direct_labels import WordSpace, measure_text_mm, name_ring, place_words
+from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
+from turtlelog.draw.figures.page import REFERENCE, choose_lines, label_runs
+from turtlelog.errors import ShowError
+from turtlelog.explain import (
+    Attribution,
+    Work,
+    attribute_run,
+    choose_metric,
+    identify_run,
+    require_mechanisms,
+    simulate_what_ifs,
+)
+from turtlelog.loops import SIGNAL_WORDS
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+
+_WORDS_POINTS: Final = 7.0
+_SIDE_BY_SIDE_INCH: Final = 5.0
+"""Narrower than this, both panels would be smaller than their words: they stand over each other."""
+
+_BAR: Final = 0.62
+"""Height of a bar, of the room of its line."""
+
+_NEAR: Final = 0.1
+"""Contribution of the step within which overshoot and settling are seen."""
+
+_GOAL_MM: Final = 1.6
+"""Half of the size of the goal's cross in print [mm]."""
+
+_MINUS: Final = "\N{MINUS SIGN}"
+
+_GHOST: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.55", "linestyle": (0, (5, 1.5)), "linewidth": 1.3, "zorder": 1.9}
+)
+_RING: Final[Mapping[str, Any]] = MappingProxyType(
+    {"fill": False, "color": "0.78", "linewidth": 0.5, "linestyle": (0, (4, 2)), "zorder": 1.2}
+)
+_CONNECTOR: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.5", "linewidth": 0.6})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Explained:
+    """A run with what caused its value, and its ghost.
+
+    Attributes:
+        run: As recorded.
+        found: The attribution; it has contributions, or nothing to divide.
+        ghost: What it would have been without all that acts; None where nothing does.
+        ghost_name: What the ghost lacks, in words.
+    """
+
+    run: Run
+    found: Attribution
+    ghost: Run | None
+    ghost_name: str = ""
+
+
+def explain_for_figure(
+    runs: Sequence[Run],
+    *,
+    metric: str | None = None,
+    report: Callable[[int, int], None] | None = None,
+) -> Explained:
+    """Explain one run, as `turtlelog explain` does.
+
+    Args:
+        runs: One.
+        metric: Its id; the same as `explain` chooses unless given.
+        report: Called with the simulations that are done, and how many there are.
+
+    Raises:
+        ShowError: Where there is not one run, or it has no contributions; the line says why.
+    """
+    if len(runs) != 1:
+        raise ShowError(f"figure attribution: expected one recording, found {len(runs)}")
+    (run,) = runs
+    chosen = metric or choose_metric(run.declaration)
+    require_mechanisms(run, chosen, None)
+    identified = identify_run(run)
+    if identified.scenario is None:
+        reason = next(iter(identified.notes), "no scenario stands for this log").rstrip(".")
+        raise ShowError(
+            f"figure attribution: expected a scenario of {run.name}, found none: {reason}"
+        )
+    work = Work(report=report)
+    found = attribute_run(run, metric=chosen, identified=identified, work=work)
+    if not list_attribution_steps(found):
+        raise ShowError(
+            f"figure attribution: expected contributions to {chosen}, found none: {_tell(found)}"
+        )
+    ghosts = simulate_what_ifs(identified, found)
+    name = next(reversed([*ghosts]), "")
+    ghost = ghosts.get(name)
+    return Explained(run=run, found=found, ghost=ghost, ghost_name=name)
+
+
+def _tell(found: Attribution) -> str:
+    """Return in one clause why there are no contributions."""
+    if found.withheld:
+        return found.withheld
+    if found.without_value:
+        case = found.without_value[0]
+        return f"with {' and '.join(case.causes)} it has no value: {case.reason}"
+    return found.reason or "it has no value without the effects"
+
+
+def draw_attribution(
+    figure: Figure, runs: Sequence[Run], *, explained: Explained | None = None
+) -> None:
+    """Draw the waterfall of a run's metric, beside the run and its ghost.
+
+    Args:
+        figure: To draw on.
+        runs: One.
+        explained: What `explain_for_figure` returned; it is called where this is not given.
+    """
+    told = explained or explain_for_figure(runs)
+    steps = list_attribution_steps(told.found)
+    width = figure.get_figwidth()
+    line_inch = 0.27
+    if width < _SIDE_BY_SIDE_INCH:
+        low = line_inch * (len(steps) + 2.0)
+        figure.set_size_inches(width, 0.82 * width + low)
+        seen, bars = figure.subplots(2, 1, height_ratios=[0.82 * width, low])
+        if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine):
+            # The square above the bars is laid out first, and takes a point of their names' room.
+            engine.set(w_pad=0.1)
+        room_inch = 0.72 * width
+    else:
+        figure.set_size_inches(width, max(0.42 * width, line_inch * (len(steps) + 2.5)))
+        seen, bars = figure.subplots(1, 2, width_ratios=[1.0, 1.35])
+        room_inch = 0.41 * width
+    _draw_run_and_ghost(seen, told)
+    _draw_waterfall(bars, told.found, steps, room_inch)
+
+
+def _draw_waterfall(
+    axes: Axes, found: Attribution, steps: Sequence[AttributionStep], room_inch: float
+) -> None:
+    scale = choose_step_scale(found)
+    starts = np.array([step.start for step in steps]) * scale.factor
+    ends = np.array([step.end for step in steps]) * scale.factor
+    low, high = min(0.0, *starts, *ends), max(0.0, *starts, *ends)
+    rights = np.maximum(starts, ends)
+    texts = [re.sub("^-", _MINUS, step.text) for step in steps]
+    span = _find_span(texts, rights - low, high - low or 1.0, room_inch)
+    if span > 2.2 * (high - low or 1.0):
+        # Words longer than the panel's half would leave no room for bars.
+        texts = [text.replace(", ", ",\n", 1) for text in texts]
+        span = _find_span(texts, rights - low, high - low or 1.0, room_inch)
+    for row, (step, text) in enumerate(zip(steps, texts, strict=True)):
+        color = "0.62" if step.kind == "left" else _to_rgb(step.color)
+        axes.barh(row, ends[row] - starts[row], left=starts[row], height=_BAR, color=color)
+        words = f" {text}" if "\n" not in text else text
+        axes.text(rights[row] + 0.012 * span, row, words, va="center", fontsize=_WORDS_POINTS)
+        if row + 1 < len(steps):
+            at, below = ends[row], row + 1 - _BAR / 2.0
+            axes.plot([at, at], [row + _BAR / 2.0, below], **_CONNECTOR)
+    axes.axvline(0.0, color="0.2", linewidth=0.6)
+    names = [f"{_MINUS} {step.name}" if step.cause else step.name for step in steps]
+    axes.set_yticks(range(len(steps)), names)
+    axes.tick_params(axis="y", length=0.0, labelsize=_WORDS_POINTS + 0.5)
+    axes.spines["left"].set_visible(False)
+    axes.grid(visible=False, axis="y")
+    axes.set(ylim=(len(steps) - 0.5, -0.6), xlim=(low - 0.02 * span, low + span))
+    words = found.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
+    unit = f" [{scale.unit}]" if scale.unit else ""
+    # The contribution of one cause is just what its removal changes.
+    is_average = len(choose_acting_contributions(found)) > 1
+    notes = ["bars: averages over the orders of removal"] if is_average else []
+    if found.seeds is not None:
+        notes.append(f"contributions: means over {found.seeds.used} seeds")
+    label = "\n".join([f"{words.replace('.', ' ')}{unit}", *notes])
+    axes.set(xlabel=label, title=f"what caused {steps[0].text}")
+
+
+def _find_span(texts: Sequence[str], rights: Values, least: float, room_inch: float) -> float:
+    """Return how wide the axis must be for the words beside the bars, in the unit of the bars."""
+    span = least
+    for text, right in zip(texts, rights, strict=True):
+        words_inch = max(map(measure_text_mm, text.split("\n"))) / 25.4 + 0.08
+        share = min(words_inch / room_inch, 0.8)
+        span = max(span, float(right) / (1.0 - share), least * min(1.0, words_inch / room_inch))
+    return 1.02 * span
+
+
+def _to_rgb(color: Color) -> tuple[float, ...]:
+    return tuple(part / 255.0 for part in color)
+
+
+def _draw_run_and_ghost(axes: Axes, told: Explained) -> None:
+    """Draw what the metric is of: where the run ends, or the signal of its loop."""
+    loop = told.run.declaration.find_loop(told.found.metric.rpartition(".")[0])
+    if loop is None and told.found.metric != "final.heading_error":
+        _draw_ends(axes, told)
+        return
+    signal = "heading_error" if loop is None else loop.signal
+    words = "heading error" if loop is None else SIGNAL_WORDS[loop.signal]
+    _draw_signals(axes, told, signal, words)
+
+
+def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
+    """Draw a signal of the run and of its ghost, from where it comes near its reference."""
+    for level in {level.value for level in list_levels(told.run, signal)} or {0.0}:
+        axes.axhline(level, **REFERENCE)
+    lines = [(told.run, choose_lines(1)[0], "recorded")]
+    if told.ghost is not None:
+        lines.append((told.ghost, _GHOST, f"ghost: without {told.ghost_name}"))
+    window_s = _find_arrival(told, signal)
+    shown: list[Values] = []
+    for run, looks, name in lines:
+        curve = read_curve(run, signal)
+        if curve is not None:
+            draw_curve(axes, curve, **looks, label=name)
+            shown.append(curve.values[_find_rows(curve.time_s, window_s)])
+    values = np.concatenate([*shown, np.zeros(0)])
+    if window_s is not None and len(values):
+        low, high = float(values.min()), float(values.max())
+        room = 0.12 * (high - low) or 1.0
+        axes.set(xlim=window_s, ylim=(low - room, high + room))
+    ylabel = f"{words} [{find_unit(told.run, signal)}]"
+    axes.set(xlabel="time from the first sample [s]", ylabel=ylabel)
+    axes.set_title(f"{_name(told)}{'' if window_s is None else ', the last tenth of the step'}")
+
+
+def _find_rows(time_s: Values, window_s: tuple[float, float] | None) -> NDArray[np.bool_]:
+    if window_s is None:
+        return np.ones(len(time_s), dtype=bool)
+    return (time_s >= window_s[0]) & (time_s <= window_s[1])
+
+
+def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
+    """Return from when to when a loop's signal is within a tenth of its step; None without one."""
+    curve = read_curve(told.run, signal)
+    steps = [step for step in find_steps(told.run, signal) if curve is not None]
+    steps = [step for step in steps if told.found.metric.startswith(f"{step.loop.name}.")]
+    if curve is None or not steps or steps[0].initial == steps[0].reference:
+        return None
+    (step, *_) = steps
+    off = np.abs(curve.values - step.reference) / abs(step.reference - step.initial)
+    near = np.flatnonzero((off <= _NEAR) & (curve.time_ns >= step.start_ns))
+    if not len(near):
+        return None
+    start_s, end_s = float(curve.time_s[near[0]]), (step.end_ns - told.run.start_ns) / 1e9
+    return (start_s, end_s) if end_s > start_s else None
+
+
+def _draw_ends(axes: Axes, told: Explained) -> None:
+    """Draw where the run and its ghost end, close up where they arrive."""
+    lines = [(told.run, choose_lines(1)[0], "recorded")]
+    if told.ghost is not None:
+        lines.append((told.ghost, _GHOST, f"ghost: without\n{told.ghost_name}"))
+    close_up = find_close_up([run for run, _, _ in lines])
+    if close_up is not None and all(end.run for end in close_up.ends):
+        close_up = None  # the run itself, which is the first, ends elsewhere
+    goal = None if told.run.goal_xy_m is None else np.array(told.run.goal_xy_m)
+    place = _choose_place(axes, told, close_up)
+    for run, looks, _ in lines:
+        xy_m = run.poses.xy_m
+        draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **looks)
+        place.avoid_line(xy_m)
+        place.avoid_point(xy_m[-1])
+    if goal is not None:
+        axes.plot(*goal, "+", ms=9.0, mew=1.6, color="black", zorder=2.8)
+        place.avoid_point(goal, _GOAL_MM)
+    for run, looks, name in lines:
+        end = run.poses.xy_m[-1]
+        axes.plot(*end, "o", ms=4.5, color=looks["color"], zorder=3, mec="white", mew=0.5)
+        if (np.abs(end - place.center) <= place.half).all():
+            miss = (
+                "" if goal is None else f"\n{_tell_miss(told, float(np.hypot(*(end - goal))))} off"
+            )
+            color = looks["color"] if run is told.run else "0.35"
+            place_words(axes, place, f"{name}{miss}", end, color, _WORDS_POINTS)
+    for ring_m in () if close_up is None else close_up.rings_m:
+        axes.add_patch(Circle((place.center[0], place.center[1]), ring_m, **_RING))
+        name_ring(axes, place, format_length(ring_m), ring_m)
+    where = "whole paths" if close_up is None else f"at the goal{close_up.count_outside()}"
+    axes.set_title(f"{_name(told)}, {where}")
+
+
+def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> WordSpace:
+    """Give the panel its limits: those of the close-up, or of all that was driven."""
+    if close_up is not None:
+        center, half_m = np.array(close_up.goal_xy_m), close_up.half_m
+    else:
+        ghosts = [] if told.ghost is None else [told.ghost.poses.xy_m]
+        goals = [] if told.run.goal_xy_m is None else [np.array([told.run.goal_xy_m])]
+        points = np.concatenate([told.run.poses.xy_m, *ghosts, *goals])
+        center = (points.min(axis=0) + points.max(axis=0)) / 2.0
+        half_m = max(0.56 * float(np.ptp(points, axis=0).max()), 1e-3)
+    sides = half_m * np.array([-1.0, 1.0])
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    axes.set(xlim=center[0] + sides, ylim=center[1] + sides)
+    axes.locator_params(nbins=5)
+    axes.grid(visible=False)
+    width_inch = float(axes.get_figure(root=True).get_figwidth())  # type: ignore[union-attr]
+    share = 0.16 if width_inch >= _SIDE_BY_SIDE_INCH else 0.29
+    half_mm = np.full(2, 25.4 * share * width_inch)
+    return WordSpace(center=center, half=np.full(2, half_m), half_mm=half_mm)
+
+
+def _tell_miss(told: Explained, miss_m: float) -> str:
+    """Return a distance, with the decimals of the waterfall where that is of the same."""
+    if told.found.metric == "final.position_error":
+        return choose_step_scale(told.found).format_value(miss_m)
+    return format_length(miss_m)
+
+
+def _name(told: Explained) -> str:
+    return label_runs([told.run])[0]

@@ -1,0 +1,185 @@
+"""Curves of figures: of runs, thinned, of the ideal loop beside them, and of theory alone."""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from turtlelog.charts.shared_curves import (
+    MOST_POINTS,
+    Curve,
+    LoopStep,
+    choose_rows,
+    find_steps,
+    read_curve,
+)
+from turtlelog.draw.figures.legend import name_some
+from turtlelog.draw.figures.page import REFERENCE, choose_lines
+from turtlelog.run import Run
+from turtlelog.theory import (
+    PLANT_INPUTS,
+    compute_closed_loop_response,
+    compute_plant_response,
+    compute_root_locus,
+    compute_settling_time,
+    find_plant_final_value,
+)
+
+Values = NDArray[np.float64]
+
+PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
+_LAST_S: Final = 5.0
+
+_ALONG: Final = ("along_track",)
+_DRIVEN_BY: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "heading": ("heading",),
+        "heading_error": ("heading",),
+        **dict.fromkeys(("x", "y", "error_x", "error_y", "along_track"), _ALONG),
+        **dict.fromkeys(("world_velocity_x", "world_velocity_y"), _ALONG),
+        "distance": ("along_track", "distance"),
+    }
+)
+"""Which loops' signals decide what theory expects of a curve: along the line all are the same."""
+
+_ERRORS: Final = frozenset(
+    {"heading_error", "error_x", "error_y", "distance", "world_velocity_x", "world_velocity_y"}
+)
+
+
+def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
+    """Draw a curve, as stairs where it holds; a long one is thinned."""
+    drawstyle = "steps-post" if curve.holds else "default"
+    draw_thinned(axes, curve.time_s, curve.values, curve.values, drawstyle=drawstyle, **looks)
+
+
+def draw_thinned(axes: Axes, across: Values, up: Values, kept: Values, **looks: Any) -> None:
+    """Draw a line; where points are left out the extremes of `kept` stay, and a note says so."""
+    across, up = _thin(axes, across, up, kept)
+    # A line of one point would be none.
+    axes.plot(across, up, marker="o" if len(up) == 1 else None, markersize=3.0, **looks)
+
+
+def draw_points(axes: Axes, across: Values, up: Values, **looks: Any) -> None:
+    """Draw points without a line between them, thinned as lines are."""
+    across, up = _thin(axes, across, up, up)
+    axes.plot(across, up, **looks)
+
+
+def _thin(axes: Axes, across: Values, up: Values, kept: Values) -> tuple[Values, Values]:
+    rows = choose_rows(kept)
+    if rows is None:
+        return across, up
+    note = f"curves of over {MOST_POINTS:,} points are\nthinned for drawing, extremes kept"
+    axes.figure.supxlabel(note, fontsize=7.0, color="0.4")
+    return across[rows], up[rows]
+
+
+def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
+    """Draw level lines under one name."""
+    for index, level in enumerate(levels):
+        shown = dict(looks)
+        if index:
+            shown.pop("label", None)
+        axes.axhline(level, zorder=1.5, **shown)
+
+
+def compute_ideals(run: Run, signal_name: str) -> list[Curve]:
+    """Return how ideal loops of the same gains would bring a signal to where it belongs.
+
+    Each starts where and when its loop starts. None for signals that no loop of theory's drives,
+    and where the reference moves, or the gain or the goal is not known.
+    """
+    measured = read_curve(run, signal_name)
+    if measured is None or signal_name not in _DRIVEN_BY:
+        return []
+    steps = [step for driven in _DRIVEN_BY[signal_name] for step in find_steps(run, driven)]
+    # Along the line, all but the way itself comes to where it belongs at the goal alone.
+    elsewhere = {"along_track"} - {signal_name}
+    found = [
+        _compute_ideal(run, signal_name, measured, step)
+        for step in steps
+        if step.loop.signal not in elsewhere or step.loop.reference == "goal_distance"
+    ]
+    return [curve for curve in found if curve is not None]
+
+
+def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: ARG001
+    """Draw the plant 1/s answering an impulse, a step and a ramp."""
+    time_s = np.linspace(0.0, _LAST_S, 201)
+    for axes, kind in zip(figure.subplots(1, 3), PLANT_INPUTS, strict=True):
+        axes.plot(time_s, compute_plant_response(kind, time_s), **choose_lines(1)[0])
+        end = "unbounded" if find_plant_final_value(kind).value is None else "bounded"
+        axes.set(xlabel="time [s]", title=f"{kind}: {end}", xlim=(0.0, _LAST_S), ylim=(0.0, None))
+    figure.axes[0].set(ylabel="response of 1/s", ylim=(0.0, 1.25))
+
+
+def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw the closed loop's step response for each gain, with the 2 % band and 4 tau marked."""
+    axes, gains = figure.subplots(), find_gains(runs)
+    last_s = 1.25 * compute_settling_time(min(gains))
+    time_s = np.linspace(0.0, last_s, 601)
+    axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
+    axes.axhline(1.0, **REFERENCE)
+    names = name_some(axes, [f"Kp = {gain:g}" for gain in gains])
+    for gain, name, looks in zip(gains, names, choose_lines(len(gains)), strict=True):
+        values = compute_closed_loop_response(gain, time_s)
+        axes.plot(time_s, values, label=name, **looks)
+        settled_s = compute_settling_time(gain)
+        level = compute_closed_loop_response(gain, [0.0, settled_s])[-1]
+        label = "4 τ" if gain == gains[-1] else None
+        axes.plot(settled_s, level, "o", ms=3.5, color=looks["color"], label=label)
+    axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
+
+
+def draw_ideal_locus(axes: Axes, gains: Sequence[float]) -> None:
+    """Draw the ideal closed loop's pole s = -Kp, from the plant's at the origin leftward."""
+    left = -1.25 * max(gains)
+    axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
+    axes.text(-0.12 * left, 0.82, "unstable", ha="center", fontsize=7.0, color="0.4")
+    branch = compute_root_locus([0.0, -left])
+    axes.plot(branch.real, branch.imag, color="0.3", label="s = -Kp")
+    axes.plot([0.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="pole of 1/s", zorder=3)
+    poles = compute_root_locus(gains)
+    names = name_some(axes, [f"Kp = {gain:g}" for gain in gains])
+    for name, pole, looks in zip(names, poles, choose_lines(len(gains)), strict=True):
+        axes.plot([pole.real], [pole.imag], "o", ms=4.5, color=looks["color"], label=name)
+    axes.set(xlabel="real part [1/s]", ylabel="imaginary part [1/s]", xlim=(left, -0.24 * left))
+    axes.set_ylim(-1.0, 1.0)
+
+
+def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
+    """Return the gains of the loops that theory knows in rising order; without runs the paper's."""
+    if not runs:
+        return PAPER_GAINS
+    found = {
+        loop.read_gain(run.parameters)
+        for run in runs
+        for loop in run.declaration.loops
+        if loop.has_theory
+    }
+    return tuple(sorted(gain for gain in found if gain is not None))
+
+
+def _compute_ideal(run: Run, signal_name: str, measured: Curve, step: LoopStep) -> Curve | None:
+    target = _find_target(run, signal_name, step)
+    start_s = (step.start_ns - run.start_ns) / 1e9
+    after = measured.time_s >= start_s
+    if target is None or not after.any():
+        return None
+    initial = float(measured.values[after][0])
+    values = step.respond(measured.time_s[after] - start_s, initial=initial, target=target)
+    return Curve(start_ns=run.start_ns, time_ns=measured.time_ns[after], values=values)
+
+
+def _find_target(run: Run, signal_name: str, step: LoopStep) -> float | None:
+    """Return the value that a loop brings a signal to, in the unit of its curve."""
+    if signal_name in _ERRORS:
+        return 0.0
+    if signal_name in ("x", "y"):
+        return None if run.goal_xy_m is None else run.goal_xy_m["xy".index(signal_name)]
+    return step.reference

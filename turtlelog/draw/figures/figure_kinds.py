@@ -1,0 +1,432 @@
+"""The figures by name: what each shows, what it needs, and how it is drawn."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+from matplotlib.figure import Figure
+
+from turtlelog.charts.robot_curves import lack_samples
+from turtlelog.charts.shared_curves import (
+    Command,
+    list_loops,
+    read_curve,
+    require_near,
+)
+from turtlelog.charts.state_groups import are_comparable, group_states
+from turtlelog.display import NamedValues
+from turtlelog.draw.figures.attribution_figure import draw_attribution
+from turtlelog.draw.figures.command_panels import draw_command, draw_wanted
+from turtlelog.draw.figures.figure_curves import (
+    draw_plant_responses,
+    draw_step_responses,
+)
+from turtlelog.draw.figures.gain_figure import draw_gains
+from turtlelog.draw.figures.needs import (
+    OF_THEORY,
+    find_lack_of_gain,
+    find_lacks,
+    has_states,
+)
+from turtlelog.draw.figures.panels import Draw, draw_overview, draw_stack
+from turtlelog.draw.figures.plane_panels import draw_plane, has_one_plane
+from turtlelog.draw.figures.rates_figure import draw_rates
+from turtlelog.draw.figures.sampled_loops import (
+    draw_bode,
+    draw_nyquist,
+    draw_root_locus,
+    draw_step,
+)
+from turtlelog.draw.figures.signal_panels import (
+    draw_along_error,
+    draw_error_magnitude,
+    draw_signal,
+    draw_states,
+    draw_track,
+)
+from turtlelog.draw.figures.strip_figure import draw_strips
+from turtlelog.draw.figures.violation_figure import draw_violation
+from turtlelog.run import Run
+
+DrawFigure = Callable[[Figure, Sequence[Run]], None]
+Arrange = Callable[[Figure, Sequence[Run], Sequence[Draw]], None]
+
+MOST_STATES: Final = 12
+"""Panels of states in a figure: of more it would be higher than any page."""
+
+_LOOPS: Final[Mapping[str, str]] = {
+    "heading": "a loop of the heading",
+    "along_track": "a loop along the track",
+    "distance": "a loop of the distance",
+}
+"""What a panel is of, by the signal that is controlled."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Panel:
+    """One panel of a figure.
+
+    Attributes:
+        name: What it shows, in a word or two.
+        needs: What a run must hold to be drawn.
+        draw: Draws it for some runs.
+        loop: Signal that a loop of some run must control; of a usual panel, a run whose loops are
+            not known is taken to do so. Empty: whatever is controlled.
+        is_usual: Whether it is missed where no run has anything for it.
+    """
+
+    name: str
+    needs: str
+    draw: Draw
+    loop: str = ""
+    is_usual: bool = True
+
+    def find_lacks(self, runs: Sequence[Run]) -> tuple[str, ...]:
+        """Return what each run lacks to be drawn, empty where nothing."""
+        if self.loop and not any(self._is_of(run) for run in runs):
+            return (_LOOPS[self.loop],) * len(runs)
+        return find_lacks(runs, self.needs)
+
+    def _is_of(self, run: Run) -> bool:
+        is_unknown = self.is_usual and not run.declaration.loops
+        follows = self.loop == "heading" and run.path is not None
+        return is_unknown or follows or bool(list_loops(run, self.loop))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FigureKind:
+    """One figure.
+
+    Attributes:
+        title: What it shows, for captions.
+        paper: The paper's figure that it stands beside; empty where there is none.
+        height: Over its width, with all of its usual panels.
+        needs: What at least one run must hold; each panel has needs of its own where there are any.
+        draw: Draws it for some runs, where it has no panels.
+        panels: Those that no run has anything for are left out.
+        list_more: More panels, that depend on what the laws of runs declare.
+        is_usual: Whether it is missed where no run has anything for it.
+        is_extra: Whether it is drawn only where it is asked for by name.
+        arrange: Puts panels where they stand.
+    """
+
+    title: str
+    paper: str
+    height: float = 0.62
+    needs: str = "poses"
+    draw: DrawFigure | None = None
+    panels: tuple[Panel, ...] = ()
+    list_more: Callable[[Sequence[Run]], tuple[Panel, ...]] = lambda _: ()
+    is_usual: bool = True
+    is_extra: bool = False
+    arrange: Arrange = draw_stack
+
+    def find_lack(self, runs: Sequence[Run]) -> str | None:
+        """Return what is missing to draw it, None where nothing is; theory needs no runs."""
+        if not runs:
+            return (find_lack_of_gain(()) or None) if self.needs in OF_THEORY else "a recording"
+        if self.draw is not None:
+            lacks = find_lacks(runs, self.needs)
+            return lacks[0] if all(lacks) else None
+        if self.choose_panels(runs):
+            return None
+        return (
+            self.panels[0].find_lacks(runs)[0] if self.is_usual else find_lacks(runs, self.needs)[0]
+        )
+
+    def choose_panels(self, runs: Sequence[Run]) -> tuple[Panel, ...]:
+        """Return the panels that a run has something for."""
+        found = tuple(panel for panel in self.panels if not all(panel.find_lacks(runs)))
+        return (*found, *self.list_more(runs))
+
+    def find_height(self, runs: Sequence[Run]) -> float:
+        """Return its height over its width: fewer panels need less, and beside a plane more."""
+        if self.draw is draw_plane and has_one_plane(runs):
+            return 1.0
+        if self.arrange is draw_overview and lack_samples(runs):
+            return 0.31 + 0.08 * len(self.choose_panels(runs))
+        kept, usual = len(self.choose_panels(runs)), sum(panel.is_usual for panel in self.panels)
+        return self.height * (1.0 + kept) / (1.0 + usual)
+
+    def draw_on(self, figure: Figure, runs: Sequence[Run]) -> None:
+        """Draw it for some runs.
+
+        Raises:
+            ShowError: Where a pose lies too far away for the limits of axes.
+        """
+        require_near(runs)
+        if self.draw is not None:
+            self.draw(figure, runs)
+        else:
+            self.arrange(figure, runs, [panel.draw for panel in self.choose_panels(runs)])
+
+    def __repr__(self) -> str:
+        return f"<FigureKind: {self.title}>"
+
+
+def list_usual_figures() -> tuple[str, ...]:
+    """Return the names of the figures that are drawn unless others are asked for."""
+    return tuple(name for name, kind in FIGURES.items() if not kind.is_extra)
+
+
+def _signal(signal: str, label: str, needs: str, loop: str = "", *, is_usual: bool = True) -> Panel:
+    draw = partial(draw_signal, signal=signal, label=label)
+    name = signal.replace("_", " ")
+    return Panel(name=name, needs=needs, draw=draw, loop=loop, is_usual=is_usual)
+
+
+def _magnitude(signal: str, label: str, needs: str, loop: str = "") -> Panel:
+    draw = partial(draw_error_magnitude, signal=signal, label=label)
+    return Panel(name=signal.replace("_", " "), needs=needs, draw=draw, loop=loop)
+
+
+def _command(command: Command, label: str) -> Panel:
+    draw = partial(draw_command, command=command, label=label)
+    return Panel(name=label, needs=command, draw=draw)
+
+
+def list_state_panels(
+    runs: Sequence[Run], *, of_commands: bool = False, most: int = MOST_STATES
+) -> tuple[Panel, ...]:
+    """Return panels for states that are not always 0: of one run for those that belong together.
+
+    Args:
+        runs: What is drawn.
+        of_commands: Only those that belong to a command.
+        most: How many there may be.
+    """
+    found = [run for run in runs if has_states(run)]
+    panels = []
+    for group in group_states(*(run.declaration for run in found)):
+        acting = tuple(name for name in group.names if not _is_idle(name, found))
+        if not acting or (of_commands and group.command is None):
+            continue
+        names: list[tuple[str, ...]] = [(name,) for name in acting]
+        if len(runs) == 1:
+            curves = [read_curve(runs[0], name) for name in acting]
+            columns = [curve.values for curve in curves if curve is not None]
+            names = [acting] if are_comparable(columns) else names
+        for shown in names:
+            label = shown[0] if len(shown) == 1 else group.title.lower()
+            draw = partial(draw_states, names=shown, label=label)
+            panels.append(Panel(name=label, needs="states", draw=draw, is_usual=False))
+    return tuple(panels[:most])
+
+
+def _is_idle(name: str, runs: Sequence[Run]) -> bool:
+    """Whether a state is 0 throughout in every run that has it."""
+    curves = [read_curve(run, name) for run in runs if name in run.declaration.states]
+    return not any(curve.values.any() for curve in curves if curve is not None)
+
+
+FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
+    "figure",
+    {
+        "plant": FigureKind(
+            title="Impulse, step and ramp response of the plant 1/s",
+            paper="2",
+            draw=draw_plant_responses,
+            height=0.36,
+            needs="integrator",
+        ),
+        "step-responses": FigureKind(
+            title="Step responses of the ideal closed loop, with 4 tau",
+            paper="4",
+            draw=draw_step_responses,
+            needs="gain",
+        ),
+        "root-locus": FigureKind(
+            title="Poles of the ideal and of the sampled closed loops as Kp rises",
+            paper="5",
+            draw=draw_root_locus,
+            height=0.55,
+            needs="locus",
+        ),
+        "heading": FigureKind(
+            title="Heading, the goal bearing and the ideal response",
+            paper="9-16",
+            panels=(_signal("heading", "heading [deg]", "poses", "heading"),),
+        ),
+        "along-track": FigureKind(
+            title="Way along the track, or distance, the goal and the ideal response",
+            paper="",
+            panels=(
+                Panel(name="along track", needs="track", draw=draw_track, loop="along_track"),
+                _signal("distance", "distance [m]", "goal", "distance", is_usual=False),
+            ),
+            needs="track",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "position": FigureKind(
+            title="Position, the goal and the ideal response",
+            paper="9-16",
+            panels=(_signal("x", "x [m]", "poses"), _signal("y", "y [m]", "poses")),
+            height=0.95,
+        ),
+        "heading-error": FigureKind(
+            title="Heading error and the ideal response",
+            paper="9-16",
+            panels=(_signal("heading_error", "heading error [deg]", "heading_error", "heading"),),
+        ),
+        "position-error": FigureKind(
+            title="Position error and the ideal response",
+            paper="9-16",
+            panels=(
+                _signal("error_x", "error in x [m]", "goal"),
+                _signal("error_y", "error in y [m]", "goal"),
+            ),
+            height=0.95,
+        ),
+        "turn-rate": FigureKind(
+            title="Turn rate, its limits",
+            paper="9-16",
+            panels=(_command("turn_rate", "turn rate"),),
+        ),
+        "speed": FigureKind(
+            title="Speed, its limits",
+            paper="14",
+            panels=(_command("speed", "speed"),),
+        ),
+        "wanted-speed": FigureKind(
+            title="Speed that the law wanted, before clipping",
+            paper="14",
+            panels=(
+                Panel(
+                    name="wanted speed",
+                    needs="wanted",
+                    draw=partial(draw_wanted, command="speed", label="wanted speed"),
+                ),
+            ),
+        ),
+        "world-velocity": FigureKind(
+            title="Gain times error in the world frame, before projection and clipping",
+            paper="9-16",
+            panels=(
+                _signal("world_velocity_x", "$K_p e_x$ [m/s]", "world_velocity"),
+                _signal("world_velocity_y", "$K_p e_y$ [m/s]", "world_velocity"),
+            ),
+            height=0.95,
+        ),
+        "error-log": FigureKind(
+            title="Magnitude of the errors on a logarithmic scale, the ideal decay, the tolerances",
+            paper="",
+            panels=(
+                _magnitude("heading_error", "|heading error| [deg]", "heading_error", "heading"),
+                _magnitude("distance", "distance [m]", "goal"),
+            ),
+            height=0.95,
+        ),
+        "path-error": FigureKind(
+            title="Errors along the path, behind its reference, and across it",
+            paper="",
+            panels=(
+                Panel(name="along", needs="along_error", draw=draw_along_error, is_usual=False),
+                _signal("cross_track", "cross-track [m]", "path", is_usual=False),
+            ),
+            height=0.32,
+            needs="path",
+            is_usual=False,
+        ),
+        "states": FigureKind(
+            title="States of the law",
+            paper="",
+            list_more=lambda runs: list_state_panels(runs),
+            height=0.32,
+            needs="states",
+            is_usual=False,
+        ),
+        "bode": FigureKind(
+            title="Frequency response of the open sampled loops, with their margins",
+            paper="",
+            draw=draw_bode,
+            height=0.62,
+            needs="theory",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "nyquist": FigureKind(
+            title="Open sampled loops in the complex plane, with their margins",
+            paper="",
+            draw=draw_nyquist,
+            height=0.62,
+            needs="theory",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "step": FigureKind(
+            title="Step responses of the sampled loops, without limits",
+            paper="",
+            draw=draw_step,
+            height=0.42,
+            needs="theory",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "attribution": FigureKind(
+            title="What caused a metric of one run: the contributions, the run and its ghost",
+            paper="",
+            draw=draw_attribution,
+            needs="samples",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "gains": FigureKind(
+            title="Metrics against the gain, with theory's limits of overshoot and stability",
+            paper="",
+            draw=draw_gains,
+            needs="known_gain",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "strips": FigureKind(
+            title="Metrics of many runs by gain, or by what else differs: points, and boxes",
+            paper="",
+            draw=draw_strips,
+            is_usual=False,
+            is_extra=True,
+        ),
+        "rates": FigureKind(
+            title="Commands against measured rates, with the identified model",
+            paper="",
+            draw=draw_rates,
+            needs="commands",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "violation": FigureKind(
+            title="The signal that a check holds to a band, and where it leaves it",
+            paper="",
+            draw=draw_violation,
+            is_usual=False,
+            is_extra=True,
+        ),
+        "plane": FigureKind(
+            title="Paths in the plane, and how each run ends",
+            paper="17",
+            draw=draw_plane,
+            height=0.53,
+            needs="poses",
+        ),
+        "panel": FigureKind(
+            title="Both loops, what they missed and what they were told",
+            paper="",
+            panels=(
+                _signal("heading", "heading [deg]", "poses", "heading"),
+                Panel(name="along track", needs="track", draw=draw_track, loop="along_track"),
+                _signal("distance", "distance [m]", "goal", "distance", is_usual=False),
+                _magnitude("heading_error", "|heading error| [deg]", "heading_error", "heading"),
+                _signal("cross_track", "cross-track [m]", "track"),
+                _command("turn_rate", "turn rate"),
+                _command("speed", "speed"),
+            ),
+            list_more=lambda runs: (
+                list_state_panels(runs, of_commands=True) if len(runs) == 1 else ()
+            ),
+            arrange=draw_overview,
+            height=0.85,
+        ),
+    },
+)
+"""Every figure by name."""

@@ -1,0 +1,278 @@
+"""Metrics against the gain, beside theory's limits for the dead time that the runs show."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from turtlelog.charts.many_runs import cut_alike
+from turtlelog.draw.figures.loop_gains import GainLimits, LoopGains, find_loop_gains
+from turtlelog.draw.figures.metric_panels import (
+    MetricValues,
+    measure_for_figure,
+    set_ticks_at,
+    set_value_scale,
+)
+from turtlelog.draw.figures.page import choose_lines, label_runs
+from turtlelog.errors import ShowError
+from turtlelog.run import Run
+from turtlelog.theory import (
+    compute_saturated_settling_time,
+    compute_settling_time,
+)
+
+Values = NDArray[np.float64]
+
+_MOST_LINES: Final = 3
+"""Dead times that have a line each; more are a band from the least limit to the greatest."""
+
+_MOST_LOOPS: Final = 4
+"""Of runs of several laws; more would be higher than a page."""
+
+_FAR: Final = 2.5
+"""A limit beyond this many times the largest gain is told in words, not drawn: all runs would crowd
+at the left border."""
+
+_MOST_NAMED: Final = 8
+"""Runs whose points have names; of more the names would hide the points."""
+
+_RATIO: Final = 4.0
+"""Largest over least gain from which the axis of gains is logarithmic."""
+
+_GAINS: Final = 48
+"""Of a curve of theory: one in a millimetre of a panel."""
+
+_COLUMN_INCH: Final = 1.5
+"""A panel is at least so wide: in narrower ones the values of two limits touch. Loops whose panels
+would be narrower stand below each other."""
+
+_ROW_INCH: Final = 1.45
+
+_OVERSHOOT: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#b07000", "linewidth": 0.9, "linestyle": (0, (5, 2))}
+)
+_UNSTABLE: Final[Mapping[str, Any]] = MappingProxyType({"color": "#b3261e", "linewidth": 1.0})
+_BEYOND: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#b3261e", "alpha": 0.09, "linewidth": 0.0, "zorder": 0.6}
+)
+_OVERSHOOTING: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#e69f00", "alpha": 0.10, "linewidth": 0.0, "zorder": 0.5}
+)
+_THEORY: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.35", "linewidth": 0.9, "linestyle": (0, (1, 1.5)), "zorder": 1.8}
+)
+_LIMITED: Final = {**_THEORY, "linestyle": (0, (4, 1.5))}
+_SAMPLED: Final = {**_THEORY, "linestyle": "-", "linewidth": 0.6}
+
+
+def draw_gains(
+    figure: Figure, runs: Sequence[Run], *, metrics: Sequence[str] | None = None
+) -> None:
+    """Draw metrics against the gain of each loop, with theory's limits.
+
+    Args:
+        figure: To draw on.
+        runs: Those without a known gain are left out.
+        metrics: Ids, patterns, or names of metrics of any loop; overshoot, settling time and final
+            position error unless given.
+
+    Raises:
+        ShowError: Where no gain is known, or no run has a value.
+    """
+    loops = find_loop_gains(runs)
+    if not loops:
+        raise ShowError("figure gains: expected the law's gain, found none")
+    found = measure_for_figure("gains", runs, metrics)
+    columns = [loop for loop in loops if any(one.loop in ("", loop.name) for one in found)]
+    own = {one.loop for one in found} - {""}
+    columns = [loop for loop in columns if loop.name in own] or columns[:1] if own else columns[:1]
+    if len(columns) > _MOST_LOOPS:
+        note = f"the first {_MOST_LOOPS} of {len(columns)} loops; --metric LOOP.METRIC chooses"
+        figure.supxlabel(note, fontsize=7.0, color="0.4")
+        columns = columns[:_MOST_LOOPS]
+    rows = list(dict.fromkeys(one.name for one in found if one.loop in _list_shown(columns)))
+    width = figure.get_figwidth()
+    is_stacked = width < _COLUMN_INCH * len(columns)
+    shape = (len(rows) * len(columns), 1) if is_stacked else (len(rows), len(columns))
+    figure.set_size_inches(width, 0.55 + _ROW_INCH * shape[0])
+    grid = figure.subplots(*shape, squeeze=False)
+    for column, loop in enumerate(columns):
+        own_axes = grid[column * len(rows) :, 0] if is_stacked else grid[:, column]
+        for row, (axes, name) in enumerate(zip(own_axes, rows, strict=False)):
+            one = _find_values(found, name, loop)
+            if one is None:
+                axes.set_axis_off()
+                continue
+            _draw_panel(axes, runs, loop, one, is_first=row == 0)
+            axes.tick_params(labelbottom=row + 1 == len(rows))
+            axes.set_ylabel(one.label if column == 0 or one.loop or is_stacked else "")
+        own_axes[len(rows) - 1].set_xlabel(f"Kp of {loop.name} [1/s]")
+        own_axes[0].set_title(_name_loop(loop), pad=12.0)
+    figure.align_ylabels()
+
+
+def _list_shown(columns: Sequence[LoopGains]) -> set[str]:
+    return {"", *(loop.name for loop in columns)}
+
+
+def _find_values(found: Sequence[MetricValues], name: str, loop: LoopGains) -> MetricValues | None:
+    """Return a metric of a loop, or of the whole run."""
+    return next((one for one in found if one.name == name and one.loop in ("", loop.name)), None)
+
+
+def _name_loop(loop: LoopGains) -> str:
+    """Return a loop's name with the dead times for which the limits hold."""
+    if not loop.limits:
+        return f"{loop.name}: no theory"
+    times_ms = sorted({round(1e3 * one.dead_time_s, 1) for one in loop.limits})
+    if len(times_ms) > _MOST_LINES:
+        return f"{loop.name}\ndead time {times_ms[0]:g} to {times_ms[-1]:g} ms"
+    return f"{loop.name}\ndead time {', '.join(f'{time:g}' for time in times_ms)} ms"
+
+
+def _draw_panel(
+    axes: Axes, runs: Sequence[Run], loop: LoopGains, found: MetricValues, *, is_first: bool
+) -> None:
+    gains = loop.gains
+    known = gains[np.isfinite(gains)]
+    _set_gain_axis(axes, loop, known)
+    set_value_scale(axes, found)
+    _draw_limits(axes, loop, is_first=is_first)
+    _draw_theory(axes, loop, found)
+    asked = np.isfinite(gains)
+    places = np.unique(gains[asked])
+    if len(places) == asked.sum():
+        order = np.argsort(gains[asked], kind="stable")
+        # NaN parts the line where a run has no value.
+        line: dict[str, Any] = {"color": "0.75", "linewidth": 0.7, "zorder": 1.7}
+        axes.plot(gains[asked][order], found.values[asked][order], **line)
+    small = 4.5 if len(runs) <= _MOST_NAMED else 3.4 if len(runs) <= 3 * _MOST_NAMED else 2.4
+    for place, looks in zip(places, choose_lines(len(places)), strict=True):
+        there = gains == place
+        values = found.values[there]
+        known = values[np.isfinite(values)]
+        look: dict[str, Any] = {"ms": small, "color": looks["color"], "zorder": 3}
+        axes.plot(np.full(len(known), place), known, "o", **look)
+        if len(known) < len(values):
+            look = {"ms": 5.0, "mew": 1.2, "color": "#b3261e", "label": "no value"}
+            axes.plot(place, 0.95, "x", transform=axes.get_xaxis_transform(), **look)
+    if is_first and len(runs) <= _MOST_NAMED and len(runs) > 1:
+        _name_points(axes, runs, gains, found.values)
+
+
+def _set_gain_axis(axes: Axes, loop: LoopGains, known: Values) -> None:
+    low, high = float(known.min()), float(known.max())
+    if high > _RATIO * low:
+        axes.set_xscale("log")
+    ends = [one for limit in loop.limits for one in (limit.overshoot, limit.stability) if one]
+    near = [one for one in ends if one < _FAR * high]
+    left, right = min([low, *(one for one in near if one > low / _FAR)]), max([high, *near])
+    if axes.get_xscale() == "log":
+        axes.set_xlim(left / 1.35, right * 1.35)
+    else:
+        room = 0.12 * (right - left) or 0.3 * right
+        axes.set_xlim(max(left - room, 0.0), right + room)
+    set_ticks_at(axes, known.tolist())
+
+
+def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
+    """Draw from which gain theory's loop overshoots, and from which it is unstable."""
+    left, right = axes.get_xlim()
+    starts: dict[str, float] = {}
+    beyond = []
+    for kind, looks, name in (
+        ("overshoot", _OVERSHOOT, "overshoot begins (theory)"),
+        ("stability", _UNSTABLE, "instability (theory)"),
+    ):
+        limits = sorted({float(value) for one in loop.limits if (value := getattr(one, kind))})
+        if not limits:
+            continue
+        starts[kind] = min(max(limits[0], left), right)
+        shown = [limit for limit in limits if left < limit < right]
+        if shown:
+            _draw_lines(axes, shown, looks, name)
+        else:
+            beyond.append((kind, limits[0], looks["color"], limits[0] >= right))
+        if shown and is_first:
+            _tell_limits(axes, shown, looks["color"], is_left=kind == "overshoot")
+    if "stability" in starts:
+        axes.axvspan(starts["stability"], right, **_BEYOND)
+    if "overshoot" in starts:
+        axes.axvspan(starts["overshoot"], starts.get("stability", right), **_OVERSHOOTING)
+    if is_first:
+        _tell_beyond(axes, beyond)
+
+
+def _draw_lines(axes: Axes, limits: Sequence[float], looks: Mapping[str, Any], name: str) -> None:
+    """Draw a line for each limit; of many a band."""
+    if len(limits) > _MOST_LINES:
+        band = {"color": looks["color"], "alpha": 0.25, "linewidth": 0.0, "label": name}
+        axes.axvspan(limits[0], limits[-1], **band)
+        return
+    for limit in limits:
+        axes.axvline(limit, **looks, label=name, zorder=1.5)
+
+
+def _tell_limits(axes: Axes, limits: Sequence[float], color: str, *, is_left: bool) -> None:
+    """Write the values of limits above their lines; two that stand left of others end at the last.
+
+    In a column, the least and the greatest limit of overshoot would touch those of stability.
+    """
+    told = "-".join(dict.fromkeys(f"{limit:.3g}" for limit in (limits[0], limits[-1])))
+    ends = is_left and limits[0] < limits[-1]
+    at = limits[-1] if ends else math.sqrt(limits[0] * limits[-1])
+    text = axes.text(at, 1.02, told, fontsize=6.2, color=color)
+    text.set(transform=axes.get_xaxis_transform(), ha="right" if ends else "center", va="bottom")
+
+
+def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str, bool]]) -> None:
+    """Tell the limits that the axis leaves out, at the side at which they lie."""
+    words = {"overshoot": "overshoots", "stability": "unstable"}
+    for number, (kind, limit, color, is_right) in enumerate(beyond):
+        side, at = ("right", 0.99) if is_right else ("left", 0.01)
+        told = f"{words[kind]} from {limit:.3g} {'→' if is_right else ''}".strip()
+        text = axes.text(at, 0.97 - 0.11 * number, told, fontsize=6.5, color=color)
+        text.set(transform=axes.transAxes, ha=side, va="top")
+
+
+def _draw_theory(axes: Axes, loop: LoopGains, found: MetricValues) -> None:
+    """Draw what theory's loop does at each gain, where it knows."""
+    left, right = axes.get_xlim()
+    gains = np.geomspace(max(left, 1e-3 * right), right, _GAINS)
+    if found.name == "settling_time":
+        if loop.limits and not (loop.limits[0].gains.ki or loop.limits[0].gains.kd):
+            times_s = [compute_settling_time(float(gain)) for gain in gains]
+            axes.plot(gains, times_s, **_THEORY, label="ideal loop: 4 τ")
+        if loop.step is not None:
+            size, limit = loop.step
+            times_s = [
+                compute_saturated_settling_time(float(gain), step=size, limit=limit)
+                for gain in gains
+            ]
+            axes.plot(gains, times_s, **_LIMITED, label="ideal loop, limited")
+    elif found.name == "overshoot":
+        for one in loop.limits[:_MOST_LINES]:
+            values = [_overshoot(one, float(gain)) for gain in gains]
+            axes.plot(gains, values, **_SAMPLED, label="sampled loop, no limit")
+
+
+def _overshoot(limit: GainLimits, kp: float) -> float:
+    """Return the overshoot of the linear sampled loop [%]; NaN where it has none or is unstable."""
+    if limit.stability is None or kp >= limit.stability:
+        return math.nan
+    motion = limit.design.measure(replace(limit.gains, kp=kp), to_rest=False)
+    return math.nan if motion is None else max(motion.overshoot_percent, 0.0)
+
+
+def _name_points(axes: Axes, runs: Sequence[Run], gains: Values, values: Values) -> None:
+    for name, gain, value in zip(cut_alike(label_runs(runs)), gains, values, strict=True):
+        if np.isfinite(gain) and np.isfinite(value):
+            text = axes.annotate(name, (gain, value), (0.0, 4.0), textcoords="offset points")
+            text.set(fontsize=6.5, ha="center", va="bottom", color="0.25", zorder=3.5)
+            text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.3, "alpha": 0.75})

@@ -1,0 +1,158 @@
+"""What figures and tables do not show of some runs, and why."""
+
+import sys
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import Final
+
+from turtlelog.charts.characteristics import Characteristic, list_characteristics
+from turtlelog.charts.close_up import ARRIVED_M, format_length
+from turtlelog.charts.robot_curves import lack_samples
+from turtlelog.charts.tracked_path import ON_PATH_M, list_paths
+from turtlelog.compare import order_by_gain, tabulate_table1
+from turtlelog.draw.figures.figure_kinds import (
+    FIGURES,
+    MOST_STATES,
+    list_state_panels,
+    list_usual_figures,
+)
+from turtlelog.draw.figures.marked_panels import has_marks
+from turtlelog.draw.figures.needs import GOAL, SAMPLES, find_lacks
+from turtlelog.draw.figures.page import label_runs
+from turtlelog.draw.figures.plane_panels import has_one_plane
+from turtlelog.draw.figures.signal_panels import draw_track
+from turtlelog.measure import measure_run
+from turtlelog.run import Run
+
+_MOST_NAMED: Final = 3
+"""So many runs are named that a figure does not show; of more it is said how many."""
+
+_ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
+
+_OF_MOTION: Final = frozenset({GOAL, "speed commands", "turn rate commands"})
+"""What a recording without samples may have all the same."""
+
+_DEPARTURE: Final = f"one path, and a run that is more than {format_length(ON_PATH_M)} off it"
+
+
+def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tuple[str, ...]:
+    """Return what figures do not show of some runs, and why, one line for each reason.
+
+    Args:
+        runs: What is drawn; in these lines they have the names of legends.
+        names: Of the figures that were asked for; all, and the tables, where None.
+    """
+    runs = order_by_gain(runs)
+    left_out: dict[tuple[str, tuple[int, ...]], list[str]] = {}
+    shown = list_usual_figures() if names is None else tuple(dict.fromkeys(names))
+    for name in shown:
+        for part, lacks in _list_parts(name, runs):
+            for words in dict.fromkeys(filter(None, lacks)):
+                lacking = tuple(number for number, lack in enumerate(lacks) if lack == words)
+                left_out.setdefault((words, lacking), []).append(part)
+    if lack_samples(runs):
+        left_out = _join_controller(left_out, has_tables=names is None)
+    lines = [_describe(words, lacking, parts, runs) for (words, lacking), parts in left_out.items()]
+    if names is None and not has_table1(runs) and not lack_samples(runs):
+        needed = GOAL if any(len(run.samples) for run in runs) else SAMPLES
+        lines.append(f"left out table1.tex: expected a gain or {needed}, found none")
+    return (*lines, *_tell_states(runs, shown), *_tell_close_up(runs, shown))
+
+
+def list_unmarked(runs: Sequence[Run], names: Iterable[str]) -> tuple[str, ...]:
+    """Return one line on the figures whose curves have no characteristics, where there are any.
+
+    Args:
+        runs: What is drawn.
+        names: Of the figures.
+    """
+    found = [list_characteristics(run, measure_run(run)) for run in runs]
+    lacking = [name for name in names if not _is_marked(name, runs, found)]
+    expected = "a curve with characteristics, found none"
+    return (f"left marks out of {', '.join(lacking)}: expected {expected}",) if lacking else ()
+
+
+def _is_marked(name: str, runs: Sequence[Run], found: Sequence[Sequence[Characteristic]]) -> bool:
+    signals = _list_signals(name, runs)
+    return any(has_marks(signal, marks) for signal in signals for marks in found)
+
+
+def _list_signals(name: str, runs: Sequence[Run]) -> list[str]:
+    """Return the signals of a figure's panels over time."""
+    kind = FIGURES[name]
+    drawn = [panel.draw for panel in kind.choose_panels(runs)] if kind.draw is None else []
+    named = [draw.keywords.get("signal", "") for draw in drawn if isinstance(draw, partial)]
+    return [*filter(None, named), *(["along_track"] if draw_track in drawn else [])]
+
+
+def _tell_states(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
+    states = list_state_panels(runs, most=sys.maxsize)
+    if "states" not in shown or len(states) <= MOST_STATES:
+        return []
+    return [
+        f"left out states (from {states[MOST_STATES].name} on):"
+        f" expected at most {MOST_STATES} panels, found {len(states)}"
+    ]
+
+
+def _tell_close_up(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
+    """Say what does not stand beside the plane; of runs without samples and goal nothing should."""
+    if "plane" not in shown or not has_one_plane(runs):
+        return []
+    if lack_samples(runs) and not any(run.goal_xy_m for run in runs):
+        return []
+    part, expected = ("how each run ends", _ARRIVAL)
+    if list_paths(runs):
+        part, expected = ("furthest off the path", _DEPARTURE)
+    return [f"left out plane ({part}): expected {expected}, found none"]
+
+
+_Left = dict[tuple[str, tuple[int, ...]], list[str]]
+"""What is left out, by what is missing, and which runs lack it."""
+
+
+def _join_controller(left_out: _Left, *, has_tables: bool) -> _Left:
+    """Name what is of a controller in one line: without its samples there is nothing to miss."""
+    of_motion: _Left = {}
+    of_controller: list[str] = []
+    for (words, lacking), parts in left_out.items():
+        if words in _OF_MOTION:
+            of_motion[words, lacking] = parts
+        else:
+            of_controller += [part for part in parts if not part.startswith("panel (")]
+            everyone = lacking
+    if not of_controller:
+        return of_motion
+    tables = ["table1.tex"] if has_tables else []
+    return {(SAMPLES, everyone): [*of_controller, *tables], **of_motion}
+
+
+def has_table1(runs: Sequence[Run]) -> bool:
+    """Whether Table 1 of these runs holds anything but their names."""
+    return any(value is not None for row in tabulate_table1(runs).rows for value in row[1:])
+
+
+def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
+    """Return a figure, or its panels where they need different things, and what each run lacks."""
+    kind = FIGURES[name]
+    if kind.draw is not None:
+        return [(name, find_lacks(runs, kind.needs))]
+    chosen = kind.choose_panels(runs)
+    if not kind.is_usual and not chosen:
+        return []
+    if not kind.panels:
+        return [(name, find_lacks(runs, kind.needs))]
+    parts = [panel for panel in kind.panels if panel.is_usual or panel in chosen]
+    if not chosen or len({(panel.needs, panel.loop) for panel in parts}) == 1:
+        return [(name, parts[0].find_lacks(runs))]
+    return [(f"{name} ({panel.name})", panel.find_lacks(runs)) for panel in parts]
+
+
+def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Sequence[Run]) -> str:
+    listed = ", ".join(parts)
+    if len(lacking) == len(runs):
+        return f"left out {listed}: expected {words}, found none"
+    labels = label_runs(runs)
+    named = ", ".join(labels[number] for number in lacking[:_MOST_NAMED])
+    more = f" and {len(lacking) - _MOST_NAMED} more" if len(lacking) > _MOST_NAMED else ""
+    return f"left {named}{more} out of {listed}: expected {words}, found none"

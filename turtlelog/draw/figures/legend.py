@@ -1,0 +1,104 @@
+"""The legend above the panels: what lies on top first, like looks once, of many lines a few."""
+
+from collections.abc import Collection, Mapping, Sequence
+from math import ceil
+from typing import Any, Final
+
+import numpy as np
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
+from matplotlib.textpath import text_to_path
+
+from turtlelog.charts.shared_curves import BEARING_NOW, REFERENCE as AIMED
+from turtlelog.draw.figures.page import IDEAL, IDEAL_ENDS
+
+_LINE_HEIGHT: Final = 1.45
+_POINTS_PER_INCH: Final = 72.0
+
+_OF_ALL_RUNS: Final = frozenset({IDEAL["label"], IDEAL_ENDS["label"], AIMED, BEARING_NOW})
+"""What has the colour of each run in a panel, and in a legend that of none."""
+
+_ALIKE: Final = (
+    ("goal bearing", "goal heading", "goal", "zero"),
+    ("tolerance", "limit"),
+    ("applied", "|applied|"),
+)
+"""What looks alike in different panels, each of which says which it is."""
+
+_CURVES: Final = 2.0
+"""How high matplotlib puts a line unless told otherwise; references lie below."""
+
+_MOST_NAMED: Final = 12
+"""Lines of theory that have an entry each: six rows of a column's two."""
+_SOME: Final = 7
+"""Of more so many have one, in even steps: their colours tell where the others lie."""
+
+
+def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
+    """Name what the panels show above them; the figure grows by the lines that this takes.
+
+    What is named elsewhere is left out, and what would stand alone where nothing is. Curves come
+    first, and what looks alike in several panels shares an entry.
+    """
+    named: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            if label not in without:
+                named.setdefault(label, handle)
+    if len(named) < 2 and not (named and without):
+        return
+    entries = _join_alike(named)
+    width, height = figure.get_size_inches()
+    columns = _count_columns(list(entries), width * _POINTS_PER_INCH)
+    lines = ceil(len(entries) / columns)
+    line_points = _LINE_HEIGHT * rcParams["legend.fontsize"]
+    figure.set_size_inches(width, height + (lines + 0.5) * line_points / _POINTS_PER_INCH)
+    legend = figure.legend(
+        entries.values(),
+        entries.keys(),
+        loc="outside upper center",
+        ncols=ceil(len(entries) / lines),
+    )
+    for label, entry in zip(entries, legend.legend_handles, strict=True):
+        if label in _OF_ALL_RUNS and entry is not None:
+            entry.set(color="0.35")
+
+
+def name_some(axes: Axes, labels: Sequence[str]) -> list[str | None]:
+    """Return labels of lines for a legend; of many those of a few, and the legend says so."""
+    if len(labels) <= _MOST_NAMED:
+        return list(labels)
+    shown = {*np.linspace(0, len(labels) - 1, _SOME).round().astype(int).tolist()}
+    axes.plot([], [], " ", zorder=0.0, label=f"{len(shown)} of {len(labels)} are named")
+    return [label if number in shown else None for number, label in enumerate(labels)]
+
+
+def _join_alike(named: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entries of a legend: curves first, then what lies below them."""
+    groups: dict[Any, list[str]] = {}
+    for label in sorted(named, key=lambda label: named[label].get_zorder() < _CURVES):
+        groups.setdefault(_describe_looks(label, named[label]), []).append(label)
+    return {", ".join(labels): named[labels[0]] for labels in groups.values()}
+
+
+def _describe_looks(label: str, handle: Any) -> Any:
+    """Return what entries have in common that are joined; of most it is their name alone."""
+    alike = next((names for names in _ALIKE if label in names), None)
+    if alike is None or not isinstance(handle, Line2D):
+        return label
+    return (alike, handle.get_color(), handle.get_linewidth(), handle.get_marker())
+
+
+def _count_columns(labels: Sequence[str], width_points: float) -> int:
+    """Return how many columns of the widest entry there is room for."""
+    size = rcParams["legend.fontsize"]
+    font = FontProperties(family=rcParams["font.family"], size=size)
+    widest = max(
+        text_to_path.get_text_width_height_descent(label, font, ismath=False)[0] for label in labels
+    )
+    around = ("handlelength", "handletextpad", "columnspacing")
+    entry_points = widest + size * sum(rcParams[f"legend.{name}"] for name in around)
+    return min(len(labels), max(1, int(width_points / entry_points)))

@@ -1,0 +1,267 @@
+"""Maps of a sweep: metrics over two keys, with theory's limits of the gain over them."""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from turtlelog.charts.map_values import (
+    GROWN,
+    OVERSHOOT,
+    STABILITY,
+    VERDICT_COLORS,
+    VERDICT_WORDS,
+    find_edges,
+    find_verdict_classes,
+    is_logarithmic,
+    label_metric,
+    list_branches,
+    scale_values,
+)
+from turtlelog.draw.figures.value_scale import VALUELESS, ColorScale, build_scale
+from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
+from turtlelog.sweep.swept_results import SweptAxis, SweptMetric
+from turtlelog.sweep.swept_views import SweptView, fill_cells
+
+Values = NDArray[np.float64]
+
+_MOST_VECTORS: Final = 2_500
+"""Cells that a PDF or SVG holds as shapes, some 100 bytes each; more are pixels in it."""
+
+_MOST_WORDS: Final = 12
+"""Names of places along a side: each takes 4 mm of a column."""
+
+_FEW_NUMBERS: Final = 6
+"""Numbers of an axis up to which each stands below its cell; a scale between them would say that
+there are cells where there are none."""
+
+_LONGEST: Final = 16
+"""Letters of such a name."""
+
+_MOST_EDGED: Final = 1_000
+"""Dots with an edge: those of more are so small that their edges would be all that shows."""
+
+_HALO: Final = 1.4
+"""Points of white around a line, which makes it stand out from every colour below."""
+
+LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
+    {
+        STABILITY: {"color": "#b3261e", "linewidth": 1.2},
+        GROWN: {
+            "color": "#b3261e",
+            "linewidth": 1.0,
+            "linestyle": (0, (1.2, 1.2)),
+        },
+        OVERSHOOT: {
+            "color": "#7a4b00",
+            "linewidth": 1.0,
+            "linestyle": (0, (5, 2)),
+        },
+    }
+)
+"""Theory's limits by their names in a legend, and how they look."""
+
+
+def draw_map(
+    axes: Axes,
+    view: SweptView,
+    metric: SweptMetric,
+    limits: Sequence[LoopLimits],
+    reasons: Mapping[str, tuple[str, str]],
+) -> dict[str, Any]:
+    """Draw a metric over the two axes of a view.
+
+    Args:
+        axes: To draw on.
+        view: Of two axes.
+        metric: One of its results.
+        limits: Of theory, as `find_loop_limits` returns them.
+        reasons: For each reason for no value its words and its hatch, as `group_reasons` has them.
+
+    Returns:
+        What a legend names, with how it looks.
+    """
+    if view.results.is_sampled:
+        named = _draw_points(axes, view, metric)
+    else:
+        named = _draw_cells(axes, view, metric, reasons)
+    ends = [_set_axis(axes, side, axis) for side, axis in zip("xy", view.axes, strict=True)]
+    axes.set_title(label_metric(metric), pad=4.0)
+    axes.grid(visible=False)
+    found = choose_limits(limits, metric)
+    if found is not None:
+        named |= _draw_limits(axes, view, found, ends)
+    return named
+
+
+def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
+    """Give a side its scale, name and ends; return the ends."""
+    edges = find_edges(axis)
+    low, high = float(edges[0]), float(edges[-1])
+    if is_logarithmic(axis):
+        axes.set(**{f"{side}scale": "log"})
+    axes.set(**{f"{side}lim": (low, high), f"{side}label": axis.label})
+    mark_places(axes, side, axis)
+    return low, high
+
+
+def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
+    """Write the values of an axis's places along a side: words, of many every second, third ...
+
+    Of numbers a few stand where they are; more are a scale.
+    """
+    if axis.is_number and len(axis) > _FEW_NUMBERS:
+        return
+    places = range(0, len(axis), -(-len(axis) // _MOST_WORDS))
+    texts = [axis.tell_place(place) for place in places]
+    cut = [text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…" for text in texts]
+    drawn = axes.xaxis if side == "x" else axes.yaxis
+    numbers = axis.numbers.tolist()
+    labels = [text.replace("$", r"\$") for text in cut]
+    drawn.set_ticks([], minor=True)
+    drawn.set_ticks([numbers[place] for place in places], labels=labels)
+
+
+def _draw_cells(
+    axes: Axes, view: SweptView, metric: SweptMetric, reasons: Mapping[str, tuple[str, str]]
+) -> dict[str, Any]:
+    cells = fill_cells(view, metric)
+    values = scale_values(metric, cells.values)
+    edges = find_edges(view.x), find_edges(view.axes[1])
+    looks: dict[str, Any] = {"rasterized": values.size > _MOST_VECTORS, "zorder": 1.0}
+    # Shapes that touch leave seams where a viewer smooths their edges; a line covers them.
+    seamless: dict[str, Any] = (
+        {} if looks["rasterized"] else {"edgecolors": "face", "linewidth": 0.3}
+    )
+    hatched = {cell: reasons[reason] for cell, reason in cells.reasons.items()}
+    named = _hatch_cells(axes, edges, hatched, looks)
+    if metric.is_verdict:
+        classes = find_verdict_classes(values)
+        colors = ListedColormap(list(VERDICT_COLORS))
+        norm = BoundaryNorm([-0.5, 0.5, 1.5, 2.5], 3)
+        axes.pcolormesh(
+            *edges, np.ma.masked_invalid(classes), cmap=colors, norm=norm, **looks, **seamless
+        )
+        return _name_verdicts(classes) | named
+    scale = build_scale(values)
+    mesh = axes.pcolormesh(
+        *edges,
+        np.ma.masked_invalid(values),
+        cmap=scale.colors,
+        norm=scale.norm,
+        **looks,
+        **seamless,
+    )
+    _add_bar(axes, mesh, scale)
+    return named
+
+
+def _draw_points(axes: Axes, view: SweptView, metric: SweptMetric) -> dict[str, Any]:
+    x, y = (axis.numbers[axis.places[view.rows]] for axis in view.axes)
+    values = scale_values(metric, metric.values[view.rows])
+    known = np.isfinite(values)
+    size = min(max(1500.0 / max(len(values), 1), 1.5), 22.0)
+    looks: dict[str, Any] = {"rasterized": len(values) > _MOST_VECTORS, "zorder": 2.0}
+    named: dict[str, Any] = {}
+    if not known.all():
+        cross: dict[str, Any] = {"marker": "x", "color": "0.5", "s": size, "linewidth": 0.6}
+        axes.scatter(x[~known], y[~known], **cross, **looks)
+        mark = Line2D([], [], color="0.5", marker="x", linestyle="", markersize=4.0)
+        named["no value"] = mark  # the lines that are printed say why
+    edge = 0.25 if len(values) <= _MOST_EDGED else 0.0
+    looks |= {"s": size, "linewidth": edge, "edgecolor": "0.3"}
+    if metric.is_verdict:
+        classes = find_verdict_classes(values[known])
+        colors = [VERDICT_COLORS[int(one)] for one in classes]
+        axes.scatter(x[known], y[known], c=colors, **looks)
+        return _name_verdicts(classes) | named
+    scale = build_scale(values)
+    order = np.argsort(values[known], kind="stable")
+    points = axes.scatter(
+        x[known][order],
+        y[known][order],
+        c=values[known][order],
+        cmap=scale.colors,
+        norm=scale.norm,
+        **looks,
+    )
+    _add_bar(axes, points, scale)
+    return named
+
+
+def _add_bar(axes: Axes, drawn: Any, scale: ColorScale) -> None:
+    bar = axes.figure.colorbar(drawn, ax=axes, extend=scale.extend, fraction=0.06, pad=0.02)
+    bar.outline.set_linewidth(0.4)
+    bar.ax.tick_params(labelsize=6.5, width=0.5, length=2.0)
+    bar.ax.grid(visible=False)
+
+
+def _name_verdicts(classes: Values) -> dict[str, Any]:
+    return {
+        VERDICT_WORDS[number]: Patch(facecolor=VERDICT_COLORS[number], edgecolor="0.6", lw=0.4)
+        for number in (2, 1, 0)
+        if (classes == number).any()
+    }
+
+
+def _hatch_cells(
+    axes: Axes,
+    edges: tuple[Values, Values],
+    hatched: Mapping[int, tuple[str, str]],
+    looks: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Draw cells without a value, each reason in its own hatch."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for cell, one in hatched.items():
+        groups.setdefault(one, []).append(cell)
+    named = {}
+    for (text, hatch), cells in groups.items():
+        shapes = _join_cells(edges, np.array(cells))
+        grey = {**VALUELESS, "hatch": hatch, "linewidth": 0.0}
+        axes.add_collection(PolyCollection(shapes, **grey, **looks))
+        named[text] = Patch(**{**grey, "linewidth": 0.4})
+    return named
+
+
+def _join_cells(edges: tuple[Values, Values], cells: NDArray[np.int64]) -> list[Values]:
+    """Return the corners of rectangles that cover cells: those above each other are one."""
+    x, y = edges
+    column, row = np.divmod(np.sort(cells % (len(x) - 1) * len(y) + cells // (len(x) - 1)), len(y))
+    is_first = np.r_[True, (np.diff(row) != 1) | (np.diff(column) != 0)]
+    first = np.flatnonzero(is_first)
+    last = np.r_[first[1:], len(row)] - 1
+    left, right = x[column[first]], x[column[first] + 1]
+    low, high = y[row[first]], y[row[last] + 1]
+    corners = np.array([[left, low], [right, low], [right, high], [left, high]])
+    return list(corners.transpose(2, 0, 1))
+
+
+def _draw_limits(
+    axes: Axes, view: SweptView, found: LoopLimits, ends: Sequence[tuple[float, float]]
+) -> dict[str, Any]:
+    """Draw theory's limits of a gain in the columns, or rows, of the other axis."""
+    is_upright = found.gain is view.x
+    other = view.axes[1] if is_upright else view.x
+    low, high = ends[0] if is_upright else ends[1]
+    named: dict[str, Any] = {}
+    for name, looks in LIMITS.items():
+        for branch in list_branches(found.columns, name):
+            if not ((branch > low) & (branch < high)).any():
+                continue
+            at, values = other.numbers, branch
+            if view.results.is_sampled:
+                at, values = at[np.isfinite(branch)], branch[np.isfinite(branch)]
+            else:
+                at, values = np.repeat(find_edges(other), 2)[1:-1], np.repeat(branch, 2)
+            line = (values, at) if is_upright else (at, values)
+            axes.plot(*line, color="white", linewidth=looks["linewidth"] + _HALO, zorder=2.9)
+            axes.plot(*line, **looks, zorder=3.0)
+            named[f"{found.loop}: {name}"] = Line2D([], [], **looks)
+    return named

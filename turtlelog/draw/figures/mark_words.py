@@ -1,0 +1,163 @@
+"""Words in panels over time: beside their dots, upright in spans, or in a table of several runs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from turtlelog.draw.figures.direct_labels import WordSpace, measure_text_mm
+
+Values = NDArray[np.float64]
+
+GUIDE_ORDER: Final = 1.6
+"""How high guide lines lie: below all curves."""
+
+_WORDS_POINTS: Final = 6.5
+_LINE_MM: Final = 1.25 * _WORDS_POINTS * 25.4 / 72.0
+_DOT_MM: Final = 0.8
+_LEADER_MM: Final = 4.0
+"""Words that stand further from their dot have a line to it."""
+
+_GUIDE_POINTS: Final = 40
+"""Points of a guide line that words avoid: a tenth of a curve's, as it may rather be covered."""
+
+_AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0, 19.0, 25.0, 32.0)
+"""How far words may stand from their dot, best first: marks of one phase end in one corner."""
+
+_MOST_COVERED: Final = 12.0
+"""Points of curves that a table may cover, of 400 on each: 3 % of one."""
+
+_PLACES: Final = np.linspace(0.0, 1.0, 15)
+"""Where a table may stand, from one side of what is free to the other."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Word:
+    """Words for a dot of a panel, or for a span of time, in which they stand upright."""
+
+    text: str
+    at: tuple[float, float]
+    color: Any
+    span_s: tuple[float, float] | None = None
+
+
+Table = Sequence[tuple[str, Any]]
+"""Lines of words with their colours."""
+
+
+def write_words(axes: Axes, words: Sequence[Word], tables: Sequence[Table] = ()) -> None:
+    """Write words near their dots where they cover least, in the order of time.
+
+    Args:
+        axes: The panel, at its place in the figure.
+        words: For its dots and spans.
+        tables: Of these the first is written that covers no curve; otherwise the last.
+    """
+    place, to_panel = _survey(axes)
+    low, high = sorted(axes.get_xlim())
+    shown = [word for word in words if low <= word.at[0] <= high]
+    dots = to_panel.transform([word.at for word in shown]) if shown else np.empty((0, 2))
+    for word, dot in zip(shown, dots, strict=True):
+        if word.span_s is None:
+            place.avoid_point(dot, _DOT_MM)
+    if tables:
+        _write_table(axes, place, tables)
+    for word, dot in sorted(zip(shown, dots, strict=True), key=lambda pair: pair[0].at):
+        if word.span_s is None:
+            _write_beside(axes, place, word, dot)
+        else:
+            width = float(np.ptp(to_panel.transform([(at_s, 1.0) for at_s in word.span_s])[:, 0]))
+            _write_upright(axes, place, word, (float(dot[0]), width))
+
+
+def _survey(axes: Axes) -> tuple[WordSpace, Any]:
+    """Return what words should not cover in a panel, and how data are turned into its parts."""
+    figure = axes.get_figure(root=True)
+    box = axes.get_position()
+    inch = np.array(figure.get_size_inches()) if figure is not None else np.ones(2)
+    half_mm = np.array([box.width, box.height]) * inch * 25.4 / 2.0
+    place = WordSpace(center=np.full(2, 0.5), half=np.full(2, 0.5), half_mm=half_mm)
+    to_panel = axes.transData + axes.transAxes.inverted()
+    for line in axes.get_lines():
+        points = line.get_transform().transform(np.asarray(line.get_xydata(), dtype=np.float64))
+        points = axes.transAxes.inverted().transform(_drop_gaps(points))
+        if line.get_zorder() == GUIDE_ORDER:
+            place.taken.append(np.linspace(points[0], points[-1], _GUIDE_POINTS))
+        else:
+            place.avoid_line(points)
+    return place, to_panel
+
+
+def _write_table(axes: Axes, place: WordSpace, tables: Sequence[Table]) -> None:
+    """Write the first table that has room; each line has the colour of its run."""
+    points = np.concatenate(place.taken) if place.taken else np.empty((0, 2))
+    for table in tables:
+        width_mm = max(measure_text_mm(text, _WORDS_POINTS) for text, _ in table) + 1.0
+        half = np.array([width_mm, _LINE_MM * len(table)]) / 2.0 * place.half / place.half_mm
+        low, room = half + 0.01, np.maximum(1.0 - 2.0 * half - 0.02, 0.0)
+        middles = [low + room * np.array(at) for at in product(_PLACES[::-1], _PLACES)]
+        costs = [place.count_covered(middle, half, points) for middle in middles]
+        middle = middles[int(np.argmin(costs))]
+        if min(costs) <= _MOST_COVERED or table is tables[-1]:
+            break
+    place.take_box(middle, half)
+    line = 2.0 * half[1] / len(table)
+    for number, (text, color) in enumerate(table):
+        left, top = middle[0] - half[0], middle[1] + half[1]
+        at = np.array([left, top - (number + 0.5) * line])
+        _write(axes, Word(text=text, at=(0.0, 0.0), color=color), at, side="left")
+
+
+def _write_beside(axes: Axes, place: WordSpace, word: Word, dot: Values) -> None:
+    size_mm = _measure(word)
+    middle = place.find_room(dot, float(size_mm[0]), float(size_mm[1]), away_mm=_AWAY_MM)
+    scale_mm = place.half_mm / place.half
+    away_mm = np.maximum(np.abs(middle - dot) * scale_mm - size_mm / 2.0, 0.0)
+    if float(np.hypot(*away_mm)) > _LEADER_MM:
+        half = size_mm / 2.0 / scale_mm
+        ends = np.stack([dot, np.clip(dot, middle - half, middle + half)], axis=1)
+        looks: dict[str, Any] = {"color": word.color, "linewidth": 0.4, "zorder": 3.1}
+        axes.plot(*ends, transform=axes.transAxes, scalex=False, scaley=False, **looks)
+    _write(axes, word, middle)
+
+
+def _write_upright(axes: Axes, place: WordSpace, word: Word, span: tuple[float, float]) -> None:
+    """Write words into a span, where they cover least; beside it where it is too narrow."""
+    center, width = span
+    size_mm = _measure(word)
+    half = size_mm[::-1] / 2.0 * place.half / place.half_mm
+    if width < 2.0 * half[0]:
+        _write_beside(axes, place, word, np.array([center, 0.5]))
+        return
+    points = np.concatenate(place.taken) if place.taken else np.empty((0, 2))
+    heights = np.linspace(half[1] + 0.03, max(0.97 - half[1], half[1] + 0.03), 25)
+    middles = [np.array([center, height]) for height in heights]
+    middle = min(middles, key=lambda found: place.count_covered(found, half, points))
+    place.take_box(middle, half)
+    _write(axes, word, middle, rotation=90.0)
+
+
+def _measure(word: Word) -> Values:
+    """Return the width and height of words [mm], shape (2,)."""
+    lines = word.text.split("\n")
+    width_mm = max(measure_text_mm(line, _WORDS_POINTS) for line in lines) + 1.0
+    return np.array([width_mm, _LINE_MM * len(lines)])
+
+
+def _write(
+    axes: Axes, word: Word, middle: Values, rotation: float = 0.0, side: str = "center"
+) -> None:
+    at = (float(middle[0]), float(middle[1]))
+    words = axes.text(*at, word.text, color=word.color, fontsize=_WORDS_POINTS, rotation=rotation)
+    words.set(transform=axes.transAxes, ha=side, va="center", zorder=4)
+    if word.span_s is None:
+        words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.3, "alpha": 0.75})
+    words.set_in_layout(False)
+
+
+def _drop_gaps(points: Values) -> Values:
+    return points[np.isfinite(points).all(axis=1)]

@@ -1,0 +1,348 @@
+"""Characteristics in panels over time: guide lines, dots, spans, and words that cover nothing."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from turtlelog.charts.characteristics import Characteristic, list_characteristics
+from turtlelog.charts.many_runs import cut_alike
+from turtlelog.charts.shared_curves import Curve, read_curve
+from turtlelog.draw.figures.mark_words import GUIDE_ORDER, Table, Word, write_words
+from turtlelog.draw.figures.page import label_runs, style_runs
+from turtlelog.draw.figures.time_window import fit_height, list_time_axes
+from turtlelog.measure import measure_run
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+
+MOST_WORDED: Final = 4
+"""Of more runs the dots have no guides, and words tell extremes alone: a table of all would cover
+the curves."""
+
+_GUIDE: Final[Mapping[str, Any]] = MappingProxyType(
+    {"linestyle": (0, (1, 1.6)), "linewidth": 0.7, "zorder": GUIDE_ORDER}
+)
+_PAUSE: Final[Mapping[str, Any]] = MappingProxyType(
+    {"facecolor": "0.90", "edgecolor": "none", "zorder": 0.4}
+)
+_DEAD: Final[Mapping[str, Any]] = MappingProxyType(
+    {"facecolor": "#f2d9c4", "edgecolor": "none", "zorder": 0.4}
+)
+_BAND: Final[Mapping[str, Any]] = MappingProxyType(
+    {"facecolor": "0.93", "edgecolor": "none", "zorder": 0.45}
+)
+
+_ROOM: Final = 0.04
+"""Of a phase, shown before and behind it where the axis is cut to it."""
+_LEAST_OVERSHOOT: Final = 0.1
+"""Where other marks crowd, less [% of the step] is thinner than the line of the curve."""
+
+_LEAST_PAUSE: Final = 0.005
+"""Of an axis: a narrower stripe is a line of a third of a millimetre in a column."""
+
+_DEAD_WORDS: Final = "#8a4f1d"
+_CUT: Final = 0.8
+"""An axis is cut to a phase that is a smaller part of it."""
+
+_COORDINATES: Final = frozenset({"x", "y", "error_x", "error_y"})
+_WAYS: Final = frozenset({"along_track", "distance"})
+"""What loops control that move a robot to its goal."""
+_MOMENTS: Final = frozenset({"settling_time", "time_to_goal", "position_error"})
+
+_OF_ERRORS: Final[Mapping[str, str]] = MappingProxyType({"heading_error": "heading"})
+"""Errors on whose curve the characteristics of a loop's signal stand, too."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Marked:
+    """A panel with the marks of one run.
+
+    Attributes:
+        axes: The panel.
+        curve: What it shows of the run.
+        is_error: Whether the panel shows what is missing to the reference.
+        is_magnitude: Whether without its sign.
+        is_alone: Whether no other run is in the panel.
+        has_guides: Whether lines lead from dots to the axes.
+        color: Of the run.
+    """
+
+    axes: Axes
+    curve: Curve
+    is_error: bool
+    is_magnitude: bool
+    is_alone: bool
+    has_guides: bool
+    color: Any
+
+    def read(self, at_s: float) -> float:
+        """Return the height of the curve at a time, as the panel shows it."""
+        value = float(np.interp(at_s, self.curve.time_s, self.curve.values))
+        return abs(value) if self.is_magnitude else value
+
+
+def mark_panels(figure: Figure, runs: Sequence[Run], *, is_cut: bool) -> None:
+    """Mark characteristics in the panels that show what loops control.
+
+    Args:
+        figure: Drawn, with its legend; panels that are to be marked have the name of their signal.
+        runs: What it shows, in its order.
+        is_cut: Whether its time axes are cut already.
+    """
+    panels = [axes for axes in list_time_axes(figure) if axes.get_label()]
+    if not panels:
+        return
+    found = [list_characteristics(run, measure_run(run)) for run in runs]
+    if not is_cut:
+        for axes in panels:
+            _cut_to_phase(axes, found)
+    words = {axes: _mark_panel(axes, runs, found) for axes in panels}
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+    for axes, (named, tables) in words.items():
+        write_words(axes, named, tables)
+
+
+def _mark_panel(
+    axes: Axes, runs: Sequence[Run], found: Sequence[Sequence[Characteristic]]
+) -> tuple[list[Word], list[Table]]:
+    """Draw the guides of a panel; return its words, and of several runs tables in their place."""
+    label = str(axes.get_label())
+    signal = label.strip("|")
+    height = axes.get_ylim()
+    words: list[Word] = []
+    told: dict[str, tuple[Any, list[_Told]]] = {}
+    for (run, looks), marks, name in zip(
+        style_runs(runs), found, cut_alike(label_runs(runs)), strict=True
+    ):
+        curve = read_curve(run, signal)
+        if curve is None:
+            continue
+        panel = _Marked(
+            axes=axes,
+            curve=curve,
+            is_error=signal in _OF_ERRORS,
+            is_magnitude=label != signal,
+            is_alone=len(runs) == 1,
+            has_guides=len(runs) <= MOST_WORDED,
+            color=looks["color"],
+        )
+        drawn = list(_mark_run(panel, choose_marks(signal, marks)))
+        if panel.is_alone:
+            words = [*(_word(panel, *one) for one in drawn), *_shade_pauses(axes, marks)]
+        told[name] = (looks["color"], drawn)
+    axes.set_ylim(height)
+    return words, [] if len(runs) == 1 else _tabulate(axes, told)
+
+
+_Told = tuple[Characteristic, str]
+"""A mark that is drawn, with its words."""
+
+
+def choose_marks(signal: str, marks: Sequence[Characteristic]) -> list[Characteristic]:
+    """Return the marks of a run that belong on the curve of a signal.
+
+    On coordinates stand the moments of the way to the goal, without its bands.
+    """
+    if signal not in _COORDINATES:
+        return [mark for mark in marks if mark.signal in {signal, _OF_ERRORS.get(signal, signal)}]
+    return [
+        replace(mark, span_s=None, levels=None)
+        for mark in marks
+        if mark.signal in _WAYS and mark.kind in _MOMENTS
+    ]
+
+
+def _mark_run(panel: _Marked, marks: Sequence[Characteristic]) -> Iterator[_Told]:
+    for mark in marks:
+        shown = replace(mark, value=panel.read(mark.at_s)) if _is_end(panel, mark) else mark
+        draw = _DRAWN.get(mark.kind)
+        text = draw(panel, shown, marks) if draw is not None else ""
+        if text:
+            yield shown, text
+
+
+def _is_end(panel: _Marked, mark: Characteristic) -> bool:
+    """Whether a mark is where a coordinate ends: its own value stands there, not the distance."""
+    is_coordinate = str(panel.axes.get_label()) in _COORDINATES
+    return is_coordinate and mark.kind == "position_error"
+
+
+def _word(panel: _Marked, mark: Characteristic, text: str) -> Word:
+    is_dead = mark.kind == "dead_time"
+    at_s = mark.span_s[1] if is_dead and mark.span_s is not None else mark.at_s
+    return Word(text=text, at=(at_s, panel.read(at_s)), color=_DEAD_WORDS if is_dead else "0.25")
+
+
+def _tabulate(axes: Axes, told: Mapping[str, tuple[Any, Sequence[_Told]]]) -> list[Table]:
+    """Return a table with a line for each of a few runs, and one of the extremes of all."""
+    low, high = axes.get_xlim()
+    seen = {
+        name: (color, [one for one in drawn if low <= one[0].at_s <= high])
+        for name, (color, drawn) in told.items()
+    }
+    lines = [
+        (f"{name}: {', '.join(text for _, text in drawn)}", color)
+        for name, (color, drawn) in seen.items()
+        if drawn
+    ]
+    by_word: dict[tuple[str, str], list[float]] = {}
+    for _, drawn in seen.values():
+        for mark, _ in drawn:
+            by_word.setdefault((mark.word, mark.unit), []).append(mark.value)
+    extremes = [
+        (_tell_extremes(word, unit, values, len(told)), "0.25")
+        for (word, unit), values in by_word.items()
+    ]
+    tables = [lines, extremes] if len(told) <= MOST_WORDED else [extremes]
+    return [table for table in tables if table]
+
+
+def _tell_extremes(word: str, unit: str, values: Sequence[float], count: int) -> str:
+    """Return the least and the greatest value of several runs in words."""
+    least, most = f"{min(values):.3g}", f"{max(values):.3g}"
+    span = least if least == most else f"{least} to {most}"
+    some = "" if len(values) == count else f" ({len(values)} of {count} runs)"
+    return f"{word} {span} {unit}{some}"
+
+
+def has_marks(signal: str, marks: Sequence[Characteristic]) -> bool:
+    """Whether the curve of a signal has a mark of a run."""
+    return any(mark.kind in _DRAWN for mark in choose_marks(signal, marks))
+
+
+def _mark_rise(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
+    if not panel.is_alone or panel.is_error or mark.span_s is None:
+        return ""
+    for at_s in mark.span_s:
+        _guide(panel, mark.start_s, at_s)
+    return _tell(mark)
+
+
+def _mark_settled(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
+    _draw_band(panel, mark)
+    _guide(panel, None, mark.at_s, mark.kind)
+    return _tell(mark)
+
+
+def _mark_overshoot(panel: _Marked, mark: Characteristic, others: Sequence[Characteristic]) -> str:
+    if (panel.is_error or not panel.is_alone) and mark.value < _LEAST_OVERSHOOT:
+        return ""
+    _guide(panel, mark.start_s, mark.at_s)
+    if not panel.is_alone:
+        return f"{mark.word} {mark.value:.2g} %"
+    peaks = [other for other in others if other.kind == "peak" and other.loop == mark.loop]
+    words = [] if panel.is_error else [_tell(peak) for peak in peaks]
+    return "\n".join([*words, *([_tell(mark)] if mark.value >= 0.0 else [])])
+
+
+def _mark_dead_time(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
+    if not panel.is_alone or panel.is_error or mark.span_s is None or mark.value <= 0.0:
+        return ""
+    panel.axes.axvspan(*mark.span_s, **_DEAD)
+    return f"{mark.word} {1e3 * mark.value:.3g} ms"
+
+
+def _mark_point(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
+    if not panel.is_alone and mark.kind == "final_error":
+        return ""
+    _guide(panel, None, mark.at_s)
+    return _tell(mark)
+
+
+_DRAWN: Final[Mapping[str, Callable[[_Marked, Characteristic, Sequence[Characteristic]], str]]] = {
+    "rise_time": _mark_rise,
+    "settling_time": _mark_settled,
+    "overshoot": _mark_overshoot,
+    "dead_time": _mark_dead_time,
+    "final_error": _mark_point,
+    "time_to_goal": _mark_point,
+    "position_error": _mark_point,
+    "largest_error": _mark_point,
+    "cross_track_max": _mark_point,
+}
+"""What draws a metric, by its kind, and returns its words; a peak stands with its overshoot."""
+
+
+def _tell(mark: Characteristic) -> str:
+    """Return a metric in words, as exact as a reader of a figure can use it."""
+    digits = 4 if mark.kind == "peak" else 3
+    return f"{mark.word} {mark.value:.{digits}g} {mark.unit}"
+
+
+def _guide(panel: _Marked, from_s: float | None, at_s: float, kind: str = "") -> None:
+    """Draw a dot on the curve, dotted lines down to the axis and, from a time on, along.
+
+    Of several runs only settling times have a line: it is their place in time that differs.
+    """
+    axes, level = panel.axes, panel.read(at_s)
+    color = "0.35" if panel.is_alone else panel.color
+    bottom = axes.get_ylim()[0]
+    if panel.has_guides and (panel.is_alone or kind == "settling_time"):
+        axes.plot([at_s, at_s], [bottom, level], color=color, **_GUIDE)
+    if panel.is_alone and from_s is not None:
+        axes.plot([from_s, at_s], [level, level], color=color, **_GUIDE)
+    axes.plot([at_s], [level], "o", ms=3.2, mfc="white", mec=panel.color, mew=0.9, zorder=3.2)
+
+
+def _draw_band(panel: _Marked, mark: Characteristic) -> None:
+    if mark.levels is None or mark.span_s is None or not panel.has_guides:
+        return
+    low, high = mark.levels
+    half = (high - low) / 2.0
+    if panel.is_error:
+        low, high = -half, half
+    if panel.is_magnitude:
+        low = panel.axes.get_ylim()[0]
+    times_s = [mark.start_s, mark.span_s[1]]
+    if panel.is_alone:
+        panel.axes.fill_between(times_s, low, high, **_BAND)
+    color = "0.35"  # also of several runs, whose bands are often the same
+    for level in [high] if panel.is_magnitude else [low, high]:
+        panel.axes.plot(times_s, [level, level], color=color, **_GUIDE)
+
+
+def _shade_pauses(axes: Axes, marks: Sequence[Characteristic]) -> Iterator[Word]:
+    """Shade the pauses that are seen by half at least, and wider than a line."""
+    left, right = axes.get_xlim()
+    for mark in marks:
+        if mark.kind != "pause" or mark.span_s is None:
+            continue
+        start_s, end_s = max(mark.span_s[0], left), min(mark.span_s[1], right)
+        if end_s - start_s < max(0.5 * mark.value, _LEAST_PAUSE * (right - left)):
+            continue
+        axes.axvspan(*mark.span_s, **_PAUSE)
+        bottom, top = axes.get_ylim()
+        level = float(np.sqrt(bottom * top)) if axes.get_yscale() == "log" else (bottom + top) / 2.0
+        at = ((start_s + end_s) / 2.0, level)
+        yield Word(text=_tell(mark), at=at, color="0.45", span_s=(start_s, end_s))
+
+
+def _cut_to_phase(axes: Axes, found: Sequence[Sequence[Characteristic]]) -> None:
+    """Cut an axis of its own to the stretches of the loops that it shows."""
+    if len(axes.get_shared_x_axes().get_siblings(axes)) > 1:
+        return
+    signal = str(axes.get_label()).strip("|")
+    spans = [
+        (mark.start_s, mark.span_s[1])
+        for marks in found
+        for mark in marks
+        if mark.loop and mark.signal == _OF_ERRORS.get(signal, signal) and mark.span_s is not None
+    ]
+    if not spans:
+        return
+    start_s, end_s = min(start for start, _ in spans), max(end for _, end in spans)
+    low, high = axes.get_xlim()
+    room = _ROOM * (end_s - start_s)
+    if 0.0 < end_s - start_s < _CUT * (high - low):
+        is_free = axes.get_autoscaley_on() or axes.get_yscale() == "log"
+        axes.set_xlim(max(start_s - room, low), min(end_s + room, high))
+        if is_free:
+            fit_height(axes, axes.get_xlim())

@@ -1,0 +1,288 @@
+"""The printed page: how wide a figure is, fonts and lines, how runs are told apart."""
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from threading import RLock
+from types import MappingProxyType
+from typing import Any, Final, Literal, get_args
+
+from matplotlib import rc_context, rcParams
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont, get_font
+
+from turtlelog.charts.palette import FEW, choose_run_colors
+from turtlelog.charts.shared_curves import BEARING_NOW, REFERENCE as AIMED
+from turtlelog.compare import name_runs
+from turtlelog.errors import ShowError
+from turtlelog.run import Run
+
+_MM_PER_INCH: Final = 25.4
+_GAP_MM: Final = 6.0
+_NARROWEST_MM, _WIDEST_MM = 120.0, 1000.0
+_LEAST_DPI, _MOST_DPI = 50, 600
+"""Letters of 7 points are 5 pixels high at 50 dots per inch; printers resolve 600."""
+
+_DPI: Final = 300.0
+
+_SLIDE_INCH: Final = (6.4, 3.6)
+"""16:9, so small that lettering of 8 points is 1/32 of its height: 17 points where it is shown."""
+_PROJECTED_INCH: Final = 40.0 / 3.0
+"""Width of a slide in presentation programs."""
+_SLIDE_DPI: Final = 144.0
+_LOW_ROWS: Final = 3
+"""Panels in so many rows of a slide have no room for a unit beside its name."""
+
+LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "font.family": "DejaVu Sans",
+        "font.size": 8.0,
+        "axes.titlesize": 8.0,
+        "axes.labelsize": 8.0,
+        "xtick.labelsize": 7.0,
+        "ytick.labelsize": 7.0,
+        "legend.fontsize": 7.0,
+        "legend.frameon": False,
+        "legend.borderpad": 0.0,
+        "legend.columnspacing": 1.0,
+        "legend.handlelength": 2.3,
+        "axes.linewidth": 0.6,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "grid.color": "0.9",
+        "grid.linewidth": 0.5,
+        "lines.linewidth": 1.1,
+        "xtick.major.width": 0.6,
+        "ytick.major.width": 0.6,
+        "axes.formatter.useoffset": False,
+        # TrueType in PDF, outlines in SVG: the page looks the same without the font installed.
+        "pdf.fonttype": 42,
+        "svg.fonttype": "path",
+        "svg.hashsalt": "turtlelog",
+    }
+)
+"""Settings of matplotlib under which every figure is drawn and written."""
+
+_DRAWING: Final = RLock()
+"""Held by the thread that draws: matplotlib's settings belong to the whole process."""
+if hasattr(os, "register_at_fork"):
+    # A process that is forked while another thread draws would wait for that thread for ever.
+    os.register_at_fork(
+        before=_DRAWING.acquire,
+        after_in_parent=_DRAWING.release,
+        after_in_child=_DRAWING.release,
+    )
+
+
+@contextmanager
+def use_looks(looks: Mapping[str, Any] = LOOKS) -> Iterator[None]:
+    """Draw under settings of matplotlib; other threads wait until it has its own again."""
+    with _DRAWING, rc_context(dict(looks)):
+        yield
+
+
+_MOST_DASHED: Final = 12
+"""Lines that dashes help to tell apart; of more, four patterns are three lines and more each, and
+only make a picture restless."""
+
+_MOST_BROAD: Final = 24
+"""Lines of the usual width: in a column of 40 mm more of them leave no ground between."""
+_THIN: Final = 0.7
+
+_DASHES: Final[tuple[Any, ...]] = ("-", (0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
+"""Patterns of lines: what tells runs apart where colours are gone."""
+
+REFERENCE: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.45", "linewidth": 0.7})
+"""Goals, limits, zeros."""
+
+IDEAL: Final[Mapping[str, Any]] = MappingProxyType(
+    {"linewidth": 0.7, "linestyle": (0, (1, 1.5)), "zorder": 1.8, "label": "ideal"}
+)
+"""What theory says; in the colour of its run."""
+
+IDEAL_ENDS: Final[Mapping[str, Any]] = MappingProxyType(
+    {**IDEAL, "label": "ideal, ends of the bar"}
+)
+"""The same of the first and the last of many runs, between which the others lie."""
+
+AIM: Final[Mapping[str, Any]] = MappingProxyType(
+    {"linewidth": 0.8, "linestyle": (0, (4, 1.2, 1, 1.2, 1, 1.2)), "zorder": 1.9}
+)
+"""What a law, or the goal, asks for where that moves; in the colour of its run."""
+
+SENSED: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "linestyle": "",
+        "marker": ".",
+        "markersize": 2.4,
+        "markeredgewidth": 0.0,
+        "color": "0.62",
+        "zorder": 1.7,
+        "label": "sensed",
+    }
+)
+"""What the controller reads of a pose; below what it is."""
+
+DROPPED_OUT: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "linestyle": "",
+        "marker": "|",
+        "markersize": 3.5,
+        "markeredgewidth": 0.4,
+        "color": "0.45",
+        "zorder": 1.7,
+        "label": "dropped out",
+    }
+)
+"""Poses that the controller does not get: strokes at the lower edge."""
+
+PUSHED: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.92", "linewidth": 0.0, "zorder": 0.5, "label": "disturbance"}
+)
+"""While something pushes the plant."""
+
+_MOST_LETTERS: Final = 28
+_NAMES: Final = frozenset(
+    {
+        *("goal", "goal bearing", "goal heading", "zero", "limit", "path", "start"),
+        *(str(IDEAL["label"]), str(IDEAL_ENDS["label"])),
+        *("tolerance", "sensed", "dropped out", "disturbance", "end", "outlier"),
+        *(AIMED, BEARING_NOW),
+    }
+)
+"""What figures name beside runs."""
+
+
+PageKind = Literal["column", "page", "slide"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Page:
+    """Where figures will stand, and what of the runs they show there.
+
+    Attributes:
+        kind: `column`, one of two columns of a paper; `page`, its whole width; `slide`, 16:9 with
+            lettering and lines for a projector.
+        text_width_mm: Width of the text block [mm], 120 to 1000; of no slide.
+        dpi: Resolution of a PNG, 50 to 600; of a slide on 13.33 by 7.5 inch, as projected. None
+            for 300, of a slide 144: 1920 by 1080 pixels.
+        from_s: Where time axes begin, from the first sample [s]; None where the runs do.
+        to_s: Where time axes end [s]; None where the runs do.
+        has_marks: Whether characteristics stand on the curves that loops control.
+
+    Raises:
+        ShowError: Where a value is out of range.
+    """
+
+    kind: PageKind = "column"
+    text_width_mm: float = 181.0
+    dpi: int | None = None
+    from_s: float | None = None
+    to_s: float | None = None
+    has_marks: bool = False
+
+    def __post_init__(self) -> None:
+        if not _NARROWEST_MM <= self.text_width_mm <= _WIDEST_MM:
+            raise ShowError(
+                f"text width: expected {_NARROWEST_MM:g} to {_WIDEST_MM:g} mm,"
+                f" found {self.text_width_mm}"
+            )
+        if self.kind not in get_args(PageKind):
+            raise ShowError(f"page: expected column, page or slide, found {self.kind}")
+        if self.dpi is not None and not _LEAST_DPI <= self.dpi <= _MOST_DPI:
+            raise ShowError(f"dpi: expected {_LEAST_DPI} to {_MOST_DPI}, found {self.dpi}")
+        for name, bound_s in (("from", self.from_s), ("to", self.to_s)):
+            if bound_s is not None and not math.isfinite(bound_s):
+                raise ShowError(f"{name}: expected a time [s], found {bound_s}")
+        if self.from_s is not None and self.to_s is not None and self.from_s >= self.to_s:
+            raise ShowError(
+                f"from: expected a time before {self.to_s:g} s, where it ends,"
+                f" found {self.from_s:g} s"
+            )
+
+    @property
+    def width_inch(self) -> float:
+        """Width of a figure [inch]."""
+        if self.kind == "slide":
+            return _SLIDE_INCH[0]
+        whole_mm = self.text_width_mm
+        return (whole_mm if self.kind == "page" else (whole_mm - _GAP_MM) / 2.0) / _MM_PER_INCH
+
+    @property
+    def height_inch(self) -> float:
+        """Height of a figure [inch]: of a slide; on paper it is what the figure needs."""
+        return _SLIDE_INCH[1] if self.kind == "slide" else math.inf
+
+    @property
+    def pixels_per_inch(self) -> float:
+        """Resolution of a PNG, per inch of a figure as it is drawn."""
+        if self.kind == "slide":
+            return (self.dpi or _SLIDE_DPI) * _PROJECTED_INCH / _SLIDE_INCH[0]
+        return self.dpi or _DPI
+
+    def widen(self) -> "Page":
+        """Return the page for figures with panels side by side."""
+        return replace(self, kind="page") if self.kind == "column" else self
+
+    def fit(self, figure: Figure) -> None:
+        """Give a figure that is drawn the size that this page insists on."""
+        if self.kind == "slide":
+            figure.set_size_inches(*_SLIDE_INCH)
+            for axes in figure.axes:
+                place = axes.get_subplotspec()
+                if place is not None and place.get_gridspec().nrows >= _LOW_ROWS:
+                    axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
+
+
+def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
+    """Return colour and dashes for each of several runs; the colours are those on screen.
+
+    Of more runs than have a hue of their own, the first lie on top: the fast swings of a large gain
+    would cover all others.
+    """
+    colors = [tuple(part / 255.0 for part in color) for color in choose_run_colors(count)]
+    lines = [
+        {"color": color, "linestyle": _DASHES[index % len(_DASHES)]}
+        for index, color in enumerate(colors)
+    ]
+    if count <= len(FEW):
+        return lines
+    looks: dict[str, Any] = {} if count <= _MOST_DASHED else {"linestyle": "-"}
+    looks |= {"linewidth": _THIN} if count > _MOST_BROAD else {}
+    return [{**line, **looks, "zorder": 2.9 - 0.9 * i / count} for i, line in enumerate(lines)]
+
+
+def label_runs(runs: Sequence[Run]) -> list[str]:
+    """Return a name for each run that can be printed and is short, no two alike."""
+    labels = [_shorten(_clean(name)) for name in name_runs(runs)]
+    if len(set(labels)) < len(labels):
+        labels = [f"{number}: {label}" for number, label in enumerate(labels, start=1)]
+    return labels
+
+
+def style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
+    """Return runs with how the line of each looks, its name in a legend included."""
+    styled = zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True)
+    return [(run, {**looks, "label": name}) for run, name, looks in styled]
+
+
+def _clean(name: str) -> str:
+    """Return a name as matplotlib shows it letter by letter; `?` where its font has none."""
+    font = get_font(findfont(FontProperties(family=rcParams["font.family"])))
+    shown = "".join(
+        letter if font.get_char_index(ord(letter)) else "?" for letter in " ".join(name.split())
+    )
+    if shown in _NAMES:
+        return f"run {shown}"
+    # A name that begins with `_` would be left out.
+    return f" {shown}" if shown.startswith("_") else shown
+
+
+def _shorten(name: str) -> str:
+    half = _MOST_LETTERS // 2
+    short = name if len(name) <= _MOST_LETTERS else f"{name[:half]}…{name[1 - half :]}"
+    return short.replace("$", r"\$")

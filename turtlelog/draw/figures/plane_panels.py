@@ -1,0 +1,225 @@
+"""The plane: paths from start to goal, and how each run ends or leaves its path."""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
+from numpy.typing import NDArray
+
+from turtlelog.charts.close_up import (
+    CloseUp,
+    Label,
+    Lettering,
+    find_close_up,
+    find_tolerance,
+    list_miss_labels,
+    list_ring_labels,
+)
+from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path
+from turtlelog.charts.shared_curves import (
+    REFERENCE as AIMED,
+)
+from turtlelog.charts.tracked_path import (
+    WorstPlace,
+    find_worst_place,
+    has_own_way,
+    label_worst_place,
+    list_paths,
+    outline_path,
+)
+from turtlelog.draw.figures.figure_curves import (
+    draw_points,
+    draw_thinned,
+)
+from turtlelog.draw.figures.page import (
+    AIM,
+    REFERENCE,
+    SENSED,
+    choose_lines,
+    style_runs,
+)
+from turtlelog.draw.figures.tracking_panels import (
+    draw_tracked_paths,
+    draw_ways_to_reference,
+    draw_worst_place,
+)
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+
+_WORDS_POINTS: Final = 6.5
+
+_RING: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.75", "linewidth": 0.5, "zorder": 1.2}
+)
+
+_PLANE: Final = "plane"
+"""The label of axes that show where runs drove."""
+
+_FAINT: Final = 0.25
+"""How opaque the part of a path is that a page's times leave out."""
+
+
+def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw the paths from start to goal, and beside them, where runs arrive, how each ends."""
+    close_up = find_close_up(runs)
+    worst = find_worst_place(runs) if close_up is None else None
+    grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
+    draw_paths(grid[0], runs)
+    show_all(grid[0], runs)
+    if len(grid) > 1 or not lack_samples(runs):
+        grid[0].set(title="whole paths")
+    if close_up is not None:
+        draw_paths(grid[1], runs)
+        _close_up(grid[1], runs, close_up, _measure_letters(figure))
+    if worst is not None:
+        draw_paths(grid[1], runs)
+        _show_worst(grid[1], runs, worst, _measure_letters(figure))
+
+
+def has_one_plane(runs: Sequence[Run]) -> bool:
+    """Whether nothing stands beside the plane: no run arrives, or leaves its path."""
+    return find_close_up(runs) is None and find_worst_place(runs) is None
+
+
+def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
+    """Draw the way of every run, where it begins and ends, its goal and what it tracks."""
+    draw_tracked_paths(axes, runs)
+    draw_ways_to_reference(axes, runs)
+    for run, looks in style_runs(runs):
+        xy_m = run.poses.xy_m
+        driven_m = part_path(run)
+        draw_thinned(axes, driven_m[:, 0], driven_m[:, 1], driven_m, **looks)
+        if len(runs) == 1 and run.poses.sensed_xy_m is not None:
+            draw_points(axes, *run.poses.sensed_xy_m.T, **SENSED)
+        (end,) = axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
+        if lack_samples(runs) and len(runs) == 1:
+            end.set_label("end")
+        for aims_m in _list_aims([run]) if has_own_way(run) else ():
+            draw_thinned(
+                axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM, "label": AIMED}
+            )
+    starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
+    axes.plot(*starts.T, "s", ms=4.0, color="0.3", label="start", zorder=3)
+    goals = _list_goals(runs)
+    if len(goals):
+        axes.plot(*goals.T, "x", ms=6.0, mew=1.4, color="black", label="goal", zorder=3)
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", label=_PLANE)
+
+
+def stress_window(
+    figure: Figure, runs: Sequence[Run], window_s: tuple[float, float] | None
+) -> None:
+    """Leave the paths of planes strong where they were driven within some time, and fade the rest.
+
+    Args:
+        figure: Drawn, without its legend.
+        runs: What it shows, in its order.
+        window_s: From when to when, from each run's first sample [s]; None for all.
+    """
+    if window_s is None:
+        return
+    planes = [axes for axes in figure.axes if axes.get_label() == _PLANE]
+    for axes in planes:
+        for run, looks in style_runs(runs):
+            _fade_outside(axes, run, looks, window_s)
+    if planes:
+        from_s, to_s = window_s
+        title = planes[0].get_title()
+        named = f"{title}, {from_s:g} to {to_s:g} s strong" if title else ""
+        planes[0].set_title(named or f"{from_s:g} to {to_s:g} s strong")
+
+
+def _fade_outside(
+    axes: Axes, run: Run, looks: Mapping[str, Any], window_s: tuple[float, float]
+) -> None:
+    (whole,) = [line for line in axes.get_lines() if line.get_label() == looks["label"]]
+    whole.set(alpha=_FAINT, label=None)
+    rows = find_jump_rows(run)
+    time_s = np.insert((run.poses.time_ns - run.start_ns) / 1e9, rows, np.nan)
+    is_inside = (time_s >= window_s[0]) & (time_s <= window_s[1])
+    driven_m = np.where(is_inside[:, None], part_path(run), np.nan)
+    draw_thinned(axes, driven_m[:, 0], driven_m[:, 1], driven_m, **looks)
+
+
+def show_all(axes: Axes, runs: Sequence[Run]) -> None:
+    """Show the square that holds everything that is drawn of some runs."""
+    points = np.concatenate(
+        [
+            *(run.poses.xy_m for run in runs),
+            _list_goals(runs),
+            *_list_aims(runs),
+            *map(outline_path, list_paths(runs)),
+        ]
+    )
+    _show_square(axes, points.min(axis=0), points.max(axis=0), 0.08)
+
+
+def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Lettering) -> None:
+    """Show what lies around the goal: rings, and how far from it each run ends."""
+    goal = np.array(close_up.goal_xy_m)
+    _show_square(axes, goal - close_up.half_m, goal + close_up.half_m)
+    for run in runs:
+        if run.goal_xy_m is not None and (tolerance_m := find_tolerance(run)) is not None:
+            corner = (run.goal_xy_m[0] - tolerance_m, run.goal_xy_m[1] - tolerance_m)
+            side_m = 2 * tolerance_m
+            axes.add_patch(
+                Rectangle(corner, side_m, side_m, fill=False, label="tolerance", **REFERENCE)
+            )
+    for ring_m in close_up.rings_m:
+        axes.add_patch(Circle(close_up.goal_xy_m, ring_m, fill=False, **_RING))
+    misses = list_miss_labels(close_up, lettering)
+    lines = choose_lines(len(runs))
+    for label in misses:
+        color = lines[label.runs[0]]["color"] if len(label.runs) == 1 else "0.2"
+        _write(axes, label, color)
+    for label in list_ring_labels(close_up, runs[0].poses.xy_m[0], misses, lettering):
+        _write(axes, label, "0.45")
+    axes.set(title=f"how each run ends{close_up.count_outside()}", ylabel="")
+    axes.locator_params(nbins=5)
+
+
+def _show_worst(axes: Axes, runs: Sequence[Run], worst: WorstPlace, lettering: Lettering) -> None:
+    """Show where runs are furthest from their path, and how far that is."""
+    center, looks = np.array(worst.center_xy_m), choose_lines(len(runs))[worst.run]
+    _show_square(axes, center - worst.half_m, center + worst.half_m)
+    draw_worst_place(axes, worst, looks)
+    _write(axes, label_worst_place(worst, lettering), looks["color"])
+    axes.set(title="furthest off the path", ylabel="")
+    axes.locator_params(nbins=5)
+
+
+def _write(axes: Axes, label: Label, color: Any) -> None:
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
+    words = axes.text(*label.xy_m, label.text, color=color, fontsize=_WORDS_POINTS)
+    words.set(ha="center", va="center", bbox=box)
+
+
+def _measure_letters(figure: Figure) -> Lettering:
+    """Return the room that words take: a close-up is about two fifths of the figure wide."""
+    half_points, size = 0.2 * figure.get_figwidth() * 72.0, _WORDS_POINTS
+    return Lettering(
+        letter=0.62 * size / half_points, line=1.5 * size / half_points, gap=8.0 / half_points
+    )
+
+
+def _list_aims(runs: Sequence[Run]) -> list[Values]:
+    """Return the places where laws wanted their robots to be, of each run that records them."""
+    found = [run.samples.reference_xy_m for run in runs]
+    known = [xy_m[np.isfinite(xy_m[:, 0])] for xy_m in found if xy_m is not None]
+    return [xy_m for xy_m in known if len(xy_m)]
+
+
+def _list_goals(runs: Sequence[Run]) -> Values:
+    goals = sorted({run.goal_xy_m for run in runs if run.goal_xy_m is not None})
+    return np.array(goals).reshape(-1, 2)
+
+
+def _show_square(axes: Axes, low: Values, high: Values, margin: float = 0.0) -> None:
+    center, half = (low + high) / 2.0, max(float((high - low).max()) * (0.5 + margin), 1e-3)
+    axes.set_xlim(center[0] - half, center[0] + half)
+    axes.set_ylim(center[1] - half, center[1] + half)

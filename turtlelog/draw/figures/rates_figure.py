@@ -1,0 +1,333 @@
+"""How a robot follows its commands: command, motion and model, close up the step, what is left."""
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from turtlelog.charts.robot_curves import read_measured
+from turtlelog.charts.shared_curves import Curve, read_applied, read_command
+from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
+from turtlelog.draw.figures.page import REFERENCE, choose_lines, label_runs
+from turtlelog.errors import ShowError
+from turtlelog.identify import (
+    AxisModel,
+    AxisTraces,
+    Estimate,
+    RobotModel,
+    identify_robot,
+    predict_axis,
+    trace_axis,
+)
+from turtlelog.identify.axis_motion import measure_steps
+from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+
+_SIDE_BY_SIDE_INCH: Final = 5.0
+"""Narrower than this, the close-up stands below: half a column shows no delay."""
+
+_ROW_INCH: Final = 1.25
+_LEFT_INCH: Final = 0.75
+
+_BEFORE_S: Final = 0.25
+"""Shown before the step [s]: that the robot was at rest, or on its way."""
+
+_LEAST_AFTER_S: Final = 0.8
+_LENGTHS: Final = 6.0
+"""Dead times and lags that are shown after a step: after 5 lags it has followed to 1 %."""
+
+_LARGE: Final = 0.5
+"""Share of the largest change from which a command's change is a step to be looked at."""
+
+_FINE: Final = 600
+"""Points of the model in the close-up."""
+
+_SHOWN_MS: Final = 2.0
+"""Width of an interval from which it is drawn [ms]: a narrower one is a stroke."""
+
+_REASON_LETTERS: Final = 58
+
+_COMMAND: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.3", "linewidth": 0.9})
+_OUTLIER: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#c62828", "markersize": 4.5, "label": "left out of the fit"}
+)
+_DEAD: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#e69f00", "alpha": 0.22, "linewidth": 0.0, "zorder": 0.6, "label": "dead time"}
+)
+_LAG: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#56b4e9", "alpha": 0.25, "linewidth": 0.0, "zorder": 0.6, "label": "lag"}
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DrawnAxis:
+    """What is drawn of one axis.
+
+    Attributes:
+        model: What identification found, or why it found nothing.
+        command: What was commanded, as it holds.
+        measured: How fast the robot was; None where nothing tells.
+        traces: The same with the model, where it is known.
+        outliers_s: When steps ended that do not count in the fit, shape (m,).
+    """
+
+    model: AxisModel
+    command: Curve
+    measured: tuple[Values, Values] | None
+    traces: AxisTraces | None
+    outliers_s: Values = field(default_factory=lambda: np.empty(0))
+
+
+def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None = None) -> None:
+    """Draw commands against measured rates, with the identified model where there is one.
+
+    Args:
+        figure: To draw on.
+        runs: One.
+        model: What `identify_robot` returned; the run is identified where this is not given.
+
+    Raises:
+        ShowError: Where there is not one run, or it holds no commands.
+    """
+    if len(runs) != 1:
+        raise ShowError(f"figure rates: expected one recording, found {len(runs)}")
+    (run,) = runs
+    model = identify_robot([run]) if model is None else model
+    drawn = [found for axis in model.axes if (found := _read_axis(axis, model, run)) is not None]
+    if not drawn:
+        raise ShowError("figure rates: expected commands that are not always 0, found none")
+    width = figure.get_figwidth()
+    is_wide = width >= _SIDE_BY_SIDE_INCH
+    rows: list[tuple[DrawnAxis, str, float]] = []
+    for one in drawn:
+        rows.append((one, "rates", _ROW_INCH))
+        rows += [(one, "left", _LEFT_INCH)] if one.traces is not None else []
+        rows += [] if is_wide else [(one, "step", _ROW_INCH)]
+    heights = [height for _, _, height in rows]
+    figure.set_size_inches(width, sum(heights) + 0.5 + 0.18 * len(rows))
+    grid = figure.add_gridspec(
+        len(rows),
+        2 if is_wide else 1,
+        height_ratios=heights,
+        width_ratios=[1.5, 1.0][: 1 + is_wide],
+    )
+    shared: Axes | None = None
+    for number, (one, part, _) in enumerate(rows):
+        if part == "step":
+            _draw_step(figure.add_subplot(grid[number, 0]), one, run)
+            continue
+        axes = figure.add_subplot(grid[number, 0], sharex=shared)
+        shared = shared or axes
+        (_draw_whole if part == "rates" else _draw_left)(axes, one, run)
+        if is_wide and part == "rates":
+            span = slice(number, number + 1 + (one.traces is not None))
+            _draw_step(figure.add_subplot(grid[span, 1]), one, run)
+        is_last = not any(later == "rates" for _, later, _ in rows[number + 1 :])
+        if part == "left" or one.traces is None:
+            axes.set_xlabel(_tell_time(run) if is_last or not is_wide else "")
+        axes.tick_params(labelbottom=part == "left" or one.traces is None)
+
+
+def _tell_time(run: Run) -> str:
+    return f"time from the first {'sample' if len(run.samples) else 'pose'} [s]"
+
+
+def lacks_commands(run: Run) -> bool:
+    """Whether nothing was commanded, so that there is nothing to follow."""
+    return not any(_is_driven(run, name) for name in COMMAND_WORDS)
+
+
+def _is_driven(run: Run, name: str) -> bool:
+    curve = read_command(run, name)  # type: ignore[arg-type]
+    return curve is not None and bool(np.any(curve.values))
+
+
+def _read_axis(axis: AxisModel, model: RobotModel, run: Run) -> DrawnAxis | None:
+    command = read_command(run, axis.axis)
+    if command is None or not np.any(command.values):
+        return None
+    if axis.is_known:
+        traces = trace_axis(axis, run)
+        measured = (traces.time_s - run.start_ns / 1e9, traces.measured)
+        outliers = [event.time_s for event in model.events if event.axis == axis.axis]
+        return DrawnAxis(
+            model=axis,
+            command=command,
+            measured=measured,
+            traces=traces,
+            outliers_s=np.array(outliers),
+        )
+    reported = read_measured(run, axis.axis)
+    curve = read_applied(run, axis.axis) if reported is None else reported.curve
+    found = None if curve is None else (curve.time_s, curve.values)
+    return DrawnAxis(model=axis, command=command, measured=found, traces=None)
+
+
+def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
+    measured, modelled = choose_lines(2)
+    axes.axhline(0.0, color="0.8", linewidth=0.5)
+    draw_curve(axes, _hold_to_end(one.command, run), **_COMMAND, label="command")
+    if one.measured is not None:
+        time_s, values = one.measured
+        draw_thinned(axes, time_s, values, values, **measured, label="motion")
+    if one.traces is not None:
+        time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.modelled
+        draw_thinned(axes, time_s, values, values, **modelled, label="model")
+    axes.set_ylabel(f"{COMMAND_WORDS[one.model.axis]} [{COMMAND_UNITS[one.model.axis]}]")
+    axes.margins(x=0.01)
+    if one.traces is not None:
+        axes.set_title(f"{label_runs([run])[0]}: {COMMAND_WORDS[one.model.axis]}")
+    else:
+        reason = f"not identified: {one.model.reason}"
+        told = "\n".join(textwrap.wrap(reason, _REASON_LETTERS, max_lines=3, placeholder=" ..."))
+        axes.set_title(told, fontsize=7.0, color="0.35")
+
+
+def _hold_to_end(command: Curve, run: Run) -> Curve:
+    """Return a command that holds until the last pose."""
+    end_ns = int(run.poses.time_ns[-1]) if len(run.poses) else int(command.time_ns[-1])
+    if end_ns <= command.time_ns[-1]:
+        return command
+    return Curve(
+        start_ns=command.start_ns,
+        time_ns=np.append(command.time_ns, end_ns),
+        values=np.append(command.values, command.values[-1]),
+        holds=command.holds,
+    )
+
+
+def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
+    """Draw what the model leaves of the motion."""
+    if one.traces is None:
+        return
+    axes.axhline(0.0, **REFERENCE)
+    time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.residual
+    draw_thinned(axes, time_s, values, values, **choose_lines(1)[0])
+    if len(one.outliers_s):
+        # An outlier is told at the pose after its step, traces at middles of one step or several.
+        near = np.searchsorted(time_s, one.outliers_s)[:, None] + np.arange(-2, 2)
+        near = np.clip(near, 0, len(values) - 1)
+        rows = near[np.arange(len(near)), np.abs(values[near]).argmax(axis=1)]
+        axes.plot(time_s[rows], values[rows], "x", **_OUTLIER)
+        _name_outliers(axes, time_s[rows], values[rows], COMMAND_UNITS[one.model.axis])
+    axes.set_ylabel(f"motion - model\n[{COMMAND_UNITS[one.model.axis]}]")
+
+
+def _name_outliers(axes: Axes, time_s: Values, values: Values, unit: str) -> None:
+    """Tell above a panel how large what does not count in the fit is, of several the largest."""
+    largest = int(np.abs(values).argmax())
+    told = f"left out: {values[largest]:+.3g} {unit} at {time_s[largest]:.2f} s"
+    if len(values) > 1:
+        told += f", the largest of {len(values)}"
+    text = axes.text(1.0, 1.0, told, fontsize=6.5, color=_OUTLIER["color"])
+    text.set(transform=axes.transAxes, ha="right", va="bottom")
+
+
+def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
+    """Draw the step of a command that shows best how the robot follows."""
+    measured, modelled = choose_lines(2)
+    dead_s, lag_s = _read(one.model.dead_time_s), _read(one.model.lag_s)
+    after_s = max(_LENGTHS * (dead_s + lag_s), _LEAST_AFTER_S)
+    step_s = find_step(one.command, after_s)
+    low_s, high_s = step_s - _BEFORE_S * max(after_s, 1.0), step_s + after_s
+    if one.model.is_known:
+        if dead_s > 0.0:
+            axes.axvspan(step_s, step_s + dead_s, **_DEAD)
+        if one.model.dead_time_s is not None:
+            _draw_interval(axes, one.model.dead_time_s, step_s)
+        if lag_s > 0.0:
+            axes.axvspan(step_s + dead_s, step_s + dead_s + lag_s, **_LAG)
+    command = _hold_to_end(one.command, run)
+    axes.plot(command.time_s, command.values, drawstyle="steps-post", **_COMMAND)
+    shown = [_cut(command.time_s, command.values, low_s, high_s, holds=True)]
+    if one.measured is not None:
+        # Unlike the whole run's, these are not joined to tenths of a second: delays are shorter.
+        time_s, values = _read_fine(one, run)
+        axes.plot(time_s, values, **measured, marker=".", markersize=3.0)
+        shown.append(_cut(time_s, values, low_s, high_s))
+    if one.traces is not None:
+        fine_s = np.linspace(low_s, high_s, _FINE) + run.start_ns / 1e9
+        _, rate = predict_axis(one.model, run, fine_s)
+        axes.plot(fine_s - run.start_ns / 1e9, rate, **modelled)
+        shown.append(rate)
+    known = np.concatenate([*shown, [0.0]])
+    low, high = float(known.min()), float(known.max())
+    room = 0.12 * (high - low or 1.0)
+    axes.set(xlim=(low_s, high_s), ylim=(low - room, high + room))
+    axes.set_title(tell_model(one.model), fontsize=7.0)
+    axes.set_xlabel(_tell_time(run))
+    axes.set_ylabel(f"{COMMAND_WORDS[one.model.axis]} [{COMMAND_UNITS[one.model.axis]}]")
+    axes.locator_params(axis="x", nbins=5)
+
+
+def _draw_interval(axes: Axes, dead_time: Estimate, step_s: float) -> None:
+    """Draw between which times the dead time ends, at the upper edge."""
+    if 1e3 * (dead_time.high - dead_time.low) < _SHOWN_MS:
+        return
+    ends = [step_s + dead_time.low, step_s + dead_time.high]
+    looks: dict[str, Any] = {"color": "#8a5a00", "linewidth": 0.9, "marker": "|", "markersize": 5.0}
+    label = "dead time: interval"
+    axes.plot(ends, [0.96, 0.96], transform=axes.get_xaxis_transform(), **looks, label=label)
+
+
+def _read_fine(one: DrawnAxis, run: Run) -> tuple[Values, Values]:
+    """Return the mean rate of each step between two poses, at its middle."""
+    if one.traces is None:
+        return one.measured or (np.empty(0), np.empty(0))
+    time_s, moved, _ = measure_steps(run.poses, one.model.axis)
+    apart_s = np.diff(time_s)
+    return time_s[:-1] + 0.5 * apart_s - run.start_ns / 1e9, moved / apart_s
+
+
+def _cut(
+    time_s: Values, values: Values, low_s: float, high_s: float, *, holds: bool = False
+) -> Values:
+    rows = np.flatnonzero((time_s >= low_s) & (time_s <= high_s))
+    if holds and len(rows) and rows[0]:
+        rows = np.append(rows, rows[0] - 1)
+    return values[rows]
+
+
+def _read(found: Estimate | None) -> float:
+    return 0.0 if found is None else max(found.value, 0.0)
+
+
+def find_step(command: Curve, after_s: float) -> float:
+    """Return when the command makes its clearest step [s]: large, and held for long enough."""
+    values = np.concatenate([[0.0], command.values])
+    sizes = np.abs(np.diff(values))
+    if not sizes.any():
+        return float(command.time_s[0])
+    rows = np.flatnonzero(sizes >= _LARGE * sizes.max())
+    changes = np.flatnonzero(sizes > 1e-9)
+    ends_s = np.append(command.time_s[changes], command.time_s[-1])
+    following = np.searchsorted(changes, rows, side="right")
+    held_s = np.minimum(ends_s[following] - command.time_s[rows], after_s)
+    # Of steps that are held alike, the largest.
+    best = int(np.lexsort((sizes[rows], np.round(held_s / after_s, 1)))[-1])
+    return float(command.time_s[rows[best]])
+
+
+def tell_model(model: AxisModel) -> str:
+    """Return what identification found of an axis, for a title."""
+    if model.gain is None or model.dead_time_s is None or model.lag_s is None:
+        return f"{COMMAND_WORDS[model.axis]}: the largest step"
+    gain = f"{model.gain.value:.3f} ({model.gain.low:.3f} to {model.gain.high:.3f})"
+    delays = f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}"
+    return f"{COMMAND_WORDS[model.axis]}: intervals of 95 %\n{delays}\ngain {gain}"
+
+
+def _tell_ms(found: Estimate) -> str:
+    value, low, high = (1e3 * number for number in (found.value, found.low, found.high))
+    if high - low < 0.05:
+        return f"{value:.3g} ms"
+    digits = 0 if high - low > 10.0 else 1
+    return f"{value:.{digits}f} ms ({low:.{digits}f} to {high:.{digits}f})"

@@ -1,0 +1,363 @@
+"""Figures of the sampled loops of runs: Bode, Nyquist, root locus, step response.
+
+All curves are those of the exact discretisation, dead time included, and end at pi / T.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from turtlelog.draw.figures.figure_curves import draw_ideal_locus, find_gains
+from turtlelog.draw.figures.legend import name_some
+from turtlelog.draw.figures.page import REFERENCE, choose_lines, label_runs
+from turtlelog.loops import SIGNAL_WORDS
+from turtlelog.measure import model_run_loops
+from turtlelog.plants import LAGGED, find_plant
+from turtlelog.run import Run
+from turtlelog.theory import (
+    LoopModel,
+    PidLoop,
+    compute_open_loop,
+    compute_pid_locus,
+    compute_pid_poles,
+    compute_pid_step_response,
+    list_known,
+)
+
+_POINTS: Final = 600
+"""On each curve of a frequency response: 3 in a millimetre of a column."""
+
+_GAINS: Final = 160
+"""At which the poles of a root locus are computed."""
+
+_MOST_LOCI: Final = 6
+"""Panels of root loci: three rows of two."""
+
+_FAR: Final = 2.5
+"""Of Nyquist's plane around 0, and of a step response around 1: an open loop with an integrator has
+no bound, nor has an unstable response."""
+
+_NO_OVERSHOOT: Final = 0.05
+"""In %: less is none in the digits that are shown."""
+
+_DECADES_BELOW: Final = 2.0
+"""Where a frequency response begins, below the crossover."""
+
+_MIRRORED: Final[Mapping[str, Any]] = MappingProxyType({"linewidth": 0.5, "linestyle": ":"})
+
+_MOST_SAMPLES: Final = 20_000
+"""Of a step response: more than a page resolves."""
+
+_MOST_MARKED: Final = 120
+"""Samples that are marked one by one: of more the marks touch on a column."""
+
+_UNSTABLE_LENGTH: Final = 40.0
+"""Over the dead time and a sample: as long as an unstable response is drawn."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _LoopCurve:
+    """One loop to draw.
+
+    Attributes:
+        name: Loop, after its run where there are several.
+        model: What theory knows of it.
+        found: What it does.
+        looks: Colour and dashes.
+    """
+
+    name: str
+    model: LoopModel
+    found: PidLoop
+    looks: Mapping[str, Any]
+
+    @property
+    def label(self) -> str:
+        """For a legend: the name, and the margins."""
+        return f"{self.name}: {_tell_margins(self.found)}"
+
+    @property
+    def locus_label(self) -> str:
+        """For a legend of poles: the name, and Kp."""
+        verdict = "" if self.found.stable else ", unstable"
+        return f"{self.name}: Kp = {self.found.gains.kp:g}{verdict}"
+
+
+def find_known_loops(runs: Sequence[Run]) -> list[tuple[str, LoopModel]]:
+    """Return the loops of runs that theory knows, each under its name in a legend."""
+    names = label_runs(runs) if len(runs) > 1 else [""]
+    return [
+        (f"{name} {model.loop.name}".strip(), model)
+        for name, run in zip(names, runs, strict=True)
+        for model in list_known(model_run_loops(run))
+    ]
+
+
+def find_lack_of_theory(runs: Sequence[Run]) -> str:
+    """Say what a loop of theory lacks, empty where there is one."""
+    if not runs:
+        return "a recording"
+    if find_known_loops(runs):
+        return ""
+    reasons = [model.reason for run in runs for model in model_run_loops(run)]
+    return f"a loop that theory knows ({reasons[0]})" if reasons else "a law that declares a loop"
+
+
+def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw magnitude and phase of the open loops, with their margins marked."""
+    size, phase = figure.subplots(2, 1, sharex=True)
+    size.axhline(0.0, **REFERENCE)
+    phase.axhline(-180.0, **REFERENCE)
+    curves = _style_loops(runs)
+    labels = name_some(size, [curve.label for curve in curves])
+    for curve, label in zip(curves, labels, strict=True):
+        frequencies = _list_frequencies(curve.found)
+        values = _respond(curve.model, frequencies)
+        turned = _unwrap_degrees(values)
+        size.semilogx(frequencies, _to_db(np.abs(values)), label=label, **curve.looks)
+        phase.semilogx(frequencies, turned, **curve.looks)
+        _mark_margins(size, phase, curve, frequencies, turned)
+    ends = sorted({math.pi / curve.found.period_s for curve in curves})
+    for axes in (size, phase):
+        _draw_ends(axes, ends)
+    _name_margins(size)
+    size.set_ylabel("magnitude [dB]")
+    phase.set(xlabel="frequency [rad/s]", ylabel="phase [deg]")
+    phase.set_ylim(max(phase.get_ylim()[0], -450.0), None)
+    phase.yaxis.set_major_locator(_every(90.0))
+
+
+def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw the open loops in the complex plane, with the unit circle and the point -1."""
+    axes = figure.subplots()
+    _draw_unit_circle(axes)
+    curves = _style_loops(runs)
+    labels = name_some(axes, [curve.label for curve in curves])
+    for curve, label in zip(curves, labels, strict=True):
+        values = _respond(curve.model, _list_frequencies(curve.found))
+        axes.plot(values.real, values.imag, label=label, **curve.looks)
+        axes.plot(values.real, -values.imag, color=curve.looks["color"], **_MIRRORED)
+        margins = curve.found.margins
+        if margins is not None and margins.phase_margin_rad is not None:
+            at = -np.exp(1j * margins.phase_margin_rad)
+            axes.plot(at.real, at.imag, "o", ms=3.5, color=curve.looks["color"], zorder=3)
+        if margins is not None and margins.gain_margin is not None:
+            axes.plot(-1.0 / margins.gain_margin, 0.0, "s", ms=3.5, color=curve.looks["color"])
+    axes.plot([-1.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="-1", zorder=3)
+    axes.plot([], [], color="0.35", **_MIRRORED, label="frequencies below 0")
+    _name_margins(axes)
+    axes.set(xlabel="real part", ylabel="imaginary part", aspect="equal")
+    axes.set(xlim=(-_FAR, 0.6 * _FAR), ylim=(-0.8 * _FAR, 0.8 * _FAR))
+
+
+def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw the poles of the closed loops as Kp rises, those of the runs marked.
+
+    First that of the ideal loop in the s plane, where the plant is 1/s and the law proportional;
+    then those of the sampled loops in the z plane.
+    """
+    gains = find_ideal_gains(runs)
+    groups = _group_loci(_style_loops(runs)) if runs else []
+    draw = [partial(draw_ideal_locus, gains=gains)] if gains else []
+    draw += [partial(_draw_locus, group=group) for group in groups]
+    draw = draw[:_MOST_LOCI]
+    columns = min(len(draw), 2)
+    grid = figure.subplots(-(-len(draw) // columns), columns, squeeze=False)
+    for axes in grid.flat[len(draw) :]:
+        axes.remove()
+    for axes, draw_panel in zip(grid.flat, draw, strict=False):
+        draw_panel(axes)
+
+
+def find_ideal_gains(runs: Sequence[Run]) -> tuple[float, ...]:
+    """Return the gains of proportional loops on a plant that is 1/s; without runs the paper's."""
+    ideal = [run for run in runs if find_plant(run).name != LAGGED]
+    return find_gains(ideal) if ideal or not runs else ()
+
+
+def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw the sampled loops' answers to a step of the reference, without limits."""
+    axes, curves = figure.subplots(), _style_loops(runs)
+    last_s = max(_choose_duration(curve.found) for curve in curves)
+    axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
+    axes.axhline(1.0, **REFERENCE)
+    lowest, highest = 0.0, 1.0
+    labels = name_some(axes, [f"{curve.name}: {_tell_step(curve.found)}" for curve in curves])
+    for curve, label in zip(curves, labels, strict=True):
+        gains, settings = curve.model.require()
+        count = min(math.ceil(last_s / curve.found.period_s) + 2, _MOST_SAMPLES)
+        values = _cut_where_far(compute_pid_step_response(gains, count, **settings))
+        time_s = np.arange(count) * curve.found.period_s
+        marker: dict[str, Any] = {"marker": ".", "ms": 2.5} if count <= _MOST_MARKED else {}
+        axes.plot(time_s, values, label=label, **marker, **curve.looks)
+        highest = max(highest, min(float(np.nanmax(values)), 1.0 + _FAR))
+        lowest = min(lowest, max(float(np.nanmin(values)), 1.0 - _FAR))
+    axes.set(xlim=(0.0, last_s), ylim=(lowest - 0.05, highest + 0.1))
+    axes.set(xlabel="time [s]", ylabel="response to a unit step")
+
+
+def _style_loops(runs: Sequence[Run]) -> list[_LoopCurve]:
+    known = find_known_loops(runs)
+    curves = []
+    for (name, model), looks in zip(known, choose_lines(len(known)), strict=True):
+        found = model.analyse()
+        curves.append(_LoopCurve(name=name, model=model, found=found, looks=looks))
+    return curves
+
+
+def _tell_margins(found: PidLoop) -> str:
+    """Return the margins in a few words for a legend."""
+    margins = found.margins
+    if margins is None:
+        return "unstable"
+    words = []
+    if margins.gain_margin is not None:
+        words.append(f"GM {_to_db(margins.gain_margin):.1f} dB")
+    if margins.phase_margin_rad is not None:
+        words.append(f"PM {math.degrees(margins.phase_margin_rad):.1f}°")
+    return ", ".join(words) or "stable"
+
+
+def _tell_step(found: PidLoop) -> str:
+    """Return overshoot and settling time in a few words for a legend."""
+    if not found.stable:
+        return "unstable"
+    if found.overshoot_percent is None or found.settling_time_s is None:
+        return "stable"
+    percent = found.overshoot_percent
+    overshoot = f"overshoot {percent:.1f} %" if percent >= _NO_OVERSHOOT else "no overshoot"
+    return f"{overshoot}, settles in {found.settling_time_s:.3g} s"
+
+
+def _list_frequencies(found: PidLoop) -> NDArray[np.float64]:
+    """Return frequencies [rad/s] around the crossover, up to pi / T."""
+    highest = math.pi / found.period_s
+    crossover = found.gains.kp * found.process.gain
+    if found.margins is not None and found.margins.crossover_rad_s is not None:
+        crossover = found.margins.crossover_rad_s
+    lowest = min(crossover, highest) / 10.0**_DECADES_BELOW
+    return np.geomspace(lowest, highest, _POINTS)
+
+
+def _respond(model: LoopModel, frequencies: NDArray[np.float64]) -> NDArray[np.complex128]:
+    gains, settings = model.require()
+    return compute_open_loop(gains, frequencies, **settings)
+
+
+def _unwrap_degrees(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Return a phase that begins between -360 and 0 deg."""
+    turned = np.degrees(np.unwrap(np.angle(values)))
+    return np.asarray(turned - 360.0 * np.ceil(turned[0] / 360.0))
+
+
+def _to_db(size: Any) -> Any:
+    return 20.0 * np.log10(size)
+
+
+def _every(step: float) -> Any:
+    from matplotlib.ticker import MultipleLocator
+
+    return MultipleLocator(step)
+
+
+def _draw_ends(axes: Axes, frequencies: Sequence[float]) -> None:
+    """Draw where the frequencies of sampled loops end."""
+    for frequency in frequencies:
+        looks = {**REFERENCE, "linestyle": ":"}
+        axes.axvline(frequency, **looks, label="π / T, the highest frequency", zorder=1.2)
+
+
+def _name_margins(axes: Axes) -> None:
+    """Name the marks of all loops, whatever their colours."""
+    for marker, name in (("o", "phase margin (PM)"), ("s", "gain margin (GM)")):
+        axes.plot([], [], marker, ms=3.5, color="0.35", label=name)
+
+
+def _mark_margins(
+    size: Axes,
+    phase: Axes,
+    curve: _LoopCurve,
+    frequencies: NDArray[np.float64],
+    turned: NDArray[np.float64],
+) -> None:
+    """Mark the phase margin from -180 deg up, and the gain margin from 0 dB down."""
+    margins, color = curve.found.margins, curve.looks["color"]
+    if margins is None:
+        return
+    if margins.phase_margin_rad is not None and margins.crossover_rad_s is not None:
+        at = margins.crossover_rad_s
+        level = float(np.interp(at, frequencies, turned))
+        size.plot(at, 0.0, "o", ms=3.5, color=color, zorder=3)
+        phase.plot(at, level, "o", ms=3.5, color=color, zorder=3)
+        phase.plot([at, at], [level - math.degrees(margins.phase_margin_rad), level], color=color)
+    if margins.gain_margin is not None and margins.gain_frequency_rad_s is not None:
+        at, level = margins.gain_frequency_rad_s, -float(_to_db(margins.gain_margin))
+        size.plot([at, at], [level, 0.0], color=color)
+        size.plot(at, level, "s", ms=3.5, color=color, zorder=3)
+        turned_at = float(np.interp(at, frequencies, turned))
+        phase.plot(at, turned_at, "s", ms=3.5, color=color, zorder=3)
+
+
+def _draw_unit_circle(axes: Axes) -> None:
+    angles = np.linspace(0.0, 2.0 * math.pi, 361)
+    axes.plot(np.cos(angles), np.sin(angles), **REFERENCE, label="unit circle")
+
+
+def _group_loci(curves: Sequence[_LoopCurve]) -> list[list[_LoopCurve]]:
+    """Return loops that differ in Kp alone together."""
+    groups: dict[Any, list[_LoopCurve]] = {}
+    for curve in curves:
+        found = curve.found
+        held = replace(found.gains, kp=1.0)
+        key = (held, found.process, found.period_s, curve.model.loop.name)
+        groups.setdefault(key, []).append(curve)
+    return list(groups.values())
+
+
+def _draw_locus(axes: Axes, group: Sequence[_LoopCurve]) -> None:
+    """Draw how the poles move as Kp rises to half more than where it matters."""
+    first = group[0]
+    gains, settings = first.model.require()
+    limit = first.found.stable_gains[-1][1] if first.found.stable_gains else 0.0
+    highest = 1.5 * max(limit, *(curve.found.gains.kp for curve in group))
+    _draw_unit_circle(axes)
+    rising = np.geomspace(1e-3 * highest, highest, _GAINS).tolist()
+    locus = compute_pid_locus(gains, rising, **settings)
+    axes.plot(locus.real, locus.imag, ".", color="0.55", ms=1.2, zorder=1.6)
+    for end in {end for ends in first.found.stable_gains for end in ends if end > 0.0}:
+        poles = compute_pid_poles(replace(gains, kp=end), **settings)
+        at = poles[np.abs(np.abs(poles) - 1.0) < 1e-6]
+        axes.plot(at.real, at.imag, "s", ms=4.0, mfc="none", color="black", label="limit of Kp")
+    labels = name_some(axes, [curve.locus_label for curve in group])
+    for curve, label in zip(group, labels, strict=True):
+        poles = curve.found.poles
+        axes.plot(poles.real, poles.imag, "o", ms=4.0, color=curve.looks["color"], label=label)
+    dead_time = f"{1e3 * first.found.dead_time_s:.4g} ms"
+    axes.set_title(f"{SIGNAL_WORDS[first.model.loop.signal]}, dead time {dead_time}")
+    axes.set(xlabel="real part of z", ylabel="imaginary part of z", aspect="equal")
+    axes.set(xlim=(-1.35, 1.35), ylim=(-1.35, 1.35))
+
+
+def _cut_where_far(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a response without what follows when it leaves the axes, as unstable ones do."""
+    beyond = np.abs(values - 1.0) > _FAR
+    if not beyond.any():
+        return values
+    return np.where(np.arange(len(values)) > beyond.argmax(), np.nan, values)
+
+
+def _choose_duration(found: PidLoop) -> float:
+    """Return how long a step response is drawn [s]."""
+    if found.settling_time_s is not None:
+        return 1.4 * found.settling_time_s
+    if found.stable:
+        return 1000.0 * found.period_s
+    return _UNSTABLE_LENGTH * (found.dead_time_s + found.period_s)

@@ -1,0 +1,260 @@
+"""Metrics of many runs by group: every run a point, beside a box where they are many."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from turtlelog.charts.many_runs import find_gain_unit
+from turtlelog.compare.run_names import has_one_gain, list_differing
+from turtlelog.compare.run_summary import complete_parameters
+from turtlelog.draw.figures.direct_labels import measure_text_mm
+from turtlelog.draw.figures.metric_panels import (
+    MetricValues,
+    measure_for_figure,
+    set_value_scale,
+)
+from turtlelog.draw.figures.page import choose_lines
+from turtlelog.errors import ShowError
+from turtlelog.run import Parameter, Run
+
+Values = NDArray[np.float64]
+
+_MOST_GROUPS: Final = 12
+"""Side by side; in a column each then has 6 mm."""
+
+_MOST_KEYS: Final = 2
+"""Keys whose values name a group; of more the names would have no room below it."""
+
+_MOST_LETTERS: Final = 22
+
+_BOX_FROM: Final = 10
+"""Values from which quartiles say something: of fewer each lies between two points or on one."""
+
+_HALF_WIDTH: Final = 0.17
+"""Of the points' strip, where the distance between groups is 1."""
+
+_PANEL_INCH: Final = 1.75
+_NARROW_INCH: Final = 2.3
+"""A panel is at least so wide, where there is more than one: its groups have names below it."""
+
+_SIDE_INCH: Final = 0.65
+"""Of a panel's width, for the numbers and the two lines beside its axis."""
+
+_BOX: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "showfliers": False,
+        "patch_artist": True,
+        "medianprops": {"color": "black", "linewidth": 1.2},
+        "whiskerprops": {"linewidth": 0.7, "color": "0.35"},
+        "capprops": {"linewidth": 0.7, "color": "0.35"},
+    }
+)
+_NONE: Final = "#b3261e"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunGroups:
+    """Runs in groups.
+
+    Attributes:
+        label: What they differ in, for an axis.
+        names: One for each group.
+        rows: Numbers of the runs of each group.
+    """
+
+    label: str
+    names: tuple[str, ...]
+    rows: tuple[tuple[int, ...], ...]
+
+
+def group_runs(runs: Sequence[Run]) -> RunGroups:
+    """Return runs by their gain, or by what else of their scenarios differs; seeds do not count.
+
+    Raises:
+        ShowError: Where they would be more groups than stand side by side.
+    """
+    keys = [key for key in list_differing(runs) if not key.endswith("seed")]
+    gains = [key for run in runs for key in run.declaration.list_gains()]
+    of_gain = [key for key in keys if key in gains]
+    by = of_gain or keys
+    more = len(by) - _MOST_KEYS
+    if more > 0:
+        by = ["law.kind"] if "law.kind" in keys else by[:_MOST_KEYS]
+        more = len(keys) - len(by)
+    known = [complete_parameters(run) for run in runs]
+    cells = [tuple(parameters.get(key) for key in by) for parameters in known]
+    is_one_gain = bool(of_gain) and all(has_one_gain(run) for run in runs)
+    if is_one_gain:
+        by, cells = ["Kp"], [cell[:1] for cell in cells]
+    found: dict[tuple[Parameter | None, ...], list[int]] = {}
+    for row, cell in enumerate(cells):
+        found.setdefault(cell, []).append(row)
+    label = "Kp [1/s]" if is_one_gain else ", ".join(_name_key(key, runs) for key in by)
+    if more > 0 and not is_one_gain:
+        label += f" ({more} more keys differ)"
+    if len(found) > _MOST_GROUPS:
+        raise ShowError(
+            f"figure strips: expected at most {_MOST_GROUPS} groups, found {len(found)} by"
+            f" {label or 'what differs'}; the figure gains draws metrics against gains"
+        )
+    order = sorted(found, key=lambda cell: [_rank(value) for value in cell])
+    return RunGroups(
+        label=label,
+        names=tuple(_shorten(", ".join(map(_tell, cell))) for cell in order),
+        rows=tuple(tuple(found[cell]) for cell in order),
+    )
+
+
+def _name_key(key: str, runs: Sequence[Run]) -> str:
+    """Return the last part of a key, with its unit if it is a gain; others say theirs."""
+    unit = find_gain_unit(runs, key)
+    return f"{key.rpartition('.')[2]}{f' [{unit}]' if unit else ''}"
+
+
+def _shorten(name: str) -> str:
+    return name if len(name) <= _MOST_LETTERS else f"{name[: _MOST_LETTERS - 3]}..."
+
+
+def _rank(value: Parameter | None) -> tuple[int, float, str]:
+    if isinstance(value, int | float):
+        return (0, float(value), "")
+    return (1, 0.0, str(value)) if value is not None else (2, 0.0, "")
+
+
+def _tell(value: Parameter | None) -> str:
+    if value is None:
+        return "unknown"
+    return f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
+
+
+def draw_strips(
+    figure: Figure, runs: Sequence[Run], *, metrics: Sequence[str] | None = None
+) -> None:
+    """Draw a panel for each metric, with the runs of each group as points and, of many, a box.
+
+    Args:
+        figure: To draw on.
+        runs: In groups by gain, or by what else differs.
+        metrics: Ids, patterns, or names of metrics of any loop; overshoot, settling time and final
+            position error unless given.
+
+    Raises:
+        ShowError: Where there are too many groups, or no run has a value.
+    """
+    groups = group_runs(runs)
+    found = measure_for_figure("strips", runs, metrics)
+    width = figure.get_figwidth()
+    columns = _choose_columns(groups, len(found), width)
+    rows = -(-len(found) // columns)
+    figure.set_size_inches(width, rows * _PANEL_INCH + 0.2)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat[len(found) :]:
+        axes.remove()
+    room_mm = _find_room(groups, width / columns)
+    for number, (axes, one) in enumerate(zip(grid.flat, found, strict=False)):
+        _draw_strip(axes, groups, one, room_mm)
+        axes.tick_params(labelbottom=number + columns >= len(found))
+        if number + columns >= len(found):
+            axes.set_xlabel("; ".join(filter(None, [groups.label, _tell_sizes(groups)])))
+    figure.align_ylabels()
+
+
+def _choose_columns(groups: RunGroups, count: int, width_inch: float) -> int:
+    """Return as many columns of panels as there is room for, fewer where names would slant."""
+    most = max(1, min(count, int(width_inch / _NARROW_INCH)))
+    widest = _measure_widest(_name_groups(groups))
+    fitting = [n for n in range(most, 0, -1) if widest <= _find_room(groups, width_inch / n)]
+    return fitting[0] if fitting else most
+
+
+def _find_room(groups: RunGroups, panel_inch: float) -> float:
+    """Return how wide the name of a group may be below a panel [mm]."""
+    return 0.95 * 25.4 * (panel_inch - _SIDE_INCH) / len(groups.names)
+
+
+def _measure_widest(names: Sequence[str]) -> float:
+    return max(measure_text_mm(line) for name in names for line in name.split("\n"))
+
+
+def _name_groups(groups: RunGroups) -> list[str]:
+    """Return names below a panel, with how many runs there are unless all have as many."""
+    if _tell_sizes(groups):
+        return [*groups.names]
+    named = zip(groups.names, groups.rows, strict=True)
+    return [f"{name}\nn = {len(rows)}".lstrip("\n") for name, rows in named]
+
+
+def _tell_sizes(groups: RunGroups) -> str:
+    """Return how many runs all groups have; empty where they differ, as their names tell it."""
+    sizes = {len(rows) for rows in groups.rows}
+    if len(sizes) > 1 or len(groups.rows) == 1:
+        return ""
+    (size,) = sizes
+    return "one run each" if size == 1 else f"n = {size} each"
+
+
+def _draw_strip(axes: Axes, groups: RunGroups, found: MetricValues, room_mm: float) -> None:
+    set_value_scale(axes, found)
+    is_boxed = any(np.isfinite(found.values[list(rows)]).sum() >= _BOX_FROM for rows in groups.rows)
+    for place, (rows, looks) in enumerate(
+        zip(groups.rows, choose_lines(len(groups.rows)), strict=True)
+    ):
+        values = found.values[list(rows)]
+        known = values[np.isfinite(values)]
+        _draw_group(axes, place, known, looks["color"], is_boxed=is_boxed)
+        if len(known) < len(values):
+            count = f"{len(values) - len(known)} without"
+            text = axes.text(place, 0.99, count, fontsize=6.0, color=_NONE, ha="center", va="top")
+            text.set_transform(axes.get_xaxis_transform())
+    names = _name_groups(groups)
+    if _measure_widest(names) > room_mm:
+        axes.set_xticks(range(len(names)), [name.replace("\n", ", ") for name in names])
+        axes.tick_params(axis="x", labelrotation=35.0)
+        for text in axes.get_xticklabels():
+            text.set(ha="right", rotation_mode="anchor")
+    else:
+        axes.set_xticks(range(len(names)), names)
+    axes.set_xlim(-0.6, len(names) - 0.4)
+    axes.grid(visible=False, axis="x")
+    words = found.label
+    axes.set_ylabel(f"{found.loop}:\n{words}" if found.loop else words)
+
+
+def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: bool) -> None:
+    """Draw a group's values, spread where they are many, and its box or its median."""
+    if not len(known):
+        return
+    beside = 0.2 if is_boxed else 0.0
+    across = place + beside + _spread(known)
+    size = 3.6 if len(known) <= 40 else 2.4 if len(known) <= 200 else 1.5
+    faint = 0.9 if len(known) <= 40 else 0.55
+    axes.plot(across, known, "o", ms=size, mew=0.0, color=color, alpha=faint, zorder=2.5)
+    if len(known) >= _BOX_FROM:
+        box = axes.boxplot(
+            [known], positions=[place - 0.2], widths=0.26, manage_ticks=False, **_BOX
+        )
+        for patch in box["boxes"]:
+            patch.set(facecolor=(*color, 0.35), edgecolor=color, linewidth=0.8)
+    elif len(known) > 2:
+        median, half = float(np.median(known)), _HALF_WIDTH + 0.06
+        ends = [place + beside - half, place + beside + half]
+        axes.plot(ends, [median, median], color="black", lw=1.0, zorder=2.4)
+
+
+def _spread(values: Values) -> Values:
+    """Return how far points stand aside, so that near ones do not hide each other.
+
+    By the golden ratio in the order of the values: neighbours stand far apart, and the same runs
+    give the same picture.
+    """
+    if len(values) < 3:
+        return np.zeros(len(values))
+    ranks = np.argsort(np.argsort(values, kind="stable"), kind="stable")
+    golden = (np.sqrt(5.0) - 1.0) / 2.0
+    return np.asarray(_HALF_WIDTH * (2.0 * ((ranks * golden) % 1.0) - 1.0))

@@ -1,0 +1,184 @@
+"""Metrics of a sweep against one key, a line for each value of a second, with theory's limits."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from turtlelog.charts.map_values import (
+    VERDICT_WORDS,
+    is_logarithmic,
+    label_metric,
+    list_branches,
+    scale_values,
+)
+from turtlelog.charts.palette import FEW
+from turtlelog.draw.figures.map_figure import LIMITS, mark_places
+from turtlelog.draw.figures.page import choose_lines
+from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
+from turtlelog.sweep.swept_results import SweptAxis, SweptMetric
+from turtlelog.sweep.swept_views import SweptView, fill_cells
+
+Values = NDArray[np.float64]
+
+_MOST_LINES: Final = len(FEW)
+"""Values of a second key that have a line each: as many as there are distinct hues."""
+
+_MOST_MARKED: Final = 40
+"""Values of the key up to which each is a dot on the line: one in 2 mm of a panel."""
+
+_MOST_DOTS: Final = 500
+"""Rows of a sample up to which their dots are large: they cover a tenth of a panel."""
+
+_DECADES: Final = 100.0
+"""Largest over least value from which the axis is logarithmic: linear, all of the lower decade
+would lie within a line's width of its floor."""
+
+
+def choose_curve_axes(
+    view: SweptView, limits: Sequence[LoopLimits]
+) -> tuple[SweptAxis, SweptAxis | None]:
+    """Return what curves run over, a gain before all else, and what each is of."""
+    if view.y is None:
+        return view.x, None
+    gains = [one.gain for one in limits]
+    return (view.y, view.x) if view.y in gains and view.x not in gains else (view.x, view.y)
+
+
+def choose_series(series: SweptAxis | None) -> list[int]:
+    """Return the places of a second axis that have a line; of many a few in even steps."""
+    if series is None:
+        return [0]
+    count = min(len(series), _MOST_LINES)
+    return [int(place) for place in np.linspace(0, len(series) - 1, count).round()]
+
+
+def draw_curves(
+    axes: Axes, view: SweptView, metric: SweptMetric, limits: Sequence[LoopLimits]
+) -> dict[str, Any]:
+    """Draw a metric against a key.
+
+    Args:
+        axes: To draw on.
+        view: Of one axis or two.
+        metric: One of its results.
+        limits: Of theory, as `find_loop_limits` returns them.
+
+    Returns:
+        What a legend names, with how it looks.
+    """
+    along, series = choose_curve_axes(view, limits)
+    if view.results.is_sampled and len(view.results.axes) > 1:
+        return _draw_sample(axes, view, metric, along)
+    found = choose_limits([one for one in limits if one.gain is along], metric)
+    cells = fill_cells(view, metric)
+    parts = [
+        scale_values(metric, one if along is view.x else one.T)
+        for one in (cells.values, cells.least, cells.most)
+    ]
+    valueless = np.zeros(view.shape, dtype=bool)
+    valueless.flat[list(cells.reasons)] = True
+    valueless = valueless if along is view.x else valueless.T
+    named: dict[str, Any] = {}
+    theory: dict[str, Any] = {}
+    places = choose_series(series)
+    for looks, place in zip(choose_lines(len(places)), places, strict=True):
+        mean, least, most = (part[place] for part in parts)
+        name = None if series is None else series.tell_row(_find_row(series, place))
+        named |= _draw_line(axes, along, mean, looks, name)
+        if valueless[place].any():
+            named |= _mark_valueless(axes, along.numbers[valueless[place]], looks["color"])
+        if view.seeds > 1:
+            axes.fill_between(
+                along.numbers, least, most, color=looks["color"], alpha=0.2, linewidth=0.0
+            )
+            named["least to greatest over the seeds"] = Patch(facecolor="0.8")
+        color = None if series is None else looks["color"]
+        if found is not None:
+            theory |= _draw_limits(axes, found, along, place, color)
+    _set_axes(axes, along, metric, parts[0][places])
+    if series is not None and len(places) < len(series):
+        named[f"{len(places)} of {len(series)} values"] = Line2D([], [], linestyle="")
+    return named | theory
+
+
+def _find_row(axis: SweptAxis, place: int) -> int:
+    return int(np.flatnonzero(axis.places == place)[0])
+
+
+def _draw_line(
+    axes: Axes, along: SweptAxis, values: Values, looks: Mapping[str, Any], name: str | None
+) -> dict[str, Any]:
+    numbers, known = along.numbers, np.isfinite(values)
+    color = looks["color"]
+    if along.is_number:
+        axes.plot(numbers, values, color=color, linewidth=0.9, zorder=2.0)
+    # A value between two that are missing has no line on either side.
+    alone = known & ~np.r_[False, known[:-1]] & ~np.r_[known[1:], False]
+    shown = known if len(numbers) <= _MOST_MARKED else alone
+    axes.plot(numbers[shown], values[shown], "o", color=color, markersize=2.6, zorder=2.1)
+    if name is None:
+        return {}
+    return {name: Line2D([], [], color=color, marker="o", markersize=2.6, linewidth=0.9)}
+
+
+def _mark_valueless(axes: Axes, numbers: Values, color: Any) -> dict[str, Any]:
+    """Mark at the upper edge where rows have no value."""
+    mark: dict[str, Any] = {"color": color, "marker": "x", "linestyle": "", "ms": 3.0}
+    at = np.full(len(numbers), 0.985)
+    axes.plot(numbers, at, transform=axes.get_xaxis_transform(), **mark)
+    return {"no value": Line2D([], [], **{**mark, "color": "0.4"})}
+
+
+def _draw_sample(
+    axes: Axes, view: SweptView, metric: SweptMetric, along: SweptAxis
+) -> dict[str, Any]:
+    """Draw a dot for each row: of those that were drawn no two share a value of another key."""
+    (looks,) = choose_lines(1)
+    numbers = along.numbers[along.places[view.rows]]
+    values = scale_values(metric, metric.values[view.rows])
+    known = np.isfinite(values)
+    size = 2.6 if len(values) <= _MOST_DOTS else 1.2
+    axes.plot(numbers[known], values[known], "o", color=looks["color"], markersize=size, mew=0.0)
+    _set_axes(axes, along, metric, values)
+    return {} if known.all() else _mark_valueless(axes, numbers[~known], looks["color"])
+
+
+def _draw_limits(
+    axes: Axes, found: LoopLimits, along: SweptAxis, place: int, color: Any
+) -> dict[str, Any]:
+    """Draw theory's limits of one column as upright lines, in the colour of its curve."""
+    column = found.columns[place if len(found.columns) > 1 else 0]
+    low, high = float(along.numbers[0]), float(along.numbers[-1])
+    named: dict[str, Any] = {}
+    for name, looks in LIMITS.items():
+        for branch in list_branches([column], name):
+            at = float(branch[0])
+            if not low <= at <= high:
+                continue
+            own = {**looks, **({} if color is None else {"color": color})}
+            axes.axvline(at, **own, zorder=1.5)
+            grey = {} if color is None else {"color": "0.4"}
+            named[f"{found.loop}: {name}"] = Line2D([], [], **{**looks, **grey})
+            if color is None:
+                text = axes.text(at, 1.01, f"{at:.4g}", fontsize=6.2, color=looks["color"])
+                text.set(transform=axes.get_xaxis_transform(), ha="center", va="bottom")
+    return named
+
+
+def _set_axes(axes: Axes, along: SweptAxis, metric: SweptMetric, values: Values) -> None:
+    if is_logarithmic(along):
+        axes.set_xscale("log")
+    axes.set(xlabel=along.label, ylabel=label_metric(metric))
+    mark_places(axes, "x", along)
+    known = values[np.isfinite(values)]
+    if metric.is_verdict:
+        axes.set_yticks([0.0, 1.0], labels=[VERDICT_WORDS[0], VERDICT_WORDS[2]])
+        axes.set_ylim(-0.15, 1.2)
+    elif len(known) and known.min() > 0.0 and known.max() / known.min() >= _DECADES:
+        axes.set_yscale("log")
+    axes.margins(x=0.03)

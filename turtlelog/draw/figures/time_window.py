@@ -1,0 +1,116 @@
+"""A part of time: the axes of a figure that show runs over time are cut to it."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from turtlelog.draw.figures.page import Page
+from turtlelog.errors import ShowError
+from turtlelog.run import Run
+
+_TIME = "time from the first"
+"""How the labels of axes begin that show runs over time."""
+
+
+def require_window(runs: Sequence[Run], page: Page) -> None:
+    """Refuse times at which no run was going on.
+
+    Raises:
+        ShowError: With the times that there are.
+    """
+    asked = [
+        (name, bound_s)
+        for name, bound_s in (("from", page.from_s), ("to", page.to_s))
+        if bound_s is not None
+    ]
+    if not asked:
+        return
+    if not runs:
+        raise ShowError(f"{asked[0][0]}: expected a recording to cut, found none")
+    first_s, last_s = _find_span(runs)
+    for name, bound_s in asked:
+        if not first_s <= bound_s <= last_s:
+            raise ShowError(
+                f"{name}: expected {first_s:g} to {last_s:g} s, for which the runs last,"
+                f" found {bound_s:g} s"
+            )
+
+
+def find_window(runs: Sequence[Run], page: Page) -> tuple[float, float] | None:
+    """Return from when to when a page shows runs [s]; None where it shows all of them."""
+    if page.from_s is None and page.to_s is None:
+        return None
+    first_s, last_s = _find_span(runs)
+    return (
+        first_s if page.from_s is None else page.from_s,
+        last_s if page.to_s is None else page.to_s,
+    )
+
+
+def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
+    """Show what lies within the page's times, each curve at the height that it has there."""
+    window_s = find_window(runs, page)
+    if window_s is None:
+        return
+    for axes in list_time_axes(figure):
+        is_free = axes.get_autoscaley_on()
+        axes.set_xlim(*window_s)
+        if is_free or axes.get_yscale() == "log":
+            fit_height(axes, window_s)
+
+
+def list_time_axes(figure: Figure) -> list[Axes]:
+    """Return the axes that show runs over time; those above others have no label of their own."""
+    found = []
+    for axes in figure.axes:
+        alike = axes.get_shared_x_axes().get_siblings(axes)
+        if any(other.get_xlabel().startswith(_TIME) for other in alike):
+            found.append(axes)
+    return found
+
+
+def fit_height(axes: Axes, window_s: tuple[float, float], margin: float = 0.06) -> None:
+    """Give an axis the height of what its curves do within some time."""
+    values = np.concatenate([*_list_visible(axes, window_s), np.empty(0)])
+    is_log = axes.get_yscale() == "log"
+    values = values[np.isfinite(values) & (values > 0.0 if is_log else True)]
+    if not len(values):
+        return
+    low, high = float(values.min()), float(values.max())
+    if is_log:
+        axes.set_ylim(0.6 * low, 1.8 * high)
+    else:
+        room = margin * (high - low) or 0.1 * abs(high) or 1.0
+        axes.set_ylim(low - room, high + room)
+
+
+def _list_visible(axes: Axes, window_s: tuple[float, float]) -> Iterator[np.ndarray]:
+    """Yield the values of curves within some time, with where they enter and leave it."""
+    for line in axes.get_lines():
+        if line.get_transform() != axes.transData or line.get_linestyle() == "None":
+            continue
+        time_s, values = np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
+        inside = (time_s >= window_s[0]) & (time_s <= window_s[1])
+        yield values[inside]
+        if len(time_s) > 1 and time_s[0] < window_s[1] and time_s[-1] > window_s[0]:
+            yield _read_edges(line, time_s, values, window_s)
+
+
+def _read_edges(
+    line: Line2D, time_s: np.ndarray, values: np.ndarray, window_s: tuple[float, float]
+) -> np.ndarray:
+    edges_s = np.clip(window_s, time_s[0], time_s[-1])
+    if line.get_drawstyle() == "steps-post":
+        rows = np.searchsorted(time_s, edges_s, side="right") - 1
+        return values[rows]
+    return np.asarray(np.interp(edges_s, time_s, values))
+
+
+def _find_span(runs: Sequence[Run]) -> tuple[float, float]:
+    """Return from when to when runs last, each from its first sample [s]."""
+    starts = [min(int(run.poses.time_ns[0]), run.start_ns) - run.start_ns for run in runs]
+    ends = [max(int(run.poses.time_ns[-1]), run.end_ns) - run.start_ns for run in runs]
+    return min(starts) / 1e9, max(ends) / 1e9

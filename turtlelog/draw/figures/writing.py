@@ -1,0 +1,339 @@
+"""Figures as files."""
+
+import io
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from threading import get_ident
+from typing import Any, Final
+
+from fontTools import subset
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from turtlelog.compare import (
+    name_runs,
+    order_by_gain,
+    summarise_run,
+    tabulate_measured,
+    tabulate_runs,
+    tabulate_table1,
+    tabulate_whole_runs,
+)
+from turtlelog.draw.documents import choose_essentials
+from turtlelog.draw.figures.figure_kinds import (
+    FIGURES,
+    FigureKind,
+    list_usual_figures,
+)
+from turtlelog.draw.figures.gain_bar import add_gain_bar
+from turtlelog.draw.figures.left_out import has_table1
+from turtlelog.draw.figures.legend import add_legend
+from turtlelog.draw.figures.marked_panels import mark_panels
+from turtlelog.draw.figures.page import Page, use_looks
+from turtlelog.draw.figures.plane_panels import has_one_plane, stress_window
+from turtlelog.draw.figures.time_window import cut_time_axes, find_window, require_window
+from turtlelog.draw.output_files import replace_file, replace_together
+from turtlelog.draw.table_formats import format_latex
+from turtlelog.errors import ShowError, describe_unknown, make_portable
+from turtlelog.measure import measure_run
+from turtlelog.processes import CAN_FORK, count_cores, map_in_processes
+from turtlelog.remote.urls import make_path
+from turtlelog.run import Run
+
+FIGURE_FORMATS: Final = ("pdf", "png", "svg")
+
+_UNUSED_TABLES: Final = ("GSUB", "GPOS", "GDEF", "MATH", "kern", "cmap", "post", "name", "OS/2")
+"""How letters join, how glyphs are found and what they are called: a PDF finds glyphs by their
+numbers, at places of its own. ISO 32000-1, 9.9: of a CIDFontType2 it needs glyf, head, hhea, hmtx,
+loca, maxp, and cvt, fpgm and prep if there are any."""
+_LEAST_INCH: Final = 3.0
+"""A narrower figure is no lower: its lettering is the same."""
+_MOST_COLUMNS: Final = 4
+"""More runs than these stand as rows."""
+_WIDE: Final = frozenset(
+    {"plant", "plane", "panel", "bode", "nyquist", "step", "attribution", "rates", "violation"}
+)
+_WIDE_OF_RUNS: Final = frozenset({"root-locus"})
+"""Of theory alone these have one panel."""
+_LEAST_DRAWN: Final = 3
+"""Figures for each process where their number is not given: a process costs as long as a fifth of
+a small figure to fork, and the copies of what it changes as much again."""
+_NO_DATE: Final = {
+    "pdf": {"CreationDate": None, "ModDate": None},
+    "svg": {"Date": None},
+    "png": {"Software": None},
+}
+"""Without these the same runs give the same bytes."""
+
+
+def draw_figure(
+    name: str,
+    runs: Sequence[Run] = (),
+    *,
+    page: Page | None = None,
+    kinds: Mapping[str, FigureKind] | None = None,
+) -> Figure:
+    """Return one figure, drawn; several panels side by side take the whole text width.
+
+    Runs stand in the order of their gains.
+
+    Args:
+        name: One of `FIGURES`.
+        runs: What to draw.
+        page: Where it will stand.
+        kinds: Figures that take the place of those of `FIGURES`, by their names.
+
+    Raises:
+        ShowError: Where there is no such figure, or the runs do not hold what it needs.
+    """
+    kind, page = _find_kind(name, runs, kinds), page or Page()
+    is_alone = name == "plane" and has_one_plane(runs)
+    require_window(runs, page)
+    if (name in _WIDE and not is_alone) or (runs and name in _WIDE_OF_RUNS):
+        page = page.widen()
+    with use_looks():
+        size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))
+        figure = Figure(figsize=size, layout="constrained")
+        kind.draw_on(figure, order_by_gain(runs))
+        cut_time_axes(figure, runs, page)
+        stress_window(figure, order_by_gain(runs), find_window(runs, page))
+        add_legend(figure, without=add_gain_bar(figure, order_by_gain(runs)))
+        page.fit(figure)
+        if page.has_marks:
+            is_cut = page.from_s is not None or page.to_s is not None
+            mark_panels(figure, order_by_gain(runs), is_cut=is_cut)
+    return figure
+
+
+def write_figures(
+    runs: Sequence[Run],
+    folder: str | Path,
+    *,
+    only: Collection[str] | Mapping[str, FigureKind] | None = None,
+    formats: Collection[str] = FIGURE_FORMATS,
+    page: Page | None = None,
+    jobs: int | None = 1,
+) -> list[Path]:
+    """Write figures as `<folder>/<name>.<format>` and return the files.
+
+    Args:
+        runs: What to draw; one in detail, several over each other. Theory needs none.
+        folder: Made where it is not there.
+        only: Names of `FIGURES`, or figures by such names that take their place; otherwise all
+            usual ones that the runs hold the data for.
+        formats: Some of `FIGURE_FORMATS`.
+        page: Where they will stand.
+        jobs: Processes to draw in, at least 1; None: as many as cores where that is quicker. They
+            are forked, so that there is one wherever the system is not Linux. The files are the
+            same, byte for byte.
+
+    Raises:
+        ShowError: Where a name or format is unknown, `jobs` is no number of processes, the runs
+            lack what a named figure needs, or the folder cannot be written; nothing is written
+            then.
+    """
+    with replace_together(folder) as write:
+        return add_figures(write, runs, only=only, formats=formats, page=page, jobs=jobs)
+
+
+def add_figures(
+    write: Callable[[str, bytes], Path],
+    runs: Sequence[Run],
+    *,
+    only: Collection[str] | Mapping[str, FigureKind] | None = None,
+    formats: Collection[str] = FIGURE_FORMATS,
+    page: Page | None = None,
+    jobs: int | None = 1,
+) -> list[Path]:
+    """Write figures as `write_figures` does, with what `replace_together` yields."""
+    unknown = [form for form in formats if form not in FIGURE_FORMATS]
+    if unknown or not formats:
+        found = repr(unknown[0]) if unknown else "none"
+        raise ShowError(f"format: expected some of {', '.join(FIGURE_FORMATS)}, found {found}")
+    if jobs is not None and jobs < 1:
+        raise ShowError(f"jobs: expected at least 1 process, found {jobs}")
+    kinds = only if isinstance(only, Mapping) else None
+    names = [name for name in list_usual_figures() if not FIGURES[name].find_lack(runs)]
+    for name in (only or ()) if names else FIGURES:
+        _find_kind(name, runs, kinds)
+    names = names if only is None else [*dict.fromkeys(only)]
+    forms = [*dict.fromkeys(formats)]
+    draw = partial(_draw_files, runs=runs, formats=forms, page=page or Page(), kinds=kinds)
+    return [
+        write(f"{name}.{form}", data)
+        for name, files in _draw_in_processes(draw, names, jobs)
+        for form, data in zip(forms, files, strict=True)
+    ]
+
+
+def _draw_in_processes(
+    draw: Callable[[str], list[bytes]], names: Sequence[str], jobs: int | None
+) -> Iterator[tuple[str, list[bytes]]]:
+    """Yield each figure and its files, drawn in several processes where they can be forked.
+
+    Each draws figures that stand together, those of theory in one that loads their libraries: one
+    by one in turns they took a quarter more processor time.
+    """
+    if jobs is None:
+        jobs = min(count_cores(), len(names) // _LEAST_DRAWN)
+    jobs = max(min(jobs, len(names)) if CAN_FORK else 1, 1)
+    cuts = [len(names) * part // jobs for part in range(jobs + 1)]
+    parts = [names[first:after] for first, after in pairwise(cuts)]
+    work = partial(_draw_until_error, draw)
+    drawings = map_in_processes(work, parts, jobs, name=", ".join, is_forked=True)
+    with closing(drawings):
+        for part, (drawn, error) in zip(parts, drawings, strict=True):
+            yield from zip(part, drawn, strict=False)
+            if error is not None:
+                raise error
+
+
+def _draw_until_error(
+    draw: Callable[[str], list[bytes]], names: Sequence[str]
+) -> tuple[list[list[bytes]], Exception | None]:
+    """Return the files of figures up to the first that fails, and its error."""
+    drawn: list[list[bytes]] = []
+    try:
+        drawn.extend(map(draw, names))
+    except Exception as err:
+        return drawn, make_portable(err)
+    return drawn, None
+
+
+def _draw_files(
+    name: str,
+    *,
+    runs: Sequence[Run],
+    formats: Sequence[str],
+    page: Page,
+    kinds: Mapping[str, FigureKind] | None,
+) -> list[bytes]:
+    """Return one figure in each format."""
+    figure = draw_figure(name, runs, page=page, kinds=kinds)
+    _settle_layout(figure)
+    files = []
+    for form in formats:
+        data = io.BytesIO()  # matplotlib's writer of PDF trips over a full disk
+        save_figure(figure, data, form, page)
+        files.append(data.getvalue())
+    return files
+
+
+def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None = None) -> None:
+    """Write a figure in one of `FIGURE_FORMATS`; the same figure gives the same bytes."""
+    with use_looks():
+        # `savefig` draws everything once more beforehand, to lay it out.
+        figure.dpi = (page or Page()).pixels_per_inch
+        if (engine := figure.get_layout_engine()) is not None:
+            engine.execute(figure)
+        if form == "pdf":
+            with _drop_unused_tables():
+                FigureCanvasPdf(figure).print_pdf(data, metadata=_NO_DATE[form])
+        elif form == "svg":
+            FigureCanvasSVG(figure).print_svg(data, metadata=_NO_DATE[form])
+        else:
+            FigureCanvasAgg(figure).print_png(data, metadata=_NO_DATE[form])
+
+
+def require_figure_path(path: str | Path) -> Path:
+    """Return where a figure is written; refuse a name that ends in no format."""
+    path = make_path(path)
+    if path.suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
+        raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")
+    return path
+
+
+def write_figure(figure: Figure, path: Path, page: Page) -> Path:
+    """Write a figure in the format that the name ends in, and return its path."""
+    data = io.BytesIO()
+    save_figure(figure, data, path.suffix.lower().removeprefix("."), page)
+    with replace_file(path) as part:
+        part.write_bytes(data.getvalue())
+    return path
+
+
+@contextmanager
+def _drop_unused_tables() -> Iterator[None]:
+    """Leave out what no PDF uses of a font: cutting it to the letters takes most of the writing.
+
+    matplotlib offers no choice of these tables. It opens fonts by a public function of fontTools,
+    which leaves them out meanwhile, in this thread; should it open them otherwise, writing takes
+    longer, and the figures look the same.
+    """
+    usual, ours = subset.load_font, get_ident()
+
+    def load(*arguments: Any, **named: Any) -> Any:
+        font = usual(*arguments, **named)
+        if get_ident() != ours:
+            return font
+        font.setGlyphOrder([f"glyph{number}" for number in range(font["maxp"].numGlyphs)])
+        for table in _UNUSED_TABLES:
+            if table in font:
+                del font[table]
+        return font
+
+    subset.load_font = load
+    try:
+        yield
+    finally:
+        subset.load_font = usual
+
+
+def _settle_layout(figure: Figure) -> None:
+    """Lay a figure out once for all of its formats."""
+    with use_looks():
+        if (engine := figure.get_layout_engine()) is not None:
+            engine.execute(figure)
+    figure.set_layout_engine("none")
+
+
+def _find_kind(
+    name: str, runs: Sequence[Run], kinds: Mapping[str, FigureKind] | None = None
+) -> FigureKind:
+    if name not in FIGURES:
+        raise ShowError(describe_unknown("figure", name, FIGURES, place="turtlelog list figures"))
+    kind = (kinds or FIGURES)[name]
+    lack = kind.find_lack(runs)
+    if lack:
+        raise ShowError(f"figure {name}: expected {lack}, found none")
+    return kind
+
+
+def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
+    """Write the whole runs, Table 1 and the first metrics as LaTeX with booktabs; return the files.
+
+    Table 1 is left out where no run has a value for it.
+
+    Raises:
+        ShowError: Where the folder cannot be written; nothing is written then.
+    """
+    with replace_together(folder) as write:
+        return add_tables(write, runs)
+
+
+def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list[Path]:
+    """Write tables as `write_tables` does, with what `replace_together` yields."""
+    runs = order_by_gain(runs)
+    if len(runs) <= _MOST_COLUMNS:
+        essentials = choose_essentials(runs, [measure_run(run) for run in runs])
+        declarations = [run.declaration for run in runs]
+        metrics = tabulate_measured(name_runs(runs), essentials, declarations=declarations)
+    else:
+        metrics = tabulate_runs([summarise_run(run) for run in runs])
+    tables = {
+        "whole-runs": tabulate_whole_runs(runs),
+        "table1": tabulate_table1(runs),
+        "metrics": metrics,
+    }
+    if not has_table1(runs):
+        del tables["table1"]
+    return [
+        write(f"{name}.tex", format_latex(replace(table, label=f"tab:{name}")).encode())
+        for name, table in tables.items()
+    ]

@@ -1,0 +1,97 @@
+"""Which moment of the runs each picture of a movie shows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.charts.phase_timelines import TIMELINE, find_phase_zeros
+from turtlelog.errors import ShowError
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+
+SHORTEST_S: Final = 1.0
+"""Of a movie [s]: a shorter one is a picture."""
+
+LONGEST_S: Final = {".mp4": 600.0, ".gif": 60.0}
+"""Of a movie [s]: an .mp4 takes 3 s of work for each of its seconds; a .gif is made from all of its
+pictures at once, 22 MB for each second."""
+
+_STILL_S: Final = 1.5
+"""At its end nothing moves [s]: there is time to read how far off the runs are."""
+
+_MOST_STILL: Final = 0.3
+"""Of the movie at most."""
+
+_SLOWEST: Final = 0.25
+"""Slowest motion: a run of half a second takes two, and each of its poses can be seen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Film:
+    """The moments of a movie.
+
+    Attributes:
+        timeline: What their times are counted on.
+        zeros_ns: Where that is zero in each run, in its own time [ns].
+        time_s: The moment of each picture on the timeline [s], shape (n,), rising, then still.
+        driving: How many of them show the runs driving.
+        pace: Seconds of the runs in one of the movie.
+    """
+
+    timeline: str
+    zeros_ns: tuple[int, ...]
+    time_s: Values
+    driving: int
+    pace: float
+
+
+def plan_film(
+    runs: Sequence[Run], *, timeline: str, length_s: float | None, pictures_per_s: float
+) -> Film:
+    """Return the moments of a movie from the first pose of any run to the last.
+
+    Args:
+        runs: At least one.
+        timeline: `sim_time` from each run's first sample, or that of a later phase, as
+            `translate_time`, where its zero is the start of that phase.
+        length_s: Of the movie [s]. None: as fast as it was, up to 10 s.
+        pictures_per_s: How many there are.
+
+    Raises:
+        ShowError: Where a run has no such timeline.
+    """
+    zeros_ns = tuple(_find_zero_ns(run, timeline) for run in runs)
+    pairs = list(zip(runs, zeros_ns, strict=True))
+    first_s = min((int(run.poses.time_ns[0]) - zero_ns) / 1e9 for run, zero_ns in pairs)
+    last_s = max((int(run.poses.time_ns[-1]) - zero_ns) / 1e9 for run, zero_ns in pairs)
+    whole_s = _choose_length(last_s - first_s) if length_s is None else length_s
+    still_s = min(_STILL_S, _MOST_STILL * whole_s)
+    driving = max(round((whole_s - still_s) * pictures_per_s), 2)
+    still = max(round(still_s * pictures_per_s), 1)
+    moments = np.linspace(first_s, last_s, driving)
+    return Film(
+        timeline=timeline,
+        zeros_ns=zeros_ns,
+        time_s=np.append(moments, np.full(still, last_s)),
+        driving=driving,
+        pace=(last_s - first_s) * pictures_per_s / driving,
+    )
+
+
+def _choose_length(span_s: float) -> float:
+    """Return the length of a movie for which none is given [s]: real time, within bounds."""
+    return float(np.clip(span_s + _STILL_S, min(span_s / _SLOWEST + _STILL_S, 3.0), 10.0))
+
+
+def _find_zero_ns(run: Run, timeline: str) -> int:
+    if timeline == TIMELINE:
+        return run.start_ns
+    zeros_ns = find_phase_zeros(run)
+    if timeline not in zeros_ns:
+        known = ", ".join([TIMELINE, *zeros_ns])
+        raise ShowError(f"timeline: {run.name}: expected one of {known}, found {timeline!r}")
+    return zeros_ns[timeline]

@@ -1,0 +1,345 @@
+"""The pictures of a movie: the plane on the left, curves and the goal on the right.
+
+What stands still is drawn once; for each picture only what moves is drawn over a copy of it.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+
+from turtlelog.charts.close_up import (
+    CloseUp,
+    Lettering,
+    find_close_up,
+    format_length,
+    list_miss_labels,
+)
+from turtlelog.charts.phase_timelines import TIMELINE, locate_run
+from turtlelog.charts.robot_curves import part_path
+from turtlelog.charts.shared_curves import Curve, choose_rows, find_unit, list_levels, read_curve
+from turtlelog.charts.tracked_path import list_paths, outline_path
+from turtlelog.draw.figures.page import LOOKS, choose_lines, use_looks
+from turtlelog.draw.movie.encoding import Picture
+from turtlelog.draw.movie.film import Film, Values
+from turtlelog.draw.movie.head_line import HEIGHT, name_runs_above
+from turtlelog.run import Run
+
+_INCH: Final = (12.8, 7.2)
+_LOOKS: Final = {
+    **LOOKS,
+    "font.size": 13.0,
+    "axes.titlesize": 14.0,
+    "axes.labelsize": 13.0,
+    "xtick.labelsize": 11.0,
+    "ytick.labelsize": 11.0,
+    "legend.fontsize": 13.0,
+    "lines.linewidth": 2.2,
+    "axes.linewidth": 1.0,
+}
+"""Letters that can be read from the last row, of a picture as wide as a slide."""
+
+_PLANE: Final = (0.055, 0.095, 0.48, 0.79)
+_CURVES: Final = ((0.63, 0.725, 0.35, 0.16), (0.63, 0.49, 0.35, 0.16))
+_GOAL: Final = (0.63, 0.035, 0.35, 0.345)
+_TALL_CURVES: Final = ((0.63, 0.53, 0.35, 0.355), (0.63, 0.095, 0.35, 0.355))
+
+_FAINT: Final = 0.22
+"""How much of its colour the way has that is not driven yet."""
+
+_TURTLE: Final = np.array([(1.0, 0.0), (-0.7, 0.62), (-0.35, 0.0), (-0.7, -0.62)])
+_TURTLE_SIZE: Final = 0.045
+"""Of the plane's half-width: large enough to see where it heads."""
+
+_ZOOM: Final = (0.55, 0.9)
+"""Of the driving: while the last runs arrive, the goal comes close."""
+
+_RINGS_SEEN: Final = 3.0
+"""Half-widths of the close-up within which its rings have room for their names."""
+
+_MOST_POINTS: Final = 2000
+"""Of a trail: more than the picture is wide."""
+
+_LETTERS: Final = Lettering(letter=0.095, line=0.22, gap=0.16, reach=1.85)
+"""At 13 points in the view of the goal, whose half-height is 90 points."""
+
+_USUAL: Final = ("heading", "speed")
+"""What curves show of a robot whose loops are not known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Growing:
+    """A line that is drawn up to a moment.
+
+    Attributes:
+        line: The artist.
+        time_s: Of its points on the timeline [s].
+        points: Shape (n, 2).
+    """
+
+    line: Any
+    time_s: Values
+    points: Values
+
+    def grow(self, time_s: float, tip: Values | None) -> None:
+        """Show what was before a moment, and from there to the tip."""
+        shown = self.points[: int(np.searchsorted(self.time_s, time_s, side="right"))]
+        self.line.set_data(*(shown if tip is None else np.vstack([shown, tip])).T)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Goal:
+    """The view of the goal.
+
+    Attributes:
+        axes: Where it is.
+        close_up: How close it comes.
+        far_m: Half of its height at first.
+        words: Names of its rings, and how far off runs are: shown only close up.
+    """
+
+    axes: Axes
+    close_up: CloseUp
+    far_m: float
+    words: list[tuple[Artist, bool]]
+
+
+@dataclass(slots=True, kw_only=True)
+class _Stage:
+    """The figure with what moves in it; all sequences of runs are in one order."""
+
+    figure: Figure
+    film: Film
+    places: list[tuple[Values, Values]]
+    trails: list[_Growing] = field(default_factory=list)
+    near_trails: list[_Growing] = field(default_factory=list)
+    curves: list[_Growing] = field(default_factory=list)
+    turtles: list[tuple[Polygon, float]] = field(default_factory=list)
+    cursors: list[Any] = field(default_factory=list)
+    dots: list[Any] = field(default_factory=list)
+    goal: _Goal | None = None
+    clock: Any = None
+
+
+def draw_pictures(
+    runs: Sequence[Run],
+    film: Film,
+    *,
+    size: tuple[int, int],
+    on_picture: Callable[[int, int], None] | None = None,
+) -> Iterator[Picture]:
+    """Yield the pictures of a film, each of a size of width and height [pixels]."""
+    with use_looks(_LOOKS):
+        figure = Figure(figsize=_INCH, dpi=size[0] / _INCH[0])
+        canvas = FigureCanvasAgg(figure)
+        stage = _set_stage(figure, runs, film)
+        canvas.draw()
+        still = canvas.copy_from_bbox(figure.bbox)
+    for number, time_s in enumerate(film.time_s.tolist()):
+        with use_looks(_LOOKS):
+            canvas.restore_region(still)
+            for artist in _move(stage, number, time_s):
+                figure.draw_artist(artist)
+        yield np.asarray(canvas.buffer_rgba())[: size[1], :, :3].copy()
+        if on_picture is not None:
+            on_picture(number + 1, len(film.time_s))
+
+
+Look = dict[str, Any]
+
+
+def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
+    looks = [
+        {"color": line["color"], "zorder": line.get("zorder", 2)}
+        for line in choose_lines(len(runs))
+    ]
+    pairs = list(zip(runs, film.zeros_ns, strict=True))
+    stage = _Stage(
+        figure=figure,
+        film=film,
+        places=[locate_run(run, zero_ns, film.time_s) for run, zero_ns in pairs],
+    )
+    close_up = find_close_up(runs)
+    _set_plane(stage, runs, looks)
+    for place, signal in zip(
+        _TALL_CURVES if close_up is None else _CURVES, _choose_signals(runs), strict=False
+    ):
+        _set_curve(stage, figure.add_axes(place), runs, looks, signal)
+    if close_up is not None:
+        _set_goal(stage, runs, looks, close_up)
+    name_runs_above(figure, runs, [look["color"] for look in looks], left=_PLANE[0])
+    stage.clock = figure.text(0.98, HEIGHT, "", ha="right", va="center", animated=True)
+    return stage
+
+
+def _set_plane(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look]) -> None:
+    axes = stage.figure.add_axes(_PLANE)
+    goals = np.array(sorted({run.goal_xy_m for run in runs if run.goal_xy_m is not None}))
+    outlines = [outline_path(path) for path in list_paths(runs)]
+    for outline in outlines:
+        axes.plot(*outline.T, color="0.85", linewidth=5.0, zorder=1)
+    for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
+        axes.plot(*part_path(run).T, **look, alpha=_FAINT)
+        stage.trails.append(_start_trail(axes, run, zero_ns, look))
+    starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
+    axes.plot(*starts.T, "s", ms=8.0, color="0.3", zorder=3)
+    if len(goals):
+        axes.plot(*goals.T, "x", ms=13.0, mew=2.5, color="black", zorder=3)
+    points = np.concatenate([*(run.poses.xy_m for run in runs), *outlines, goals.reshape(-1, 2)])
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    center, half_m = (low + high) / 2.0, max(0.6 * float((high - low).max()), 1e-3)
+    ratio = _find_ratio(stage.figure, _PLANE)
+    axes.set_xlim(center[0] - half_m * ratio, center[0] + half_m * ratio)
+    axes.set_ylim(center[1] - half_m, center[1] + half_m)
+    axes.set(xlabel="x [m]", ylabel="y [m]")
+    for look in looks:
+        turtle = Polygon(_TURTLE, closed=True, facecolor=look["color"], edgecolor="black", lw=1.0)
+        turtle.set(animated=True, zorder=4)
+        axes.add_patch(turtle)
+        stage.turtles.append((turtle, _TURTLE_SIZE * half_m))
+
+
+def _start_trail(axes: Axes, run: Run, zero_ns: int, look: Look) -> _Growing:
+    xy_m = part_path(run)
+    time_s = (run.poses.time_ns - zero_ns) / 1e9
+    if len(xy_m) != len(time_s):  # a reset parts the way by a row of nan
+        xy_m = run.poses.xy_m
+    rows = choose_rows(xy_m, _MOST_POINTS)
+    rows = np.arange(len(xy_m)) if rows is None else rows
+    (line,) = axes.plot([], [], **look, animated=True)
+    return _Growing(line=line, time_s=time_s[rows], points=xy_m[rows])
+
+
+def _choose_signals(runs: Sequence[Run]) -> list[str]:
+    """Return what two curves show: what loops control, in declared order."""
+    controlled = [loop.signal for run in runs for loop in run.declaration.loops]
+    found = dict.fromkeys([*controlled, *_USUAL])
+    return [name for name in found if any(read_curve(run, name) is not None for run in runs)][:2]
+
+
+def _set_curve(
+    stage: _Stage,
+    axes: Axes,
+    runs: Sequence[Run],
+    looks: Sequence[Look],
+    signal: str,
+) -> None:
+    """Draw a signal over time, of each run that holds it."""
+    for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
+        curve = read_curve(run, signal)
+        if curve is None:
+            continue
+        time_s, values = _thin(curve, zero_ns)
+        step: Look = {"drawstyle": "steps-post"} if curve.holds else {}
+        axes.plot(time_s, values, **look, **step, alpha=_FAINT)
+        (line,) = axes.plot([], [], **look, **step, animated=True)
+        stage.curves.append(
+            _Growing(line=line, time_s=time_s, points=np.column_stack([time_s, values]))
+        )
+    levels = dict.fromkeys(level.value for run in runs for level in list_levels(run, signal))
+    for level in levels if len(levels) == 1 else ():
+        axes.axhline(level, color="0.45", linewidth=1.0, zorder=1)
+    title = f"{signal.replace('_', '-')} [{find_unit(runs[0], signal)}]"
+    axes.set_title(title, loc="left", pad=4.0)
+    axes.set_xlim(float(stage.film.time_s[0]), float(stage.film.time_s[-1]))
+    axes.margins(y=0.12)
+    axes.locator_params(axis="y", nbins=4)
+    stage.cursors.append(axes.axvline(0.0, color="0.2", linewidth=1.2, animated=True))
+
+
+def _thin(curve: Curve, zero_ns: int) -> tuple[Values, Values]:
+    time_s, rows = (curve.time_ns - zero_ns) / 1e9, choose_rows(curve.values, _MOST_POINTS)
+    return (time_s, curve.values) if rows is None else (time_s[rows], curve.values[rows])
+
+
+def _set_goal(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look], close_up: CloseUp) -> None:
+    axes = stage.figure.add_axes(_GOAL, animated=True)
+    axes.set(xticks=[], yticks=[])
+    axes.grid(visible=False)
+    for spine in axes.spines.values():
+        spine.set_visible(True)
+    goal = close_up.goal_xy_m
+    words: list[tuple[Artist, bool]] = []
+    for ring_m in close_up.rings_m:
+        axes.add_patch(Circle(goal, ring_m, fill=False, color="0.7", linewidth=1.0))
+        name = axes.text(
+            goal[0], goal[1] - ring_m, format_length(ring_m), color="0.4", fontsize=11.0
+        )
+        name.set(ha="center", va="top", clip_on=True)
+        words.append((name, False))
+    axes.plot(*goal, "x", ms=13.0, mew=2.5, color="black", zorder=3)
+    for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
+        trail = _start_trail(axes, run, zero_ns, look)
+        trail.line.set_animated(False)
+        stage.near_trails.append(trail)
+        stage.dots.append(axes.plot([], [], "o", ms=9.0, **{**look, "zorder": 4})[0])
+    for label in list_miss_labels(close_up, _LETTERS):
+        color = looks[label.runs[0]]["color"] if len(label.runs) == 1 else "0.2"
+        miss = axes.text(*label.xy_m, label.text, color=color, ha="center", va="center", zorder=5)
+        miss.set(bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.85})
+        words.append((miss, True))
+    plane = stage.figure.axes[0]
+    far_m = float(np.diff(plane.get_ylim())[0]) / 2.0
+    stage.goal = _Goal(axes=axes, close_up=close_up, far_m=far_m, words=words)
+
+
+def _move(stage: _Stage, number: int, time_s: float) -> Iterator[Artist]:
+    """Yield what moves, where it is in a picture."""
+    for trails in (stage.trails, stage.near_trails):
+        for trail, (xy_m, _) in zip(trails, stage.places, strict=False):
+            trail.grow(time_s, xy_m[number])
+    for curve in stage.curves:
+        curve.grow(time_s, None)
+        yield curve.line
+    for cursor in stage.cursors:
+        cursor.set_xdata([time_s, time_s])
+        yield cursor
+    yield from (trail.line for trail in stage.trails)
+    for (turtle, size_m), (xy_m, heading_rad) in zip(stage.turtles, stage.places, strict=True):
+        cosine, sine = np.cos(heading_rad[number]), np.sin(heading_rad[number])
+        turned = _TURTLE @ np.array([(cosine, sine), (-sine, cosine)])
+        turtle.set_xy(xy_m[number] + size_m * turned)
+        yield turtle
+    if stage.goal is not None:
+        yield _come_close(stage, stage.goal, number)
+    stage.clock.set_text(f"{time_s:.2f} s{_tell_film(stage.film)}")
+    yield stage.clock
+
+
+def _come_close(stage: _Stage, goal: _Goal, number: int) -> Axes:
+    """Bring the goal closer, from the size of the plane to that of the close-up."""
+    begin, end = (share * stage.film.driving for share in _ZOOM)
+    share = float(np.clip((number - begin) / max(end - begin, 1.0), 0.0, 1.0))
+    share = share * share * (3.0 - 2.0 * share)
+    half_m = goal.far_m ** (1.0 - share) * goal.close_up.half_m**share
+    (x_m, y_m), ratio = goal.close_up.goal_xy_m, _find_ratio(stage.figure, _GOAL)
+    goal.axes.set_xlim(x_m - half_m * ratio, x_m + half_m * ratio)
+    goal.axes.set_ylim(y_m - half_m, y_m + half_m)
+    title = f"at the goal, ±{format_length(half_m)}"
+    goal.axes.set_title(title + goal.close_up.count_outside() * (share == 1.0), loc="left", pad=4.0)
+    for words, is_end in goal.words:
+        is_close = half_m < _RINGS_SEEN * goal.close_up.half_m
+        words.set_visible(number + 1 >= stage.film.driving if is_end else is_close)
+    for dot, (xy_m, _) in zip(stage.dots, stage.places, strict=True):
+        dot.set_data(*xy_m[number : number + 1].T)
+    return goal.axes
+
+
+def _tell_film(film: Film) -> str:
+    """Return what the time is counted from, where that is not the first sample, and how fast."""
+    phase = film.timeline.removesuffix("_time").removeprefix("phase.")
+    zero = "" if film.timeline == TIMELINE else f" from the start of {phase}"
+    pace = f"{film.pace:.0f}" if film.pace >= 10.0 else f"{film.pace:.2g}"
+    return zero + ("" if abs(film.pace - 1.0) < 0.005 else f", {pace} times real time")
+
+
+def _find_ratio(figure: Figure, place: tuple[float, float, float, float]) -> float:
+    """Return the width of a place over its height."""
+    width, height = figure.get_size_inches()
+    return float(place[2] * width / (place[3] * height))

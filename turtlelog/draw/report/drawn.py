@@ -1,0 +1,106 @@
+"""What a report draws, and the figures of Bokeh that it draws in."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.charts.palette import Color
+from turtlelog.charts.shared_curves import choose_rows
+from turtlelog.libraries import load_library
+from turtlelog.run import Run
+
+MOST_POINTS: Final = 2000
+"""Of a curve: wider than a screen has columns, so that what is left out is not seen before a zoom.
+"""
+
+
+_FAR: Final = 1e3
+"""From here on 32 bits no longer hold a tenth of a millimetre or millisecond: 64 do."""
+
+RING: Final = "#8a8a8a"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drawn:
+    """A run, or what it would have been, as it is drawn.
+
+    Attributes:
+        run: Its data.
+        name: As the legend calls it.
+        color: The same in every plot.
+        is_ghost: Whether it is a what-if.
+        is_plotted: Whether the plots over time show it, too.
+    """
+
+    run: Run
+    name: str
+    color: Color
+    is_ghost: bool = False
+    is_plotted: bool = True
+
+
+def _make_crosshair() -> Any:
+    models = load_library("bokeh.models")
+    return models.Span(dimension="height", line_color=RING, line_alpha=0.5)
+
+
+@dataclass(slots=True, kw_only=True)
+class Plots:
+    """What stands in the page.
+
+    Attributes:
+        roots: Figures by the id of their place.
+        config: For the script: ids of models, by what they are.
+        thinned: How many curves are drawn with fewer points than were recorded.
+        points: How many points a curve has at most.
+        crosshair: The time under the mouse, in all plots over time.
+    """
+
+    roots: dict[str, Any] = field(default_factory=dict)
+    config: dict[str, Any] = field(default_factory=dict)
+    thinned: int = 0
+    points: int = MOST_POINTS
+    crosshair: Any = field(default_factory=_make_crosshair)
+
+
+def to_hex(color: Color) -> str:
+    """Return a colour as HTML writes it."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def thin(plots: Plots, columns: Sequence[NDArray[Any]], kept: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return columns with the rows that draw the same, as small as they may be stored."""
+    rows = choose_rows(kept, plots.points)
+    plots.thinned += rows is not None
+    found = [np.asarray(column if rows is None else column[rows]) for column in columns]
+    return [store(column) for column in found]
+
+
+def store(values: NDArray[Any]) -> NDArray[Any]:
+    """Return values as small as they may be stored."""
+    largest = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+    return np.asarray(values, dtype=np.float32 if largest < _FAR else np.float64)
+
+
+def make_figure(plots: Plots, place: str, title: str, **options: Any) -> Any:
+    """Return a new figure, which stands at a place of the page."""
+    plotting = load_library("bokeh.plotting")
+    figure = plotting.figure(
+        title=title,
+        tools="pan,box_zoom,wheel_zoom,reset,save",
+        active_drag="box_zoom" if "x_range" in options else "pan",
+        sizing_mode="stretch_width",
+        styles={"background-color": "var(--ground)"},
+        **options,
+    )
+    figure.toolbar.logo = None
+    figure.toolbar.autohide = True
+    # A tenth of a millimetre is written in full, not as a power of ten.
+    figure.yaxis.formatter.power_limit_low = -4
+    figure.title.text_font_size = "14px"
+    plots.roots[place] = figure
+    plots.config["figures"].append(figure.id)
+    return figure

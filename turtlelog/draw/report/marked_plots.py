@@ -1,0 +1,180 @@
+"""Characteristics in the plots of a report: dots with names, settling bands, dead times, pauses."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from turtlelog.charts.characteristics import Characteristic, read_marked_curve
+from turtlelog.draw.report.drawn import RING, Drawn, Plots, to_hex
+from turtlelog.libraries import load_library
+
+MOST_MARKED: Final = 4
+"""Marks of more runs would hide each other."""
+
+_DEAD: Final = "#c77736"
+_WORDS: Final = "#767676"
+"""Stands out from white and from black alike: by 4.5 and by 4.6."""
+
+_LINE_PX: Final = 17
+_NEAR: Final = 0.2
+"""Of the width: words of dots that are nearer to each other stand below one another."""
+
+_LATE: Final = 0.6
+"""Of the width: words of later dots stand on the left, or they would leave the plot."""
+
+_SHAPES: Final[Mapping[str, str]] = {
+    "rise_time": "triangle",
+    "settling_time": "circle",
+    "overshoot": "diamond",
+    "largest_error": "diamond",
+    "final_error": "circle",
+    "longest_saturation": "square",
+    "cross_track_max": "diamond",
+    "time_to_goal": "triangle",
+    "position_error": "circle",
+    "dead_time": "square",
+}
+"""How metrics are marked, by their kind; a peak stands with its overshoot."""
+
+_SIGNS: Final[Mapping[str, str]] = {"triangle": "▲", "circle": "●", "diamond": "◆", "square": "■"}
+
+
+def draw_marks(
+    plots: Plots,
+    figure: Any,
+    drawn: Sequence[Drawn],
+    signal: str,
+    found: Sequence[Sequence[Characteristic]],
+) -> None:
+    """Mark characteristics of a signal, and the pauses; of one run names stand beside the dots.
+
+    Args:
+        plots: The page.
+        figure: The plot of the signal.
+        drawn: Runs first.
+        signal: What the plot shows.
+        found: Characteristics of each run.
+    """
+    if len(found) > MOST_MARKED:
+        return
+    is_alone = len(found) == 1
+    dots = []
+    for number, marks in enumerate(found):
+        if read_marked_curve(drawn[number].run, signal) is None:
+            continue
+        color = to_hex(drawn[number].color)
+        own = [mark for mark in marks if mark.signal == signal and mark.level is not None]
+        shades = [
+            *_shade_pauses(figure, marks, RING if is_alone else color),
+            *_shade_spans(figure, own, RING if is_alone else color),
+        ]
+        made = [_draw_dot(figure, mark, own, (drawn[number].name, color)) for mark in own]
+        dots += [dot for dot in made if dot is not None]
+        words = _write_words(plots, figure, own) if is_alone else []
+        ids = [one.id for one in (*shades, *(dot for dot in made if dot is not None), *words)]
+        plots.config["marks"] += [{"run": number, "renderer": key} for key in ids]
+    if dots:
+        hover = load_library("bokeh.models").HoverTool(renderers=dots, tooltips="@text")
+        hover.visible = False
+        figure.add_tools(hover)
+
+
+def _shade_pauses(figure: Any, marks: Sequence[Characteristic], color: str) -> Iterator[Any]:
+    for mark in marks:
+        if mark.kind == "pause" and mark.span_s is not None:
+            yield _add_box(figure, color, 0.14, left=mark.span_s[0], right=mark.span_s[1])
+
+
+def _shade_spans(figure: Any, marks: Sequence[Characteristic], color: str) -> Iterator[Any]:
+    """Shade settling bands from the start of their loop on, and dead times."""
+    for mark in marks:
+        if mark.span_s is None:
+            continue
+        if mark.kind == "settling_time" and mark.levels is not None:
+            (low, high), left = mark.levels, mark.start_s
+            yield _add_box(
+                figure, color, 0.18, left=left, right=mark.span_s[1], bottom=low, top=high
+            )
+        if mark.kind == "dead_time":
+            yield _add_box(figure, _DEAD, 0.3, left=mark.span_s[0], right=mark.span_s[1])
+
+
+def _add_box(figure: Any, color: str, alpha: float, **edges: float) -> Any:
+    models = load_library("bokeh.models")
+    box = models.BoxAnnotation(
+        fill_color=color, fill_alpha=alpha, line_color=None, level="underlay", **edges
+    )
+    figure.add_layout(box)
+    return box
+
+
+def _draw_dot(
+    figure: Any, mark: Characteristic, others: Sequence[Characteristic], whose: tuple[str, str]
+) -> Any:
+    """Draw a dot where a metric is taken, None where it is not marked."""
+    shape, text = _SHAPES.get(mark.kind), _tell(mark, others)
+    if shape is None or not text:
+        return None
+    name, color = whose
+    source = load_library("bokeh.models").ColumnDataSource(
+        data={"x": [_place(mark)], "y": [mark.level], "text": [f"{name}: {text}"]}
+    )
+    return figure.scatter(
+        "x", "y", source=source, marker=shape, size=9, line_color=color, line_width=1.8,
+        fill_color=color, fill_alpha=0.25,
+    )  # fmt: skip
+
+
+def _write_words(plots: Plots, figure: Any, marks: Sequence[Characteristic]) -> Iterator[Any]:
+    """Write the name of each dot beside it; names of dots that are near stand in one column."""
+    end_s = float(plots.config["end_s"])
+    words = [(mark, _tell(mark, marks)) for mark in sorted(marks, key=_place)]
+    words = [(mark, text) for mark, text in words if text and mark.kind in _SHAPES]
+    levels = [float(mark.level or 0.0) for mark, _ in words]
+    cluster: list[int] = []
+    was_low = False
+    for number, (mark, text) in enumerate(words):
+        is_low = levels[number] <= _find_middle(figure, mark)
+        if cluster and (
+            _place(mark) - _place(words[cluster[0]][0]) > _NEAR * end_s or is_low != was_low
+        ):
+            cluster = []
+        cluster.append(number)
+        was_low, first = is_low, words[cluster[0]][0]
+        is_late = _place(first) > _LATE * end_s
+        step = _LINE_PX * (len(cluster) - 1)
+        sign = _SIGNS[_SHAPES[mark.kind]]
+        word = figure.text(
+            [_place(first if is_late else words[cluster[-1]][0])], [levels[cluster[0]]],
+            text=[f"{sign} {text}"], text_color=_DEAD if mark.kind == "dead_time" else _WORDS,
+            text_font_size="12px", text_align="right" if is_late else "left",
+            x_offset=-10 if is_late else 12, y_offset=(-12 - step) if is_low else (12 + step),
+            text_baseline="bottom" if is_low else "top",
+        )  # fmt: skip
+        plots.config["words"].append(word.glyph.id)
+        yield word
+
+
+def _find_middle(figure: Any, mark: Characteristic) -> float:
+    """Return the middle of what the curves of a plot span."""
+    values = [ys for one in figure.renderers for ys in one.data_source.data.get("ys", [])]
+    known = [float(end) for found in values for end in (np.nanmin(found), np.nanmax(found))]
+    return (min(known) + max(known)) / 2.0 if known else float(mark.level or 0.0)
+
+
+def _place(mark: Characteristic) -> float:
+    """Return when a metric has its dot: a dead time where it ends."""
+    return mark.span_s[1] if mark.kind == "dead_time" and mark.span_s is not None else mark.at_s
+
+
+def _tell(mark: Characteristic, others: Sequence[Characteristic]) -> str:
+    """Return a metric in words; empty where there is nothing to tell, as of no overshoot."""
+    if mark.kind == "dead_time":
+        return f"{mark.word} {1e3 * mark.value:.3g} ms"
+    text = f"{mark.word} {mark.value:.{2 if mark.unit == '%' else 3}g} {mark.unit}"
+    if mark.kind != "overshoot":
+        return text
+    peaks = [one for one in others if one.kind == "peak" and one.loop == mark.loop]
+    told = [f"{peak.word} {peak.value:.4g} {peak.unit}" for peak in peaks]
+    return ", ".join([*told, *([text] if mark.value >= 0.0 else [])])

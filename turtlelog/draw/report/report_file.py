@@ -1,0 +1,279 @@
+"""Runs -> one file of HTML that opens from a disk, without a network."""
+
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from hashlib import sha256
+from importlib.resources import files
+from pathlib import Path
+from typing import Final
+
+from turtlelog.charts.palette import GHOST, choose_cause_colors, choose_run_colors
+from turtlelog.charts.shared_curves import require_near
+from turtlelog.compare import (
+    name_runs,
+    order_by_gain,
+    summarise_run,
+    tabulate_measured,
+    tabulate_runs,
+)
+from turtlelog.display import describe_count
+from turtlelog.draw.documents import choose_essentials
+from turtlelog.draw.output_files import replace_file
+from turtlelog.draw.page_policy import write_policy_tag
+from turtlelog.draw.report.conclusion import conclude, conclude_cause, conclude_checks
+from turtlelog.draw.report.drawn import Drawn, Plots
+from turtlelog.draw.report.page_plots import Violation, draw_plots
+from turtlelog.draw.report.sections import (
+    CheckLine,
+    show,
+    sort_checks,
+    write_attribution,
+    write_checks,
+    write_provenance,
+    write_table,
+)
+from turtlelog.errors import ShowError
+from turtlelog.explain import Attribution
+from turtlelog.libraries import load_library
+from turtlelog.measure import Metric, measure_run
+from turtlelog.remote.urls import make_path
+from turtlelog.run import Run
+from turtlelog.version import __version__
+
+_MOST_COLUMNS: Final = 4
+"""Metrics of more runs than these would be wider than a page."""
+
+_MOST_TITLED: Final = 4
+_MARKS_NOTE: Final = (
+    '<p class="note">Shaded where a run has them: pauses over the whole height, dead times in'
+    " brown, settling bands along the reference.</p>"
+)
+_LARGE: Final = 2**20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Explanation:
+    """What caused a metric of one of the runs.
+
+    Attributes:
+        run: The run that is explained: one of those of the report.
+        attribution: Of its metric; None where there is none.
+        what_ifs: What it would have been, as `simulate_what_ifs` returns them.
+        note: Why there is no attribution; empty where there is.
+    """
+
+    run: Run
+    attribution: Attribution | None = None
+    what_ifs: Mapping[str, Run] = field(default_factory=dict)
+    note: str = ""
+
+
+def write_report(
+    runs: Sequence[Run],
+    path: str | Path,
+    *,
+    sources: Sequence[str | Path] = (),
+    explanation: Explanation | None = None,
+    checks: Sequence[CheckLine] = (),
+    command: str = "",
+) -> None:
+    """Write a report on runs as one file of HTML, in the order of their gains.
+
+    Args:
+        runs: At least one.
+        path: The .html file; replaced when the new one is complete.
+        sources: The file of each run, whose sha256 is told; none where they are not known.
+        explanation: What caused a metric of one of them; its what-ifs drive beside it.
+        checks: What a specification found.
+        command: What writes it again.
+
+    Raises:
+        ShowError: Where there is no run, or the file cannot be written.
+        LibraryError: Where Bokeh is not installed.
+    """
+    if not runs:
+        raise ShowError(f"{path}: expected at least one run to report on, found none")
+    require_near(runs)
+    load_library("bokeh")
+    # The text of a URL without its signature knows the whole one, but no copy of it does.
+    texts = (source if isinstance(source, str) else str(source) for source in sources)
+    known = [*texts] or [""] * len(runs)
+    file_of = {id(run): file for run, file in zip(runs, known, strict=True)}
+    runs = order_by_gain(runs)
+    metrics, names = [measure_run(run) for run in runs], name_runs(runs)
+    drawn = [
+        Drawn(run=run, name=name, color=color)
+        for run, name, color in zip(runs, names, choose_run_colors(len(runs)), strict=True)
+    ]
+    drawn += _list_ghosts(explanation)
+    violations = [
+        Violation(
+            names=line.names,
+            first_s=line.first_violation_s,
+            run=names.index(line.run) if line.run in names else None,
+            signal=line.signal,
+        )
+        for line in sort_checks(checks)
+        if line.verdict == "FAIL"
+    ]
+    plots = draw_plots(drawn, metrics, violations)
+    body = _write_conclusion(runs, names, metrics, explanation, checks)
+    body += _write_stage(plots, len(runs))
+    if explanation is not None:
+        name = names[next(n for n, run in enumerate(runs) if run is explanation.run)]
+        body += _write_explanation(name, explanation)
+    body += write_checks(checks) if checks else ""
+    body += _write_tables(runs, names, metrics)
+    keyed = [(file_of[id(run)], hash_file(file_of[id(run)])) for run in runs]
+    versions = [
+        f"turtlelog {__version__}", f"Bokeh {load_library('bokeh').__version__}",
+        f"Python {platform.python_version()}",
+    ]  # fmt: skip
+    body += write_provenance(runs, names, keyed, versions, command)
+    if plots.thinned:
+        body += (
+            f'<p class="note">{describe_count(plots.thinned, "curve")} drawn with about'
+            f" {plots.points} points; the least and greatest values of every stretch stay.</p>"
+        )
+    title = ", ".join(names) if len(names) <= _MOST_TITLED else f"{len(names)} runs"
+    text = _assemble(title, body, plots)
+    with replace_file(path) as part:
+        part.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _list_ghosts(explanation: Explanation | None) -> list[Drawn]:
+    """Return the what-ifs as ghosts; the plots over time show that without all effects."""
+    if explanation is None or explanation.attribution is None:
+        return []
+    colors = choose_cause_colors(explanation.attribution.causes)
+    last = [*explanation.what_ifs][-1:]
+    return [
+        Drawn(
+            run=run,
+            name=f"without {name}",
+            color=GHOST if [name] == last else colors.get(name, GHOST),
+            is_ghost=True,
+            is_plotted=[name] == last,
+        )
+        for name, run in explanation.what_ifs.items()
+    ]
+
+
+def _write_conclusion(
+    runs: Sequence[Run],
+    names: Sequence[str],
+    metrics: Sequence[Mapping[str, Metric]],
+    explanation: Explanation | None,
+    checks: Sequence[CheckLine],
+) -> str:
+    sentences = conclude(runs, names, metrics)
+    sentences.append(conclude_checks([(line.run, line.check, line.verdict) for line in checks]))
+    if explanation is not None and explanation.attribution is not None:
+        name = names[next(n for n, run in enumerate(runs) if run is explanation.run)]
+        sentences.append(conclude_cause(name, explanation.attribution))
+    found = "".join(f"<p>{show(text)}</p>" for text in filter(None, sentences))
+    return f'<section id="conclusion">{found}</section>' if found else ""
+
+
+def _write_explanation(name: str, explanation: Explanation) -> str:
+    if explanation.attribution is not None:
+        return write_attribution(name, explanation.attribution)
+    text = f"{name} is not explained: {explanation.note}"
+    return f'<section id="cause"><p class="note">{show(text)}</p></section>'
+
+
+def _write_stage(plots: Plots, count: int) -> str:
+    """Return the places of the plots and the controls, which the script brings to life."""
+    toggles = "".join(
+        f'<label><input type="checkbox" checked data-run="{number}">'
+        f'<span class="{"swatch ghost" if run["ghost"] else "swatch"}"'
+        f' style="--ink:{run["color"]}"></span><span>{show(run["name"])}</span></label>'
+        for number, run in enumerate(plots.config["runs"])
+    )
+    places = {place: f'<div class="plot" id="{place}"></div>' for place in plots.roots}
+    planes = "".join(places.pop(place) for place in ("plane", "goal") if place in places)
+    series = "".join(place for name, place in places.items() if name.startswith("plot-"))
+    marks = '<label><input type="checkbox" checked id="marks">marks</label>'
+    note = _MARKS_NOTE if plots.config["marks"] else ""
+    return f"""<section id="stage"><h2>{"The run" if count == 1 else "The runs"}</h2>
+<div class="controls">
+<button type="button" id="play" aria-pressed="false">Play</button>
+<label class="time"><span>time</span><input type="range" id="time" min="0" max="1000" value="1000"
+ step="1"></label><output id="now" for="time"></output>
+<button type="button" id="closer">Zoom in</button><button type="button" id="wider">Zoom out</button>
+<button type="button" id="whole">Whole run</button>{marks if plots.config["marks"] else ""}
+</div>
+<fieldset id="runs"><legend>Shown</legend>{toggles}
+<button type="button" id="all">All</button><button type="button" id="none">None</button></fieldset>
+<div class="planes">{planes}</div>
+<div class="wide" tabindex="0" role="region" aria-label="Values at the time of the slider">
+<table id="values"></table></div>
+{note}<div class="series">{series}</div></section>"""
+
+
+def _write_tables(
+    runs: Sequence[Run], names: Sequence[str], metrics: Sequence[Mapping[str, Metric]]
+) -> str:
+    pairs = zip(runs, metrics, strict=True)
+    summaries = [summarise_run(run, metrics=measured) for run, measured in pairs]
+    body = write_table(tabulate_runs(summaries))
+    if len(runs) <= _MOST_COLUMNS:
+        essentials = choose_essentials(runs, metrics)
+        declarations = [run.declaration for run in runs]
+        table = tabulate_measured(names, essentials, declarations=declarations)
+        body += f"<details><summary>Metrics</summary>{write_table(table)}</details>"
+    return f'<section id="tables"><h2>Side by side</h2>{body}</section>'
+
+
+def hash_file(file: str) -> str:
+    """Return the sha256 of a file, of a bag's folder those of its files; empty where unknown."""
+    path = make_path(file)
+    if file and path.is_dir():
+        inner = sorted(one for one in path.iterdir() if one.is_file())
+        return ", ".join(f"{one.name} {hash_file(str(one))}" for one in inner)
+    if not file or not path.is_file():
+        return ""
+    found = sha256()
+    with path.open("rb") as stream:
+        while chunk := stream.read(_LARGE):
+            found.update(chunk)
+    return found.hexdigest()
+
+
+def _assemble(title: str, body: str, plots: Plots) -> str:
+    """Return the whole page: all scripts and styles stand in it."""
+    document = load_library("bokeh.document").Document(title="")
+    for figure in plots.roots.values():
+        document.add_root(figure)
+    drawing = load_library("bokeh.core.json_encoder").serialize_json(
+        document.to_json(deferred=False)
+    )
+    resources = load_library("bokeh.resources").Resources(mode="inline", components=["bokeh"])
+    config = plots.config | {"places": {place: one.id for place, one in plots.roots.items()}}
+    room = files("turtlelog.draw.report")
+    style, code = (room.joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
+    library = _end_no_script("\n".join(resources.js_raw))
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8">{write_policy_tag(library, code)}
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark"><link rel="icon" href="data:,">
+<title>{show(title)}: turtlelog report</title><style>{style}</style></head>
+<body><header><h1>{show(title)}</h1></header><main>
+{body}</main>
+<script>{library}</script>
+<script type="application/json" id="drawing">{_escape(drawing)}</script>
+<script type="application/json" id="config">{_escape(json.dumps(config, allow_nan=False))}</script>
+<script>{code}</script></body></html>
+"""
+
+
+def _end_no_script(code: str) -> str:
+    """Return code that may stand in a page: within its texts this says the same."""
+    return code.replace("</script", "<\\/script")
+
+
+def _escape(code: str) -> str:
+    """Return JSON that ends no script: `<` stands as an escape."""
+    return code.replace("<", "\\u003c")

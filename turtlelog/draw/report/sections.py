@@ -1,0 +1,208 @@
+"""The parts of a report that are text: tables, steps of an attribution, checks, provenance."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Final
+
+from turtlelog.charts.attribution_steps import list_attribution_steps
+from turtlelog.charts.violated_signal import ViolatedSignal
+from turtlelog.compare import Table, format_cell
+from turtlelog.display import describe_count
+from turtlelog.draw.report.drawn import to_hex
+from turtlelog.draw.report.violation_plots import MOST_VIOLATIONS
+from turtlelog.escapes import escape_controls
+from turtlelog.explain import Attribution, write_sentences
+from turtlelog.run import Run
+
+_MOST_LISTED: Final = 12
+"""Scenarios of more runs fold into one line."""
+
+_LEAST_PERCENT: Final = 0.4
+"""Of the width: a narrower bar would not be seen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckLine:
+    """What a check found, as it is shown.
+
+    Attributes:
+        run: Name of the run, or of a file that could not be read.
+        check: Name of the check.
+        verdict: `PASS`, `FAIL` or `SKIPPED`.
+        value: With its unit; empty where there is none.
+        limit: Likewise.
+        margin: Likewise.
+        expected: What was to hold, as written.
+        first_violation_s: When it is first violated [s], None where at no moment.
+        reason: Why it fails or is skipped, where values do not say it.
+        names: Of the signals that it is about.
+        signal: What violated it, with the band that it left; None where no signal did.
+    """
+
+    run: str
+    check: str
+    verdict: str
+    value: str = ""
+    limit: str = ""
+    margin: str = ""
+    expected: str = ""
+    first_violation_s: float | None = None
+    reason: str = ""
+    names: tuple[str, ...] = ()
+    signal: ViolatedSignal | None = None
+
+
+def show(text: object) -> str:
+    """Return text of anybody as HTML that shows it as it is."""
+    return escape(escape_controls(str(text)))
+
+
+def write_table(table: Table) -> str:
+    """Return a table with its notes; the best and the worst of a column are marked in words."""
+    heads = [show(f"{one.title} [{one.unit}]" if one.unit else one.title) for one in table.columns]
+    rows = []
+    for row, cells in enumerate(table.rows):
+        parts = []
+        for column, cell in enumerate(cells):
+            mark = table.marks.get((row, column))
+            text = show(format_cell(cell, table.columns[column]))
+            kind = ' class="number"' if isinstance(cell, int | float) else ""
+            text += f' <small class="{mark}">{mark}</small>' if mark else ""
+            parts.append(f"<td{kind}>{text}</td>" if column else f'<th scope="row">{text}</th>')
+        rows.append(f"<tr>{''.join(parts)}</tr>")
+    notes = "".join(f'<p class="note">{show(note)}</p>' for note in table.notes)
+    return _wrap_table(table.title, heads, rows) + notes
+
+
+def write_attribution(name: str, found: Attribution) -> str:
+    """Return the steps from the logged value to what is left, and what they rest on."""
+    steps = list_attribution_steps(found)
+    sentences = "".join(f"<li>{show(text)}</li>" for text in write_sentences(found))
+    bars = ""
+    if steps:
+        values = [value for step in steps for value in (step.start, step.end)]
+        low, high = min(0.0, *values), max(0.0, *values)
+        span = (high - low) or 1.0
+        parts = []
+        for step in steps:
+            first, last = sorted((step.start, step.end))
+            left = 100.0 * (first - low) / span
+            width = max(100.0 * (last - first) / span, _LEAST_PERCENT)
+            style = f"left:{left:.3f}%;width:{width:.3f}%;background:{to_hex(step.color)}"
+            sign = "without " if step.cause else ""
+            parts.append(
+                f'<div class="step"><span class="what">{sign}{show(step.name)}</span>'
+                f'<span class="bar"><i style="{style}"></i></span>'
+                f'<span class="size">{show(step.text)}</span></div>'
+            )
+        bars = f'<div class="steps">{"".join(parts)}</div>'
+    head = f"<h2>What caused {show(found.metric)} of {show(name)}</h2>"
+    return f'<section id="cause">{head}{bars}<ul>{sentences}</ul></section>'
+
+
+def write_checks(lines: Sequence[CheckLine]) -> str:
+    """Return the checks as a table, those that fail first, each with when it is first violated."""
+    heads = ["verdict", "run", "check", "value", "limit", "margin", "first violated", "why"]
+    order = sort_checks(lines)
+    rows = []
+    for line in order:
+        at = "" if line.first_violation_s is None else f"{line.first_violation_s:.3f} s"
+        why = line.reason or (f"expected {line.expected}" if line.expected else "")
+        texts = (line.run, line.check, line.value, line.limit, line.margin, at, why)
+        cells = "".join(f"<td>{show(text)}</td>" for text in texts)
+        rows.append(f'<tr><td class="{show(line.verdict)}">{show(line.verdict)}</td>{cells}</tr>')
+    marks = (
+        '<p class="note">Dotted red lines in the plots stand where checks are first violated.</p>'
+        if any(line.first_violation_s is not None for line in lines)
+        else ""
+    )
+    table = _wrap_table("Checks; times from the first sample", heads, rows)
+    return f'<section id="checks"><h2>Checks</h2>{table}{marks}{_place_violations(order)}</section>'
+
+
+def sort_checks(lines: Sequence[CheckLine]) -> list[CheckLine]:
+    """Return checks in the order in which they are shown: those that fail first."""
+    return sorted(lines, key=lambda line: line.verdict != "FAIL")
+
+
+def _place_violations(lines: Sequence[CheckLine]) -> str:
+    """Return the places of the plots of failed checks, each with what it shows in words."""
+    failed = [line for line in lines if line.verdict == "FAIL"]
+    drawn = [(line, line.signal) for line in failed if line.signal is not None][:MOST_VIOLATIONS]
+    parts = []
+    for number, (line, signal) in enumerate(drawn):
+        moments = [signal.describe_moment(signal.worst, signal.worst_word)]
+        if signal.first != signal.worst:
+            moments.insert(0, signal.describe_moment(signal.first, "first"))
+        parts.append(
+            f"<div><h3>{show(line.check)} in {show(line.run)}</h3>"
+            f'<p class="note">expected {show(line.expected)}; {show("; ".join(moments))}</p>'
+            f'<div class="plot" id="violation-{number}"></div></div>'
+        )
+    left = len(failed) - len(drawn)
+    note = f'<p class="note">{describe_count(left, "more failed check")} without a plot.</p>'
+    places = f'<div class="series">{"".join(parts)}</div>' if parts else ""
+    return places + (note if left and drawn else "")
+
+
+def write_provenance(
+    runs: Sequence[Run],
+    names: Sequence[str],
+    sources: Sequence[tuple[str, str]],
+    versions: Iterable[str],
+    command: str,
+) -> str:
+    """Return where all of this comes from.
+
+    Args:
+        runs: That are shown.
+        names: Theirs.
+        sources: File and sha256 of each run, empty where they are not known.
+        versions: Of what wrote the report.
+        command: That writes it again, empty where it is not known.
+    """
+    parts = [f"<p>{show(', '.join(versions))}.</p>"]
+    if command:
+        parts.append(f"<p>Written by:</p><pre><code>{show(command)}</code></pre>")
+    files = [
+        f'<tr><th scope="row">{show(name)}</th><td>{show(file)}</td><td><code>{show(key)}</code>'
+        f"</td><td>{show(run.source)}</td></tr>"
+        for run, name, (file, key) in zip(runs, names, sources, strict=True)
+    ]
+    parts.append(_wrap_table("Recordings", ["run", "file", "sha256", "source"], files))
+    scenarios = "".join(
+        f"<details><summary>Scenario of {show(name)}</summary>{_list_scenario(run)}</details>"
+        for run, name in zip(runs, names, strict=True)
+    )
+    if len(runs) > _MOST_LISTED:
+        heading = f"Scenarios of {len(runs)} runs"
+        scenarios = f"<details><summary>{heading}</summary>{scenarios}</details>"
+    parts.append(scenarios)
+    return f'<section id="provenance"><h2>Where this comes from</h2>{"".join(parts)}</section>'
+
+
+def _list_scenario(run: Run) -> str:
+    rows = [
+        f'<tr><th scope="row">{show(key)}</th><td>{show(value)}</td></tr>'
+        for key, value in _iterate_known(run)
+    ]
+    return _wrap_table("", ["key", "value"], rows) if rows else "<p>None is recorded.</p>"
+
+
+def _iterate_known(run: Run) -> Iterator[tuple[str, object]]:
+    yield from run.parameters.items()
+    yield from ((f"note {name}", text) for name, text in run.notes.items())
+    if run.absent:
+        yield "not recorded", ", ".join(run.absent)
+
+
+def _wrap_table(title: str, heads: Sequence[str], rows: Sequence[str]) -> str:
+    """Return a table that scrolls by itself where the window is narrower; heads are HTML."""
+    caption = f"<caption>{show(title)}</caption>" if title else ""
+    head = "".join(f'<th scope="col">{text}</th>' for text in heads)
+    label = f' aria-label="{show(title)}"' if title else ""
+    return (
+        f'<div class="wide" tabindex="0" role="region"{label}><table>{caption}<thead><tr>{head}'
+        f"</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
+    )

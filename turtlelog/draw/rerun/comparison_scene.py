@@ -1,0 +1,339 @@
+"""Several runs over each other as one Rerun recording."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import rerun as rr
+
+from turtlelog.charts import palette
+from turtlelog.charts.close_up import name_ends
+from turtlelog.charts.many_runs import (
+    MANY,
+    GainScale,
+    cut_alike,
+    find_gain_scale,
+    find_restless,
+    group_equal,
+    shorten_names,
+)
+from turtlelog.charts.palette import Color, choose_run_colors
+from turtlelog.compare import name_runs, order_by_gain
+from turtlelog.draw.documents import describe_runs
+from turtlelog.draw.rerun import entities, plane
+from turtlelog.draw.rerun.content import (
+    Content,
+    describe_content,
+    find_heading_close_up,
+    find_ranges,
+)
+from turtlelog.draw.rerun.entities import ALONG_TRACK, RUNS, join_path, name_part
+from turtlelog.draw.rerun.layout import build_comparison_layout, is_small
+from turtlelog.draw.rerun.marks import draw_events, draw_phases
+from turtlelog.draw.rerun.plots import (
+    LevelLines,
+    Series,
+    draw_references,
+    draw_series,
+    list_compared_series,
+    list_references,
+)
+from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording, send_comparison_properties
+from turtlelog.draw.rerun.run_legend import draw_legend, draw_scale, tell_span, title_scale
+from turtlelog.draw.rerun.timelines import (
+    RunStream,
+    Timelines,
+    add_thinning,
+    build_compared_timelines,
+    read_span,
+)
+from turtlelog.draw.rerun.turtles import Look, choose_size, count_segments, draw_trail, draw_turtle
+from turtlelog.draw.rerun.views import RESTLESS_PLOTS, choose_phase_rows
+from turtlelog.draw.rerun.world import (
+    LETTERING,
+    SMALL_LETTERING,
+    draw_close_up,
+    draw_world,
+    draw_worst_place,
+)
+from turtlelog.errors import ShowError
+from turtlelog.measure import measure_run
+from turtlelog.run import Run
+
+_THIN_WIDTH: Final = 1.0
+_MOST_RESTLESS: Final = 2
+"""Named in a title; of more their number is told."""
+
+_MOST_EXTREMES: Final = 3
+"""Runs whose names stand in the plane: more would hide the ways."""
+
+_EXTREME_SHARE: Final = 0.2
+"""Of half the plane: nearer to the goal, or to another one, a name would cover others."""
+
+
+def write_comparison_rrd(
+    runs: Sequence[Run],
+    path: str | Path,
+    *,
+    documents: Mapping[str, str] | None = None,
+    size: tuple[int, int] | None = None,
+) -> None:
+    """Write one recording of several runs over each other; time zero is each one's first sample.
+
+    On the timeline of a later phase, as `translate_time`, it is the start of that phase in each.
+
+    Args:
+        runs: At least one; each keeps its colour in every view, in the order of `order_by_gain`.
+        path: The .rrd file; replaced when the new one is complete.
+        documents: Markdown texts by title, shown as tabs; `describe_runs` where None.
+        size: As in `write_run_rrd`.
+
+    Raises:
+        ShowError: Where there is no run, or the file cannot be written.
+    """
+    if not runs:
+        raise ShowError(f"{path}: expected at least one run to compare, found none")
+    runs = order_by_gain(runs)
+    metrics = [measure_run(run) for run in runs]
+    if documents is None:
+        documents = describe_runs(runs, metrics=metrics)
+    documents = add_thinning(documents, runs)
+    groups = group_equal(runs)
+    overlay = _build_overlay([runs[first] for first, *_ in groups], _name_groups(runs, groups))
+    equal = [name for name, group in zip(overlay.names, groups, strict=True) if len(group) > 1]
+    content = replace(overlay.describe(documents), is_small=is_small(size), equal="; ".join(equal))
+    layout = build_comparison_layout(content)
+    with open_recording(path, name=_name_recording(overlay.names), layout=layout) as stream:
+        drawn = {number: place for place, group in enumerate(groups) for number in group}
+        prefixes = [overlay.prefixes[drawn[number]] for number in range(len(runs))]
+        send_comparison_properties(stream, runs, name_runs(runs), prefixes, metrics)
+        _draw_overlay(stream, overlay, content)
+        draw_documents(stream, documents)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Overlay:
+    """Several runs and how they are told apart; all sequences are in the same order.
+
+    Attributes:
+        runs: At least one.
+        names: No two alike.
+        prefixes: Entity prefixes.
+        colors: The same in every view.
+        timelines: Aligned at the first samples.
+        series: The curves of each.
+        references: Level lines that all share.
+        restless: Numbers of those among many that never come to rest.
+        scale: By what many differ; None where that is no one number.
+    """
+
+    runs: tuple[Run, ...]
+    names: tuple[str, ...]
+    prefixes: tuple[str, ...]
+    colors: tuple[Color, ...]
+    timelines: tuple[Timelines, ...]
+    series: tuple[tuple[Series, ...], ...]
+    references: tuple[LevelLines, ...]
+    restless: frozenset[int] = frozenset()
+    scale: GainScale | None = None
+
+    def describe(self, documents: Mapping[str, str]) -> Content:
+        """Return what a recording of it holds."""
+        content = describe_content(
+            self.runs, self.prefixes, self.series, self.references, documents, names=self.names
+        )
+        calm = [number for number in range(len(self.runs)) if number not in self.restless]
+        content = replace(
+            content,
+            scale_title=None if self.scale is None else title_scale(self.scale),
+            scale_span="" if self.scale is None else f"{self.scale.word} {tell_span(self.scale)}",
+            phase_rows=choose_phase_rows(self.prefixes),
+        )
+        if not self.restless:
+            return content
+        settled = [self.runs[number] for number in calm]
+        ranges = {
+            **content.ranges,
+            **find_ranges([self.series[number] for number in calm], self.references),
+            **find_heading_close_up(settled),
+        }
+        lasting = max(run.end_ns - run.start_ns for run in settled) / 1e9
+        longest = max(run.end_ns - run.start_ns for run in self.runs) / 1e9
+        return replace(
+            content,
+            ranges=ranges,
+            end_s=lasting if lasting < longest else None,
+            length_s=longest,
+            restless=self._join_names(sorted(self.restless)),
+            outliers={**content.outliers, **self._name_beyond(ranges)},
+        )
+
+    def _name_beyond(self, ranges: Mapping[str, tuple[float, float]]) -> dict[str, str]:
+        """Return which runs that never rest leave the range of each plot that shows them."""
+        found: dict[str, list[int]] = {}
+        for number in sorted(self.restless):
+            for series in self.series[number]:
+                low, high = ranges.get(series.plot, (-np.inf, np.inf))
+                values = series.values[np.isfinite(series.values)]
+                if ((values < low) | (values > high)).any():
+                    found.setdefault(series.plot, []).append(number)
+        return {plot: f"{self._join_names(numbers)} beyond" for plot, numbers in found.items()}
+
+    def _join_names(self, numbers: Sequence[int]) -> str:
+        """Return runs in words: from which value on, where they are the last in order."""
+        are_last = [*numbers] == [*range(len(self.runs) - len(numbers), len(self.runs))]
+        if self.scale is not None and are_last and len(numbers) > 1:
+            return f"{self.scale.word} from {self.scale.values[numbers[0]]:.3g} on"
+        names = ", ".join(self.name_run(number) for number in numbers[:_MOST_RESTLESS])
+        more = len(numbers) - _MOST_RESTLESS
+        return f"{names} and {more} more" if more > 0 else names
+
+    def name_briefly(self) -> tuple[str, ...]:
+        """Return what the runs are called where there is little room."""
+        if self.scale is not None:
+            return tuple(map(self.name_run, range(len(self.runs))))
+        return cut_alike(self.names)
+
+    def name_run(self, number: int) -> str:
+        """Return what a run among many is called in a picture: by what the colours tell."""
+        if self.scale is None:
+            return self.names[number]
+        return f"{self.scale.word} {self.scale.values[number]:.3g}"
+
+
+def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[str]:
+    """Return a name for each group of equal runs: one is drawn, and says that it is all of them."""
+    names = name_runs(runs)
+    firsts = [runs[first] for first, *_ in groups]
+    brief = shorten_names(firsts, [names[first] for first, *_ in groups])
+    return [
+        name if len(group) == 1 else _name_equal(name, [names[number] for number in group])
+        for name, group in zip(brief, groups, strict=True)
+    ]
+
+
+def _name_equal(name: str, names: Sequence[str]) -> str:
+    if name not in names:
+        return f"{name} ({len(names)} equal runs)"
+    if len(names) == 2:
+        return f"{names[0]} and {names[1]} are equal"
+    return f"{name} and {len(names) - 1} more are equal"
+
+
+def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
+    """Return runs with their colours, curves and timelines."""
+    colors = choose_run_colors(len(runs))
+    restless = find_restless(runs) if len(runs) > MANY else frozenset()
+    # The legend stands along the track, and has no room for more than the runs.
+    references = [found for found in list_references(runs) if found.plot != ALONG_TRACK]
+    return _Overlay(
+        runs=tuple(runs),
+        names=tuple(names),
+        prefixes=tuple(join_path(RUNS, part) for part in _list_path_parts(names)),
+        colors=colors,
+        timelines=tuple(build_compared_timelines(run) for run in runs),
+        series=tuple(
+            _list_series(run, names[number], colors[number], is_restless=number in restless)
+            if len(runs) > MANY
+            else list_compared_series(run, names[number], colors[number])
+            for number, run in enumerate(runs)
+        ),
+        references=tuple(references),
+        restless=restless,
+        scale=find_gain_scale(runs) if len(runs) > MANY else None,
+    )
+
+
+def _list_series(run: Run, name: str, color: Color, *, is_restless: bool) -> tuple[Series, ...]:
+    """Return curves of a run among many; commands of one that swings on would cover all others."""
+    found = list_compared_series(run, name, color)
+    if is_restless:
+        found = tuple(series for series in found if series.plot not in RESTLESS_PLOTS)
+        color = palette.dim(color)
+    return tuple(
+        replace(series, colors=(color,) * len(series.colors), width=min(series.width, _THIN_WIDTH))
+        for series in found
+    )
+
+
+def _draw_overlay(
+    stream: rr.RecordingStream,
+    overlay: _Overlay,
+    content: Content,
+) -> list[RunStream]:
+    """Draw all runs and what they share; return a stream for each run."""
+    draw_world(stream, overlay.runs)
+    span = read_span(overlay.runs, overlay.timelines)
+    draw_references(stream, overlay.references, span)
+    if overlay.scale is not None:
+        draw_scale(stream, overlay.scale, overlay.colors)
+    elif content.legend_names:
+        draw_legend(stream, overlay.names, overlay.colors)
+    if len(overlay.runs) > MANY:
+        _name_extremes(stream, overlay, content)
+    streams = []
+    for number, run in enumerate(overlay.runs):
+        run_stream = RunStream(stream, overlay.prefixes[number], overlay.timelines[number])
+        look = Look(color=overlay.colors[number], size=choose_size(len(overlay.runs)))
+        draw_trail(run_stream, run, look, segments=count_segments(len(overlay.runs)))
+        plane.draw_reference_path(run_stream, run)
+        draw_turtle(run_stream, run.poses, look, content.plane.half_size_m)
+        draw_phases(run_stream, run)
+        draw_events(run_stream, run, overlay.names[number])
+        for curves in overlay.series[number]:
+            draw_series(run_stream, curves)
+        streams.append(run_stream)
+    if content.goal is not None:
+        draw_close_up(
+            stream,
+            name_ends(content.goal, overlay.name_briefly()),
+            overlay.runs[0],
+            overlay.prefixes,
+            overlay.colors,
+            lettering=SMALL_LETTERING if content.is_small else LETTERING,
+        )
+    if content.worst is not None:
+        draw_worst_place(stream, content.worst, overlay.colors[content.worst.run])
+    return streams
+
+
+def _name_extremes(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
+    """Name the runs that end furthest from the goal, where they end."""
+    if content.goal is None:
+        return
+    misses = [(_miss(run), number) for number, run in enumerate(overlay.runs)]
+    least_m, furthest = _EXTREME_SHARE * content.plane.half_size_m, list[int]()
+    for miss_m, number in sorted(misses, reverse=True):
+        place = overlay.runs[number].poses.xy_m[-1]
+        ways = [place - overlay.runs[other].poses.xy_m[-1] for other in furthest]
+        if miss_m > least_m and all(np.hypot(*way) > least_m for way in ways):
+            furthest.append(number)
+    furthest = furthest[:_MOST_EXTREMES]
+    if not furthest:
+        return
+    labels = rr.Points2D(
+        [overlay.runs[number].poses.xy_m[-1] for number in furthest],
+        radii=rr.Radius.ui_points(0.0),
+        colors=[overlay.colors[number] for number in furthest],
+        labels=[overlay.name_run(number) for number in furthest],
+        show_labels=True,
+    )
+    stream.log(join_path(entities.EXTREMES), labels, static=True)
+
+
+def _miss(run: Run) -> float:
+    return 0.0 if run.goal_xy_m is None else float(np.hypot(*(run.poses.xy_m[-1] - run.goal_xy_m)))
+
+
+def _name_recording(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) <= 4 else f"{names[0]} to {names[-1]}, {len(names)} runs"
+
+
+def _list_path_parts(names: Sequence[str]) -> list[str]:
+    """Return a part of an entity path per name, without spaces, which a path shows as escapes."""
+    plain = [name_part(name) for name in names]
+    if len(set(plain)) == len(plain):
+        return plain
+    return [rr.escape_entity_path_part(name) for name in names]

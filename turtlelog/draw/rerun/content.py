@@ -1,0 +1,347 @@
+"""What a recording holds, as far as its layout must know."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.charts.close_up import CloseUp, find_close_up
+from turtlelog.charts.phase_timelines import TIMELINE, WALL_TIMELINE, name_phase_timeline
+from turtlelog.charts.shared_curves import find_end_of_turn
+from turtlelog.charts.state_groups import StateGroup, are_comparable, group_states
+from turtlelog.charts.tracked_path import WorstPlace, find_worst_place
+from turtlelog.display import describe_count
+from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.entities import TICKS, join_path
+from turtlelog.draw.rerun.plots import LevelLines, Series
+from turtlelog.draw.rerun.world import Bounds, find_plane_bounds
+from turtlelog.loops import ControlLoop
+from turtlelog.measure import read_signal
+from turtlelog.run import Run
+
+_HEADROOM = 1.25
+"""End of a command's range, as a multiple of its most extreme value."""
+
+_ROOM = 0.08
+"""Room above and below what was measured, as a share of its range; where all values are one, of
+that value."""
+
+_LEAST_ROOM = 1e-9
+"""In the unit of the plot, at least where all values are one: a range needs a height."""
+
+_ROOM_AROUND_0 = 0.1
+"""In the unit of the plot, where all values are 0: ticks of a lower range are hard to read."""
+
+_LEAST_SIDE = 0.15
+"""What a command's range shows at least on either side of 0, as a share of its largest limit,
+times `_HEADROOM`."""
+
+_CLOSE_UP = 2.0
+"""Half-height of the close-up, as a multiple of the largest error in it: it fills half of it."""
+
+_SMALLEST_CLOSE_UP_DEG = 0.1
+"""Half-height of the close-up at least [deg]: also errors of 0 need a range with a height."""
+
+_LEGEND_WIDTH, _LEGEND_HEIGHT = 0.5, 0.4
+"""Shares of a plot that a legend of four lines takes in a window of 1600 x 900 pixels, where one of
+three plots below each other has 235 pixels of height."""
+
+_MOST_IN_PLOT = 4
+"""How many runs a legend inside a plot names; of more, the names have a view of their own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Content:
+    """What a recording holds for its layout.
+
+    Attributes:
+        prefixes: Entity prefix of each run; one empty prefix for a run alone.
+        series: Entity paths of the curves, in the order of drawing.
+        references: Plots that have level lines.
+        lines: Entity paths of upright lines, shown in every plot.
+        highest_speed_m_s: What the brightest colour of the trace by speed means; None without one.
+        steps_title: Title of the attribution, None without one.
+        has_dead_time: Whether the first run's dead times are drawn.
+        legend_names: Names of the runs where they need a view of their own, else none.
+        with_phases: How many runs have samples.
+        has_several_phases: Whether a run goes from one phase to another.
+        has_events: Whether a run has events.
+        documents: Titles.
+        plane: What the plane shows.
+        goal: What the close-up of the goal shows, None without one.
+        ranges: Fixed ranges of values, by plot.
+        close_ups: Plots whose range does not hold all of their curves.
+        ends: Last values of the first curves of plots, where they have come to their end.
+        controlled: Plots of signals that a loop of a run controls.
+        worst: Where runs are furthest from their path, None where that is not shown.
+        states: The states of the laws, in groups.
+        overlaid: Groups whose states share a plot.
+        idle: Plots of states that are 0 throughout in every run; they need no view.
+        outliers: How many outliers plots leave out of their ranges, in words, by plot.
+        phase_rows: Prefixes of the runs whose phases are shown; empty: all.
+        timelines: Names of all timelines: on each a trail grows to the cursor.
+        ghosts: Entity prefixes of what stands beside the runs in the plane.
+        arrows: What the arrows in the plane are, in words; empty without them.
+        equal: Which runs are one curve, as all their rows are equal, in words; empty without them.
+        is_small: Whether the window is too small for legends, phases and documents.
+        scale_title: Title of the bar that tells the colours of many runs; None without it.
+        scale_span: What the bar goes from and to, for where it has no room; empty without it.
+        end_s: Where the plots end [s]; None where they show all there is.
+        length_s: How long the longest run is [s], where the plots end before.
+        restless: Runs that never come to rest, in words: their commands are left out.
+        corners: Corner for the legend, by plot, as Rerun names it, where curves leave room there.
+    """
+
+    prefixes: tuple[str, ...]
+    series: tuple[str, ...]
+    references: frozenset[str]
+    lines: tuple[str, ...] = ()
+    highest_speed_m_s: float | None = None
+    steps_title: str | None = None
+    has_dead_time: bool = False
+    legend_names: tuple[str, ...]
+    with_phases: int
+    has_several_phases: bool = True
+    has_events: bool
+    documents: tuple[str, ...]
+    plane: Bounds
+    goal: CloseUp | None
+    ranges: Mapping[str, tuple[float, float]]
+    close_ups: frozenset[str] = frozenset()
+    ends: Mapping[str, float] = field(default_factory=dict)
+    controlled: frozenset[str] = frozenset()
+    worst: WorstPlace | None = None
+    states: tuple[StateGroup, ...] = ()
+    overlaid: frozenset[StateGroup] = frozenset()
+    idle: frozenset[str] = frozenset()
+    outliers: Mapping[str, str] = field(default_factory=dict)
+    corners: Mapping[str, str] = field(default_factory=dict)
+    arrows: str = ""
+    equal: str = ""
+    is_small: bool = False
+    phase_rows: tuple[str, ...] = ()
+    timelines: tuple[str, ...] = ()
+    ghosts: tuple[str, ...] = ()
+    scale_title: str | None = None
+    scale_span: str = ""
+    end_s: float | None = None
+    length_s: float = 0.0
+    restless: str = ""
+
+    def list_states(self, group: StateGroup) -> list[str]:
+        """Return the plots of those states of a group that are shown."""
+        plots = [f"{entities.STATE}/{name}" for name in group.names]
+        return [plot for plot in plots if self.list_curves(plot) and plot not in self.idle]
+
+    def list_curves(self, plot: str) -> list[str]:
+        """Return the entity paths of a plot's curves: of its own name, and below it."""
+        names = [join_path(prefix, plot) for prefix in self.prefixes]
+        return [
+            path
+            for name in names
+            for path in self.series
+            if path == name or path.startswith(f"{name}/")
+        ]
+
+
+def describe_content(
+    runs: Sequence[Run],
+    prefixes: Sequence[str],
+    series: Sequence[Sequence[Series]],
+    references: Sequence[LevelLines],
+    documents: Iterable[str],
+    *,
+    names: Sequence[str] = (),
+) -> Content:
+    """Return what a recording of these runs holds, `series` being what is drawn of each."""
+    close_ups, goal = find_heading_close_up(runs), find_close_up(runs)
+    states = group_states(*(run.declaration for run in runs))
+    return Content(
+        prefixes=tuple(prefixes),
+        series=tuple(
+            join_path(prefix, curves.entity)
+            for prefix, listed in zip(prefixes, series, strict=True)
+            for curves in listed
+        ),
+        references=frozenset(reference.plot for reference in references),
+        legend_names=tuple(names) if len(names) > _MOST_IN_PLOT else (),
+        with_phases=sum(len(run.samples) > 0 for run in runs),
+        has_several_phases=any(len(run.find_phase_spans()) > 1 for run in runs),
+        has_events=any(run.events for run in runs),
+        documents=tuple(documents),
+        plane=find_plane_bounds(runs),
+        goal=goal,
+        worst=find_worst_place(runs) if goal is None else None,
+        states=states,
+        idle=_find_idle(series),
+        overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
+        ranges={
+            **find_ranges(series, references),
+            **close_ups,
+        },
+        close_ups=frozenset(close_ups),
+        timelines=_list_timelines(runs),
+        outliers=_count_outliers(series),
+        controlled=frozenset(
+            plot for run in runs for loop in run.declaration.loops for plot in _list_plots(loop)
+        ),
+    )
+
+
+def _list_timelines(runs: Sequence[Run]) -> tuple[str, ...]:
+    phases = dict.fromkeys(name for run in runs for name in run.declaration.phases)
+    return (TIMELINE, TICKS, WALL_TIMELINE, *map(name_phase_timeline, phases))
+
+
+def _count_outliers(series: Sequence[Sequence[Series]]) -> dict[str, str]:
+    """Return how many outliers each plot leaves out of its range, in words."""
+    found: dict[str, int] = {}
+    for curves in (curves for run in series for curves in run):
+        if curves.entity.endswith(f"/{entities.OUTLIERS}"):
+            found[curves.plot] = found.get(curves.plot, 0) + len(curves.time_ns)
+    return {plot: f"{describe_count(rows, 'outlier')} left out" for plot, rows in found.items()}
+
+
+def _list_plots(loop: ControlLoop) -> tuple[str, ...]:
+    """Return the plots of what a loop controls."""
+    controlled = entities.PLOTS[loop.signal]
+    if loop.signal == "along_track" and loop.moves:
+        return entities.ALONG_TRACK_ERROR, controlled
+    return (controlled,)
+
+
+def find_largest(content: Content) -> float:
+    """Return the largest magnitude that any plot shows."""
+    return max((abs(bound) for bounds in content.ranges.values() for bound in bounds), default=1.0)
+
+
+def find_corners(
+    series: Sequence[Series], ranges: Mapping[str, tuple[float, float]]
+) -> dict[str, str]:
+    """Return the corner of each plot where the fewest rows of its curves lie, by Rerun's name."""
+    first_ns = min((int(curves.time_ns[0]) for curves in series), default=0)
+    last_ns = max((int(curves.time_ns[-1]) for curves in series), default=1)
+    rows: dict[str, list[NDArray[np.float64]]] = {}
+    for curves in series:
+        if curves.plot in ranges:
+            low, high = ranges[curves.plot]
+            across = (curves.time_ns - first_ns) / max(last_ns - first_ns, 1)
+            for column in curves.values.T:
+                places = np.column_stack([across, (column - low) / (high - low)])
+                rows.setdefault(curves.plot, []).append(places[np.isfinite(column)])
+    return {plot: _find_emptiest(np.concatenate(places)) for plot, places in rows.items()}
+
+
+def find_emptiest_corner(
+    time_ns: NDArray[np.int64], values: NDArray[np.float64], limits: tuple[float, float]
+) -> str:
+    """Return the corner of a plot with these limits where the fewest rows of a curve lie."""
+    low, high = limits
+    across = (time_ns - time_ns[0]) / max(int(time_ns[-1] - time_ns[0]), 1)
+    places = np.column_stack([across, (values - low) / (high - low)])
+    return _find_emptiest(places[np.isfinite(values)])
+
+
+def _find_emptiest(places: NDArray[np.float64]) -> str:
+    """Return the corner with the fewest places, from (0, 0) at the lower left to (1, 1)."""
+    is_right, is_left = places[:, 0] > 1.0 - _LEGEND_WIDTH, places[:, 0] < _LEGEND_WIDTH
+    is_high = (places[:, 1] > 1.0 - _LEGEND_HEIGHT) & (places[:, 1] <= 1.0)
+    is_low = (places[:, 1] < _LEGEND_HEIGHT) & (places[:, 1] >= 0.0)
+    counts = {
+        "RightTop": int((is_right & is_high).sum()),
+        "RightBottom": int((is_right & is_low).sum()),
+        "LeftTop": int((is_left & is_high).sum()),
+        "LeftBottom": int((is_left & is_low).sum()),
+    }
+    return min(counts, key=lambda corner: counts[corner])
+
+
+def _find_idle(series: Sequence[Sequence[Series]]) -> frozenset[str]:
+    states = [
+        curves for run in series for curves in run if curves.plot.startswith(f"{entities.STATE}/")
+    ]
+    acting = {curves.plot for curves in states if curves.values.any()}
+    return frozenset(curves.plot for curves in states) - acting
+
+
+def _are_overlaid(group: StateGroup, series: Sequence[Sequence[Series]]) -> bool:
+    """Whether the states of a group share a plot: those of one run, if none would look like 0."""
+    plots = {f"{entities.STATE}/{name}" for name in group.names}
+    found = [curves.values[:, 0] for run in series for curves in run if curves.plot in plots]
+    return len(series) == 1 and len(group.names) > 1 and are_comparable(found)
+
+
+def find_ends(series: Sequence[Series], ranges: Mapping[str, object]) -> dict[str, float]:
+    """Return the last known value of the first curve of each plot that has a range."""
+    ends: dict[str, float] = {}
+    for curves in series:
+        known = curves.values[np.isfinite(curves.values[:, 0]), 0]
+        if len(known) and curves.plot in ranges:
+            ends.setdefault(curves.plot, float(known[-1]))
+    return ends
+
+
+def find_ranges(
+    series: Sequence[Sequence[Series]], references: Sequence[LevelLines]
+) -> dict[str, tuple[float, float]]:
+    """Return ranges of plots that hold all that was measured, and a little more."""
+    return {**_find_ranges(series, references), **_find_command_ranges(series, references)}
+
+
+def _find_ranges(
+    series: Sequence[Sequence[Series]], references: Sequence[LevelLines]
+) -> dict[str, tuple[float, float]]:
+    """Return ranges with room around what was measured: what theory expects may lie far beyond."""
+    found: dict[str, list[float]] = {}
+    for curves in (curves for run in series for curves in run if curves.is_measured):
+        values = curves.values[np.isfinite(curves.values)]
+        if len(values):
+            found.setdefault(curves.plot, []).extend((float(values.min()), float(values.max())))
+    for reference in references:
+        if reference.plot in found:
+            found[reference.plot] += reference.levels
+    return {plot: _add_room(min(values), max(values)) for plot, values in found.items()}
+
+
+def _add_room(low: float, high: float) -> tuple[float, float]:
+    room = _ROOM * (high - low)
+    if not room:
+        room = max(_ROOM * abs(high), _LEAST_ROOM) if high else _ROOM_AROUND_0
+    return low - room, high + room
+
+
+def _find_command_ranges(
+    series: Sequence[Sequence[Series]], references: Sequence[LevelLines]
+) -> dict[str, tuple[float, float]]:
+    """Return ranges that end a little beyond the limits; wanted commands may lie far beyond."""
+    ranges = {}
+    for reference in references:
+        if reference.plot not in {entities.SPEED, entities.TURN_RATE}:
+            continue
+        kinds = {f"{reference.plot}/{kind}" for kind in (entities.COMMANDED, entities.APPLIED)}
+        values = [curves.values for run in series for curves in run if curves.entity in kinds]
+        least = _LEAST_SIDE * max(reference.levels)
+        low = min((float(column.min()) for column in values), default=0.0)
+        high = max((float(column.max()) for column in values), default=0.0)
+        ranges[reference.plot] = min(low, -least) * _HEADROOM, max(high, least) * _HEADROOM
+    return ranges
+
+
+def find_heading_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]:
+    """Return the range of heading errors that remain after turning: the turn itself hides them.
+
+    None where a loop of the heading acts in every phase, or never.
+    """
+    largest_deg = 0.0
+    for run in runs:
+        errors = read_signal(run, "heading_error")
+        if errors is None:
+            continue
+        end_ns = find_end_of_turn(run)
+        if end_ns is None:
+            return {}
+        after = np.abs(errors.values[errors.time_ns >= end_ns])
+        largest_deg = max(largest_deg, float(np.degrees(after.max(initial=0.0))))
+    half_deg = max(_CLOSE_UP * largest_deg, _SMALLEST_CLOSE_UP_DEG)
+    return {entities.HEADING_ERROR: (-half_deg, half_deg)}

@@ -1,0 +1,340 @@
+"""A run beside its ghosts: what it would have been without its effects, and their contributions."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import rerun as rr
+
+from turtlelog.charts import palette
+from turtlelog.charts.attribution_steps import (
+    choose_acting_contributions,
+    choose_step_scale,
+    list_attribution_steps,
+)
+from turtlelog.charts.close_up import Lettering, name_ends
+from turtlelog.charts.palette import Color, choose_cause_colors
+from turtlelog.compare import Column, Table
+from turtlelog.draw.rerun import entities, plane
+from turtlelog.draw.rerun.content import Content, describe_content, find_largest
+from turtlelog.draw.rerun.entities import GHOSTS, RUNS, join_path, name_part
+from turtlelog.draw.rerun.ghosts import (
+    Ghost,
+    build_ideal_ghost,
+    draw_gap,
+    draw_ghost,
+    draw_key,
+    list_gaps,
+)
+from turtlelog.draw.rerun.layout import build_explanation_layout
+from turtlelog.draw.rerun.marks import (
+    draw_dead_times,
+    draw_events,
+    draw_lines,
+    draw_phases,
+    list_dead_times,
+    list_pause_times,
+)
+from turtlelog.draw.rerun.plots import (
+    LevelLines,
+    Series,
+    draw_references,
+    draw_series,
+    list_compared_series,
+    list_references,
+)
+from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording, send_comparison_properties
+from turtlelog.draw.rerun.timelines import (
+    RunStream,
+    add_thinning,
+    build_compared_timelines,
+    read_span,
+)
+from turtlelog.draw.rerun.turtles import Look, count_segments, draw_trail, draw_turtle
+from turtlelog.draw.rerun.waterfall import draw_reason, draw_waterfall
+from turtlelog.draw.rerun.world import draw_close_up, draw_world, draw_worst_place, find_way_bounds
+from turtlelog.draw.table_formats import format_markdown
+from turtlelog.errors import ShowError
+from turtlelog.escapes import escape_markdown
+from turtlelog.explain import Attribution, write_sentences
+from turtlelog.measure import Metric, measure_run
+from turtlelog.run import Run
+
+_RECORDED: Final = "recorded"
+_WIDTH: Final = 1.75
+_THIN_WIDTH: Final = 0.75  # [points]
+_THIN_SIZE: Final = 0.55
+_MOST_TOLD: Final = 2
+"""Ghosts whose values stand below the steps: more would be longer than the picture is wide."""
+
+_LONGEST: Final = 36
+"""Letters of a name in the key: they take 250 of the 480 pixels of the plane."""
+
+_LETTERING: Final = Lettering(letter=0.042, line=0.15, gap=0.08, reach=1.2)
+"""As measured in a window of 1200 x 860 pixels, where the close-up is 480 x 370."""
+
+
+def write_explanation_rrd(
+    recorded: Run,
+    found: Attribution,
+    what_ifs: Mapping[str, Run],
+    path: str | Path,
+    *,
+    documents: Mapping[str, str] | None = None,
+) -> None:
+    """Write a recording of a run beside its what-ifs as ghosts, with the attribution as steps.
+
+    The last what-if is the main ghost: the run without all that acts. Where there is none it is the
+    ideal loop, if theory knows it. In place of shares that are withheld stands the reason.
+
+    Args:
+        recorded: What happened.
+        found: What caused a value of it.
+        what_ifs: What would have happened, by what it lacks, as `simulate_what_ifs` returns it.
+        path: The .rrd file; replaced when the new one is complete.
+        documents: Markdown texts by title, shown as tabs after the table of shares.
+
+    Raises:
+        ShowError: Where there are neither shares nor a ghost, or the file cannot be written.
+    """
+    scene = _build_scene(recorded, found, what_ifs)
+    if found.withheld and not scene.ghosts:
+        raise ShowError(f"{path}: expected contributions or a ghost, found none: {found.withheld}")
+    texts = {"Contributions": _describe_contributions(found), **(documents or {})}
+    texts = {**add_thinning(texts, scene.runs)}
+    metrics = [measure_run(run) for run in scene.runs]
+    dead_times = list_dead_times(recorded, metrics[0])
+    lines = {
+        "pause": (palette.WANTED, list_pause_times(recorded)),
+        "dead_time": (palette.SAMPLED, [end_ns for _, end_ns in dead_times]),
+    }
+    lines = {name: marked for name, marked in lines.items() if marked[1]}
+    content = replace(
+        scene.describe(texts),
+        lines=tuple(join_path(scene.prefixes[0], entities.LINES, name) for name in lines),
+        steps_title=_name_steps(found),
+        has_dead_time=bool(dead_times),
+    )
+    name = f"{recorded.name}, explained"
+    with open_recording(path, name=name, layout=build_explanation_layout(content)) as stream:
+        run_stream = _draw_scene(stream, scene, content, metrics)
+        if found.withheld:
+            draw_reason(stream, write_sentences(found))
+        else:
+            steps, scale = list_attribution_steps(found), choose_step_scale(found)
+            ghosts = dict(zip(what_ifs, metrics[1:], strict=False))
+            draw_waterfall(stream, steps, scale, _explain_bars(found, ghosts))
+        for line, (color, times_ns) in lines.items():
+            entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
+            draw_lines(run_stream, entity, label, color, times_ns, largest=find_largest(content))
+        draw_dead_times(run_stream, dead_times)
+        draw_documents(stream, texts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Scene:
+    """A run and its ghosts.
+
+    Attributes:
+        recorded: What happened.
+        ghosts: The main one last; none where nothing is known.
+        series: Curves of the run and of each simulated ghost.
+        gaps: How far the ghosts are away, over time.
+        references: Level lines that all share.
+    """
+
+    recorded: Run
+    ghosts: tuple[Ghost, ...]
+    series: tuple[tuple[Series, ...], ...]
+    gaps: tuple[Series, ...]
+    references: tuple[LevelLines, ...]
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The recorded run, and what was simulated."""
+        return (self.recorded, *(ghost.run for ghost in self.ghosts if ghost.is_run))
+
+    @property
+    def prefixes(self) -> tuple[str, ...]:
+        """Their entity prefixes."""
+        return (join_path(RUNS, _RECORDED), *(one.prefix for one in self.ghosts if one.is_run))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        return (_RECORDED, *(ghost.name for ghost in self.ghosts if ghost.is_run))
+
+    @property
+    def colors(self) -> tuple[Color, ...]:
+        """Their colours."""
+        return (palette.MAIN, *(ghost.look.color for ghost in self.ghosts if ghost.is_run))
+
+    def describe(self, documents: Mapping[str, str]) -> Content:
+        """Return what a recording of it holds: phases of the run and its main ghost alone."""
+        series = ((*self.series[0], *self.gaps), *self.series[1:])
+        content = describe_content(self.runs, self.prefixes, series, self.references, documents)
+        others = [ghost.prefix for ghost in self.ghosts if not ghost.is_run]
+        whole = [self.recorded, *(ghost.run for ghost in self.ghosts)]
+        return replace(
+            content,
+            plane=find_way_bounds(whole),
+            ghosts=tuple(others),
+            with_phases=min(content.with_phases, 2),
+            phase_rows=(self.prefixes[0], *self.prefixes[1:][-1:]),
+        )
+
+
+def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run]) -> _Scene:
+    colors = choose_cause_colors(found.causes)
+    ghosts = [
+        Ghost(
+            name=f"without {lacks}",
+            brief=_name_briefly(lacks, found),
+            prefix=join_path(GHOSTS, name_part(f"without {lacks}")),
+            run=run,
+            look=_choose_look(colors.get(lacks), is_main=number == len(what_ifs)),
+            is_run=True,
+        )
+        for number, (lacks, run) in enumerate(what_ifs.items(), start=1)
+    ]
+    ideal = None if ghosts else build_ideal_ghost(recorded)
+    if ideal is not None:
+        ghosts.append(ideal)
+    drawn = [(_RECORDED, recorded, palette.MAIN, _WIDTH)]
+    drawn += [(one.name, one.run, one.look.color, one.look.width) for one in ghosts if one.is_run]
+    return _Scene(
+        recorded=recorded,
+        ghosts=tuple(ghosts),
+        series=tuple(
+            tuple(replace(curves, width=width) for curves in list_compared_series(run, name, color))
+            for name, run, color, width in drawn
+        ),
+        gaps=list_gaps(recorded, ghosts),
+        references=list_references([run for _, run, _, _ in drawn]),
+    )
+
+
+def _name_briefly(lacks: str, found: Attribution) -> str:
+    """Return a name for the close-up: the key of the plane has the whole one."""
+    if lacks in found.causes:
+        return f"no {lacks}"
+    return "neither" if lacks.count(" and ") == 1 and "," not in lacks else "none of these"
+
+
+def _choose_look(color: Color | None, *, is_main: bool) -> Look:
+    """Return the look of a ghost: the main one is grey, others have their cause's colour."""
+    if is_main or color is None:
+        return Look(color=palette.GHOST, is_ghost=True, width=_WIDTH)
+    return Look(color=color, is_ghost=True, width=_THIN_WIDTH, size=_THIN_SIZE)
+
+
+def _draw_scene(
+    stream: rr.RecordingStream,
+    scene: _Scene,
+    content: Content,
+    metrics: Sequence[Mapping[str, Metric]],
+) -> RunStream:
+    """Draw the run and its ghosts; return the stream of the run."""
+    recorded, half_size_m = scene.recorded, content.plane.half_size_m
+    send_comparison_properties(stream, scene.runs, scene.names, scene.prefixes, metrics)
+    draw_world(stream, scene.runs, half_size_m=half_size_m)
+    timelines = [build_compared_timelines(run) for run in scene.runs]
+    draw_references(stream, scene.references, read_span(scene.runs, timelines))
+    run_stream = RunStream(stream, scene.prefixes[0], timelines[0])
+    look, segments = Look(color=palette.MAIN), count_segments(1 + len(scene.ghosts))
+    draw_trail(run_stream, recorded, look, segments=segments)
+    plane.draw_reference_path(run_stream, recorded)
+    draw_turtle(run_stream, recorded.poses, look, half_size_m)
+    streams = [run_stream]
+    for ghost in scene.ghosts:
+        own = build_compared_timelines(ghost.run)
+        ghost_stream = draw_ghost(stream, ghost, own, half_size_m, segments=segments)
+        streams += [ghost_stream] if ghost.is_run else []
+    pairs = zip(streams, scene.runs, scene.names, scene.series, strict=True)
+    for own_stream, run, name, listed in pairs:
+        if own_stream in (streams[0], streams[-1]):
+            draw_phases(own_stream, run)
+        draw_events(own_stream, run, name)
+        for curves in listed:
+            draw_series(own_stream, curves)
+    for curves in scene.gaps:
+        draw_series(run_stream, curves)
+    _draw_apart(stream, scene, content)
+    if content.goal is not None:
+        briefs = [_RECORDED, *(one.brief for one in scene.ghosts if one.is_run)]
+        draw_close_up(
+            stream,
+            name_ends(content.goal, briefs),
+            recorded,
+            scene.prefixes,
+            scene.colors,
+            lettering=_LETTERING,
+        )
+    if content.worst is not None:
+        draw_worst_place(stream, content.worst, scene.colors[content.worst.run])
+    return run_stream
+
+
+def _draw_apart(stream: rr.RecordingStream, scene: _Scene, content: Content) -> None:
+    """Draw how far the main ghost is away, and name all turtles."""
+    if scene.ghosts:
+        main = scene.ghosts[-1]
+        draw_gap(stream, scene.recorded, main, content.plane, "blue to grey")
+        whole = main.name if len(main.name) <= _LONGEST else "without all of these"
+        rows = [(_RECORDED, palette.MAIN), (whole, main.look.color)]
+        rows += [(ghost.name, ghost.look.color) for ghost in reversed(scene.ghosts[:-1])]
+        draw_key(stream, rows, content.plane, [scene.recorded, main.run])
+
+
+def _name_steps(found: Attribution) -> str:
+    """Return what the view of the steps shows."""
+    value = found.resimulated if found.as_logged is None else found.as_logged
+    if value is None:
+        return f"Why {found.metric} has no value"
+    if found.withheld:
+        return f"Why there are no shares of {found.metric}"
+    return f"Why {found.metric} is {choose_step_scale(found).format_value(value)}"
+
+
+def _explain_bars(
+    found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]]
+) -> tuple[str, ...]:
+    """Return why a bar is not what a ghost lacks, where several causes act together.
+
+    Args:
+        found: The attribution.
+        ghosts: Metrics of the what-ifs that are drawn, by what each lacks.
+    """
+    acting = [share.cause for share in choose_acting_contributions(found)]
+    if len(acting) < 2:
+        return ()
+    lines, scale = ["Bars: averages over the orders of removal"], choose_step_scale(found)
+    ends = {name: ghosts[name][found.metric].value for name in acting if name in ghosts}
+    told = [
+        f"{scale.format_value(value)} without {name}"
+        for name, value in ends.items()
+        if value is not None
+    ]
+    if len(told) > _MOST_TOLD:
+        told = ["each thin one is without one cause"]
+    return (*lines, f"Ghosts: {', '.join(told)}") if told else tuple(lines)
+
+
+def _describe_contributions(found: Attribution) -> str:
+    """Return a Markdown table of each cause's contribution, and what it comes to in sentences."""
+    table = Table(
+        title=_name_steps(found),
+        columns=(
+            Column(title="cause"),
+            Column(title="contribution", unit=found.unit),
+            Column(title="without it alone", unit=found.unit),
+            Column(title="without it means"),
+        ),
+        rows=tuple(
+            (share.cause, share.contribution, share.alone, share.ending or share.meaning)
+            for share in (*found.contributions, *found.others)
+        ),
+    )
+    sentences = "\n\n".join(escape_markdown(text) for text in write_sentences(found))
+    return f"{format_markdown(table)}\n{sentences}\n"

@@ -1,0 +1,262 @@
+"""Ghosts: what might have been, beside the run in the plane; how far apart they are, a key."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import rerun as rr
+
+from turtlelog.angles import wrap_angle
+from turtlelog.charts import palette
+from turtlelog.charts.close_up import format_length
+from turtlelog.charts.palette import Color
+from turtlelog.charts.phase_timelines import TIMELINE, locate_run
+from turtlelog.charts.shared_curves import find_steps
+from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.entities import join_path, name_part
+from turtlelog.draw.rerun.plots import Series
+from turtlelog.draw.rerun.timelines import RunStream, Timelines, Values, build_index
+from turtlelog.draw.rerun.turtles import MOST_SEGMENTS, Look, draw_trail, draw_turtle
+from turtlelog.draw.rerun.world import Bounds
+from turtlelog.run import PoseColumns, Run
+
+IDEAL: Final = "ideal_loop"
+_IDEAL_NAME: Final = "ideal loop"
+
+_MOST_GAPS: Final = 1000
+"""Rows of the line between run and ghost: as many as a trail has segments."""
+
+_APART_M: Final = 5e-4
+"""Less is not written [m]: it would be 0 mm."""
+
+_ONE_M: Final = 1.0
+"""Gaps below are plotted in mm, larger ones in m."""
+
+_GAP_WIDTH: Final = 1.0  # [points]
+_GAP_ORDER: Final = 27.0  # above turtles
+_KEY_LETTER: Final = 0.036
+"""Of the plane's half-width: 7 pixels of 200."""
+
+_REACH: Final = 1.2
+"""Of the plane's half-width, from its middle to the sides of its view: beyond, words are cut."""
+
+_ASIDE, _UP = 0.1, -0.1
+"""Of the plane's half-width: where the distance stands beside its line, far from goal's name."""
+
+_EDGE: Final = 0.87
+"""Of the plane's half-width: inside of the world's border."""
+
+_KEY_LINE: Final = 0.19
+"""Of the plane's half-width: 18 pixels in a window of 700 x 450, less than words and frame take."""
+_KEY_SAMPLE: Final = 0.1
+_KEY_GAP: Final = 0.06
+_KEY_UP: Final = 0.055
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ghost:
+    """What might have been.
+
+    Attributes:
+        name: In words.
+        prefix: Entity prefix.
+        run: Whose poses are the ghost's.
+        look: How it is drawn.
+        is_run: Whether it was simulated; else only its poses are its own.
+        brief: A short name.
+    """
+
+    name: str
+    prefix: str
+    run: Run
+    look: Look
+    is_run: bool
+    brief: str = ""
+
+
+def build_ideal_ghost(run: Run) -> Ghost | None:
+    """Return the ideal loop beside a run, None where theory does not know where it would be."""
+    poses = find_ideal_poses(run)
+    if poses is None:
+        return None
+    look = Look(color=palette.GHOST, is_ghost=True)
+    ideal = replace(run, poses=poses)
+    return Ghost(name=_IDEAL_NAME, prefix=join_path(IDEAL), run=ideal, look=look, is_run=False)
+
+
+def find_ideal_poses(run: Run) -> PoseColumns | None:
+    """Return where the ideal loops of a run would be at its own pose times.
+
+    Each begins where the run's loop does, as its ideal response in the plots: nothing is clipped.
+    Theory tells a pose where a loop turns the robot, and another then drives it along its track.
+
+    Returns:
+        None where theory does not know both, or where they act together.
+    """
+    turns, ways = [*find_steps(run, "heading")], [*find_steps(run, "along_track")]
+    line = run.goal_line
+    if len(turns) != 1 or len(ways) != 1 or line is None or not len(run.poses):
+        return None
+    (turn,), (way,) = turns, ways
+    loops = {loop.name for loop in run.declaration.loops}
+    if loops != {turn.loop.name, way.loop.name} or turn.end_ns > way.start_ns:
+        return None
+    time_ns = run.poses.time_ns
+    after_s = np.maximum(time_ns - turn.start_ns, 0) / 1e9
+    heading_rad = np.radians(turn.respond(after_s))
+    driven_s = np.maximum(time_ns - way.start_ns, 0) / 1e9
+    along_m = way.respond(driven_s)
+    ahead = np.array([np.cos(line.bearing_rad), np.sin(line.bearing_rad)])
+    xy_m = line.start_xy_m + along_m[:, np.newaxis] * ahead
+    return PoseColumns(time_ns=time_ns, xy_m=xy_m, heading_rad=wrap_angle(heading_rad))
+
+
+def draw_ghost(
+    stream: rr.RecordingStream,
+    ghost: Ghost,
+    timelines: Timelines,
+    half_size_m: float,
+    *,
+    segments: int = MOST_SEGMENTS,
+) -> RunStream:
+    """Draw its trail and its turtle."""
+    run_stream = RunStream(stream, ghost.prefix, timelines)
+    draw_trail(run_stream, ghost.run, ghost.look, segments=segments)
+    draw_turtle(run_stream, ghost.run.poses, ghost.look, half_size_m)
+    return run_stream
+
+
+def list_gaps(run: Run, ghosts: Sequence[Ghost]) -> tuple[Series, ...]:
+    """Return how far each ghost is from the run at the same time after its start."""
+    gaps = [measure_gap(run, ghost) for ghost in ghosts]
+    if len(run.poses) < 2 or not gaps:
+        return ()
+    in_mm = max(float(gap.max()) for gap in gaps) < _ONE_M
+    plot, factor = (entities.GAP_MM, 1e3) if in_mm else (entities.GAP_M, 1.0)
+    return tuple(
+        Series(
+            entity=f"{plot}/{name_part(ghost.name)}",
+            labels=(ghost.name,),
+            colors=(ghost.look.color,),
+            time_ns=run.poses.time_ns,
+            values=factor * gap[:, np.newaxis],
+            width=ghost.look.width,
+        )
+        for ghost, gap in zip(ghosts, gaps, strict=True)
+    )
+
+
+def measure_gap(run: Run, ghost: Ghost) -> Values:
+    """Return the distance to a ghost at each of a run's poses [m], shape (n,)."""
+    away_m = _follow(run, ghost) - run.poses.xy_m
+    return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
+
+
+def draw_gap(
+    stream: rr.RecordingStream, run: Run, ghost: Ghost, bounds: Bounds, words: str
+) -> None:
+    """Draw a line from the run to a ghost at the cursor, and how long it is, after some words."""
+    half_size_m = bounds.half_size_m
+    rows = np.unique(
+        np.linspace(0, len(run.poses) - 1, min(len(run.poses), _MOST_GAPS)).round().astype(int)
+    )
+    own_m, other_m = run.poses.xy_m[rows], _follow(run, ghost)[rows]
+    gap_m = measure_gap(run, ghost)[rows]
+    # On no other timeline are they this far apart.
+    index = build_index({TIMELINE: run.poses.time_ns[rows] - run.start_ns})
+    stream.log(
+        join_path(entities.GAP),
+        rr.LineStrips2D.from_fields(
+            radii=rr.Radius.ui_points(_GAP_WIDTH), colors=[palette.GOAL], draw_order=_GAP_ORDER
+        ),
+        static=True,
+    )
+    lines = rr.LineStrips2D.columns(strips=[*np.stack([own_m, other_m], axis=1)])
+    stream.send_columns(join_path(entities.GAP), index, lines)
+    stream.log(
+        join_path(entities.GAP_NAME),
+        rr.Points2D.from_fields(
+            radii=rr.Radius.ui_points(0.0), colors=[palette.GOAL], show_labels=True
+        ),
+        static=True,
+    )
+    is_apart = gap_m >= _APART_M
+    middles_m = (own_m + other_m)[is_apart] / 2.0
+    places_m = middles_m + _UP * half_size_m * np.array([[0.0, 1.0]])
+    labels = [f"{words}: {format_length(float(gap))}" for gap in gap_m[is_apart]]
+    longest = max(map(len, labels), default=0)
+    places_m[:, 0] += _find_aside(run, middles_m[:, 0], bounds, longest * _KEY_LETTER)
+    names = rr.Points2D.columns(positions=places_m, labels=labels)
+    stream.send_columns(
+        join_path(entities.GAP_NAME), index, names.partition(is_apart.astype(np.int64))
+    )
+
+
+def draw_key(
+    stream: rr.RecordingStream,
+    rows: Sequence[tuple[str, Color]],
+    bounds: Bounds,
+    runs: Sequence[Run],
+) -> None:
+    """Name the turtles of a plane where fewest of their poses are."""
+    half_m = bounds.half_size_m
+    longest = max(len(name) for name, _ in rows) * _KEY_LETTER + _KEY_GAP
+    width = _KEY_SAMPLE + _KEY_GAP + longest
+    xy = (np.concatenate([run.poses.xy_m for run in runs]) - bounds.center_xy_m) / half_m
+    height = _KEY_LINE * (len(rows) + 1)
+    lefts, tops = (-_EDGE, _EDGE - width, -width / 2.0), (height - _EDGE, _EDGE, height / 2.0)
+
+    def count_hidden(corner: tuple[float, float]) -> int:
+        across = (xy[:, 0] > corner[0]) & (xy[:, 0] < corner[0] + width)
+        return int((across & (xy[:, 1] > corner[1] - height) & (xy[:, 1] < corner[1])).sum())
+
+    # Of places that are as empty the first: the lower left.
+    left, top = min(((x, y) for y in tops for x in lefts), key=count_hidden)
+    ys = top - _KEY_LINE * (np.arange(len(rows)) + 1.0)
+    samples = [[(left, y), (left + _KEY_SAMPLE, y)] for y in ys]
+    middle = left + _KEY_SAMPLE + _KEY_GAP
+    words = [
+        (middle + len(name) * _KEY_LETTER / 2.0, y + _KEY_UP)
+        for (name, _), y in zip(rows, ys, strict=True)
+    ]
+    center = np.array(bounds.center_xy_m)
+    stream.log(
+        join_path(entities.KEY),
+        rr.LineStrips2D(
+            [center + half_m * np.array(sample) for sample in samples],
+            radii=rr.Radius.ui_points(2.5),
+            colors=[color for _, color in rows],
+        ),
+        static=True,
+    )
+    stream.log(
+        join_path(entities.KEY_NAMES),
+        rr.Points2D(
+            center + half_m * np.array(words),
+            radii=rr.Radius.ui_points(0.0),
+            # Where the window is small they hide the samples.
+            colors=[color for _, color in rows],
+            labels=[name for name, _ in rows],
+            show_labels=True,
+        ),
+        static=True,
+    )
+
+
+def _follow(run: Run, ghost: Ghost) -> Values:
+    """Return where the ghost is at each of the run's poses, as long after its start [m]."""
+    since_start_s = (run.poses.time_ns - run.start_ns) / 1e9
+    return locate_run(ghost.run, ghost.run.start_ns, since_start_s)[0]
+
+
+def _find_aside(run: Run, x_m: Values, bounds: Bounds, width: float) -> Values:
+    """Return how far to the right words stand [m]: on the side where the goal has no name.
+
+    `width` is that of the words, in half-widths of the plane; they end where the view does.
+    """
+    goal_x_m = run.goal_xy_m[0] if run.goal_xy_m is not None else float(run.poses.xy_m[-1, 0])
+    side = 1.0 if goal_x_m <= run.poses.xy_m[0, 0] else -1.0
+    at = side * (x_m - bounds.center_xy_m[0]) / bounds.half_size_m
+    aside = np.minimum(_ASIDE, _REACH - width - at) + width / 2.0
+    return np.asarray(side * aside * bounds.half_size_m)

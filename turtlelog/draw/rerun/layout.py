@@ -1,0 +1,377 @@
+"""Layouts: which views a recording opens with, and where. A view without data is left out."""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Final
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from turtlelog.charts.phase_timelines import TIMELINE
+from turtlelog.charts.state_groups import StateGroup
+from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.content import Content
+from turtlelog.draw.rerun.run_legend import view_legend, view_scale
+from turtlelog.draw.rerun.views import (
+    view_document,
+    view_events,
+    view_goal,
+    view_phases,
+    view_plane,
+    view_plot,
+    view_speed,
+    view_worst,
+)
+from turtlelog.draw.rerun.waterfall import view_waterfall
+
+Corners = Mapping[str, rrb.Corner2D]
+
+_RUN_LEGENDS: Final[Corners] = MappingProxyType(
+    {
+        entities.HEADING: rrb.Corner2D.RightBottom,
+        entities.HEADING_ERROR: rrb.Corner2D.RightBottom,
+        entities.TURN_RATE: rrb.Corner2D.RightTop,
+        entities.ALONG_TRACK_ERROR: rrb.Corner2D.RightTop,
+        entities.ALONG_TRACK: rrb.Corner2D.RightBottom,
+        entities.POSITION: rrb.Corner2D.LeftTop,
+        entities.POSITION_ERROR: rrb.Corner2D.RightTop,
+        entities.CROSS_TRACK: rrb.Corner2D.LeftBottom,
+        entities.DISTANCE: rrb.Corner2D.RightTop,
+        entities.SPEED: rrb.Corner2D.LeftBottom,
+        entities.WORLD_VELOCITY: rrb.Corner2D.RightTop,
+    }
+)
+"""Where curves usually leave room; on the right, above or below where they end."""
+
+_TURNING: Final = (
+    (entities.HEADING,),
+    (entities.HEADING_ERROR, entities.HEADING_ERROR_LOG),
+    (entities.TURN_RATE,),
+)
+
+_RUN_MOVING: Final = (
+    (
+        entities.ALONG_TRACK_ERROR,
+        entities.ALONG_TRACK,
+        entities.POSITION,
+        entities.POSITION_ERROR,
+    ),
+    (entities.CROSS_TRACK, entities.DISTANCE, entities.DISTANCE_LOG),
+    (entities.SPEED, entities.WORLD_VELOCITY),
+)
+
+_COMPARED_MOVING: Final = (
+    (entities.ALONG_TRACK_ERROR, entities.ALONG_TRACK, entities.POSITION),
+    (entities.CROSS_TRACK, entities.DISTANCE, entities.DISTANCE_LOG),
+    (entities.SPEED,),
+)
+"""Cells from top to bottom; several plots in one cell are tabs."""
+
+_EXPLAINED: Final = (
+    (
+        (entities.GAP_MM, entities.GAP_M),
+        (entities.HEADING_ERROR, entities.HEADING, entities.HEADING_ERROR_LOG),
+    ),
+    (
+        (
+            entities.CROSS_TRACK,
+            entities.DISTANCE,
+            entities.ALONG_TRACK_ERROR,
+            entities.ALONG_TRACK,
+            entities.POSITION,
+        ),
+        (entities.SPEED, entities.TURN_RATE),
+    ),
+)
+
+_EXPLAINED_ROWS: Final = (1.0, 1.7)
+
+_EXPLAINED_COLUMNS: Final = (1.0, 1.5)
+
+_SHARED_TIME_AXIS: Final = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
+"""Where the viewer keeps the range of all linked time axes: in a view that is never shown."""
+
+_LEFT_SHARES: Final = (3.0, 2.5, 2.0, 2.0)
+
+_COLUMN_SHARES: Final = (1.0, 1.8)
+
+_VIOLATION_ROWS: Final = (1.0, 1.2)
+
+_VIOLATION_TOP: Final = (4.0, 1.0)
+"""Signal and legend: of 1200 pixels the legend has 240, a line of which holds 32 letters."""
+
+LEGEND_TITLE: Final = "Legend"
+
+_VIOLATION_COLUMNS: Final = (1.0, 1.3, 1.6)
+"""The message has lines of 92 letters, of which a window of 1400 pixels shows most."""
+
+_PHASE_HEAD_SHARE: Final = 0.09
+
+_PHASE_ROW_SHARE: Final = 0.055
+
+_LARGEST_PHASE_SHARE: Final = 0.4
+
+_ONE_PHASE_SHARE: Final = 0.18
+"""Largest share where every run has but one phase: the bars tell only when each ends."""
+
+_STATE_SHARE: Final = 0.22
+"""Of the height of the plots: a little less than one of three rows."""
+
+_MOST_STATES_BESIDE: Final = 3
+"""More would each be narrower than the others' legends: they are tabs."""
+
+_WHOLE_TIME: Final = rr.TimeRange(
+    start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
+)
+"""From the first time to the last, on every timeline."""
+
+_LEAST_WIDTH: Final = 1000
+"""Plots of a window 1000 pixels wide have 320, of which a legend takes 210."""
+
+_LEAST_HEIGHT: Final = 700
+"""Plots of a window 700 pixels high have 110, of which a legend of three lines takes 85."""
+
+
+class LinkedBlueprint(rrb.Blueprint):
+    """A layout whose time axes are linked and show all there is, on every timeline.
+
+    Of a range of its own the viewer would show one minute, which goes with the cursor.
+    """
+
+    end_s: float | None = None
+    """Where they end instead, on every timeline [s]."""
+
+    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
+        super()._log_to_stream(stream)
+        shown = _WHOLE_TIME
+        if self.end_s is not None:
+            end = rr.TimeRangeBoundary.absolute(seconds=self.end_s)
+            shown = rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=end)
+        stream.log(_SHARED_TIME_AXIS, rrb.TimeAxis(view_range=shown))
+
+
+def is_small(size: tuple[int, int] | None) -> bool:
+    """Whether legends would cover the curves of plots in a window of this size [pixels]."""
+    return size is not None and (size[0] < _LEAST_WIDTH or size[1] < _LEAST_HEIGHT)
+
+
+def build_run_layout(content: Content) -> rrb.Blueprint:
+    """Return the layout of a run alone: plane, heading loop, position loop, phases below."""
+    corners = {plot: _avoid_end(content, plot, usual) for plot, usual in _RUN_LEGENDS.items()}
+    return _build_blueprint(content, (_TURNING, _RUN_MOVING), corners)
+
+
+def build_comparison_layout(content: Content) -> rrb.Blueprint:
+    """Return the layout of a comparison: the same views with every run in each, one legend."""
+    return _build_blueprint(content, (_TURNING, _COMPARED_MOVING), _choose_legend(content))
+
+
+def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprint:
+    """Return the layout of a violation: its signal over all, then plane, message and plots.
+
+    The legend of the signal stands beside it, where it covers nothing, and wraps where the window
+    is small. The plots are as small as a legend, and have none.
+    """
+    top = rrb.Horizontal(violated, view_document(LEGEND_TITLE), column_shares=_VIOLATION_TOP)
+    titles = [title for title in content.documents if title != LEGEND_TITLE]
+    tabs = [*map(view_document, titles), view_events(content)]
+    parts: list[rrb.Container | rrb.View] = [
+        _build_plane(content, with_arrows=False),
+        rrb.Tabs(*tabs, active_tab=0),
+    ]
+    columns = (_TURNING, _RUN_MOVING)
+    stacks = [cells for column in columns if (cells := _list_cells(content, column, {}))]
+    if stacks:
+        parts.append(rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks)))
+    below = rrb.Horizontal(*parts, column_shares=_VIOLATION_COLUMNS[: len(parts)])
+    return LinkedBlueprint(
+        rrb.Vertical(top, below, row_shares=_VIOLATION_ROWS),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def build_explanation_layout(content: Content) -> rrb.Blueprint:
+    """Return the layout of a run beside its ghosts: the planes, the attribution, a few plots."""
+    left = _list_planes_of(content)
+    tabs = [view_waterfall(content.steps_title or ""), *map(view_document, content.documents)]
+    right: list[rrb.View | rrb.Container] = [
+        rrb.Tabs(*tabs, *([view_events(content)] if content.has_events else []), active_tab=0)
+    ]
+    stacks = [cells for column in _EXPLAINED if (cells := _list_cells(content, column, {}, tab=0))]
+    if stacks:
+        plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
+        height = _EXPLAINED_ROWS[1] / sum(_EXPLAINED_ROWS)
+        right.append(_add_phases(content, _add_states(content, plots), height))
+    return _finish(
+        rrb.Horizontal(
+            rrb.Vertical(*left),
+            rrb.Vertical(*right, row_shares=_EXPLAINED_ROWS[: len(right)]),
+            column_shares=_EXPLAINED_COLUMNS,
+        )
+    )
+
+
+def _avoid_end(content: Content, plot: str, usual: rrb.Corner2D) -> rrb.Corner2D:
+    """Return a corner on the same side, on the right away from where the plot's curve ends.
+
+    Of a run without a goal the corner where its curves leave most room.
+    """
+    if plot in content.corners:
+        return rrb.Corner2D[content.corners[plot]]
+    if plot not in content.ends or usual.name.startswith("Left"):
+        return usual
+    is_high = content.ends[plot] > sum(content.ranges[plot]) / 2.0
+    return rrb.Corner2D.RightBottom if is_high else rrb.Corner2D.RightTop
+
+
+def _choose_legend(content: Content) -> Corners:
+    """Return the one legend's place: a run keeps its colour in every view."""
+    if content.legend_names:
+        return {}
+    for plot in (entities.ALONG_TRACK_ERROR, entities.ALONG_TRACK):
+        if len(content.list_curves(plot)) == len(content.prefixes):
+            return {plot: rrb.Corner2D.RightBottom}
+    return {entities.HEADING: rrb.Corner2D.RightBottom}
+
+
+def _build_blueprint(
+    content: Content, columns: Sequence[Sequence[Sequence[str]]], legends: Corners
+) -> rrb.Blueprint:
+    left = _list_left_views(content)
+    parts: list[rrb.Container] = [rrb.Vertical(*left, row_shares=_LEFT_SHARES[: len(left)])]
+    stacks = [cells for column in columns if (cells := _list_cells(content, column, legends))]
+    if stacks:
+        plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
+        parts.append(_add_phases(content, _add_states(content, plots)))
+    root = rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)])
+    return _finish(root, end_s=content.end_s)
+
+
+def _finish(root: rrb.Container, *, end_s: float | None = None) -> rrb.Blueprint:
+    layout = LinkedBlueprint(
+        root,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
+    layout.end_s = end_s
+    return layout
+
+
+def _list_left_views(content: Content) -> list[rrb.View | rrb.Container]:
+    left = _list_planes_of(content)
+    tabs = [] if content.is_small else _list_tabs(content)
+    if tabs:
+        left.append(rrb.Tabs(*tabs, active_tab=0))
+    return left
+
+
+def _list_tabs(content: Content) -> list[rrb.View]:
+    tabs: list[rrb.View] = []
+    if content.scale_title is not None:
+        tabs.append(view_scale(content.scale_title))
+    elif content.legend_names:
+        tabs.append(view_legend(content.legend_names))
+    tabs += [view_document(title) for title in content.documents]
+    if content.has_events:
+        tabs.append(view_events(content))
+    return tabs
+
+
+def _list_planes_of(content: Content) -> list[rrb.View | rrb.Container]:
+    """Return the plane, and the close-up of goal or path where there is one."""
+    views: list[rrb.View | rrb.Container] = [_build_plane(content)]
+    if content.goal is not None:
+        views.append(view_goal(content, content.goal))
+    elif content.worst is not None:
+        views.append(view_worst(content, content.worst))
+    return views
+
+
+def _build_plane(content: Content, *, with_arrows: bool = True) -> rrb.View | rrb.Container:
+    plane = view_plane(content, with_arrows=with_arrows)
+    if content.highest_speed_m_s is None:
+        return plane
+    by_speed = view_speed(content, content.highest_speed_m_s)
+    return rrb.Tabs(plane, by_speed, active_tab=0)
+
+
+def _list_cells(
+    content: Content,
+    column: Sequence[Sequence[str]],
+    legends: Corners,
+    *,
+    tab: int | None = None,
+) -> list[rrb.View | rrb.Container]:
+    cells: list[rrb.View | rrb.Container] = []
+    for cell in column:
+        plots = [
+            view_plot(content, plot, None if content.is_small else legends.get(plot))
+            for plot in cell
+            if content.list_curves(plot)
+        ]
+        if plots:
+            active = _choose_tab(content, cell) if tab is None else tab
+            cells.append(rrb.Tabs(*plots, active_tab=active) if len(plots) > 1 else plots[0])
+    return cells
+
+
+def _choose_tab(content: Content, cell: Sequence[str]) -> int:
+    """Return the first plot that a loop controls, among those that are there; else the first.
+
+    The error along the track is the first where every run has it: beside a way of many metres it
+    could not be seen.
+    """
+    shown = [plot for plot in cell if content.list_curves(plot)]
+    if len(content.list_curves(shown[0])) < len(content.prefixes):
+        shown = ["", *shown[1:]]
+    return next((tab for tab, plot in enumerate(shown) if plot in content.controlled), 0)
+
+
+def _add_states(content: Content, plots: rrb.Container) -> rrb.Container:
+    """Put the states of the laws into a row of their own: a cell for each group."""
+    cells = [cell for group in content.states if (cell := _view_states(content, group))]
+    if not cells:
+        return plots
+    beside = len(cells) <= _MOST_STATES_BESIDE
+    row = rrb.Horizontal(*cells) if beside else rrb.Tabs(*cells, active_tab=0)
+    return rrb.Vertical(plots, row, row_shares=[1.0 - _STATE_SHARE, _STATE_SHARE])
+
+
+def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Container | None:
+    """Show states over each other where they share a plot, else each as a tab."""
+    plots = content.list_states(group)
+    if group not in content.overlaid or not plots:
+        has_tabs = group.command is not None and len(plots) > 1
+        names = [plot.partition("/")[2] if has_tabs else "" for plot in plots]
+        pairs = zip(plots, names, strict=True)
+        views = [view_plot(content, plot, None, name) for plot, name in pairs]
+        return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else next(iter(views), None)
+    ranges = [content.ranges[plot] for plot in plots if plot in content.ranges]
+    axis = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
+    corner = content.corners.get(plots[0], "RightTop")
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=[path for plot in plots for path in content.list_curves(plot)],
+        name=group.title,
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        axis_y=None if axis is None else rrb.ScalarAxis(range=axis),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D[corner]),
+    )
+
+
+def _add_phases(content: Content, plots: rrb.Container, height: float = 1.0) -> rrb.Container:
+    """Put the phases below plots; `height` is that of both together, as a share of the window."""
+    if not content.with_phases or content.is_small:
+        return plots
+    rows = min(content.with_phases, len(content.phase_rows) or content.with_phases)
+    share = _PHASE_HEAD_SHARE + _PHASE_ROW_SHARE * (rows + content.has_dead_time)
+    largest = _LARGEST_PHASE_SHARE if content.has_several_phases else _ONE_PHASE_SHARE
+    share = min(share / height, largest)
+    return rrb.Vertical(plots, view_phases(content), row_shares=[1.0 - share, share])

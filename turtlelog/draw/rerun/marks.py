@@ -1,0 +1,292 @@
+"""What is marked in plots or beside them: metrics, upright lines, theory, phases, events."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from turtlelog.charts import palette
+from turtlelog.charts.characteristics import ALONG_ERROR, TO_REFERENCE, list_characteristics
+from turtlelog.charts.palette import Color
+from turtlelog.charts.shared_curves import LoopStep, Values, find_steps
+from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.plots import Series
+from turtlelog.draw.rerun.timelines import RunStream
+from turtlelog.loops import DONE, PAUSE
+from turtlelog.measure import Metric, find_first_stretch
+from turtlelog.run import Run
+from turtlelog.theory import compute_sampled_step_response
+
+Shape = Literal["Circle", "Diamond", "Right", "Up"]
+
+_SIGNS: Final[Mapping[Shape, str]] = {"Circle": "●", "Diamond": "◆", "Right": "▶", "Up": "▲"}
+"""How the marks look, for the legend, which has but a dot for each."""
+
+_SIZE: Final = 4.0  # [points]
+_LINE_WIDTH: Final = 1.0
+_DECADES: Final = 10.0 ** -np.arange(8.0)
+_RESPONSE_WIDTH: Final = 1.0
+_POINTS: Final = 501
+_MOST_SAMPLES: Final = 1_000_000
+_MOST_DEAD_SAMPLES: Final = 1000
+_COLORS: Final = {entities.IDEAL: palette.IDEAL, entities.SAMPLED: palette.SAMPLED}
+
+
+_SHAPES: Final[Mapping[str, Shape]] = {
+    "settling_time": "Circle",
+    "overshoot": "Diamond",
+    "rise_time": "Up",
+    "largest_error": "Diamond",
+    "final_error": "Circle",
+    "longest_saturation": "Right",
+    "cross_track_max": "Diamond",
+    "time_to_goal": "Up",
+    "position_error": "Circle",
+}
+"""How metrics are marked, by their kind; others are shown elsewhere."""
+
+_CURVES: Final[Mapping[str, str]] = {
+    **entities.PLOTS,
+    "heading_error": entities.HEADING_ERROR,
+    ALONG_ERROR: entities.ALONG_TRACK_ERROR,
+    TO_REFERENCE: f"{entities.DISTANCE}/{entities.TO_REFERENCE}",
+    "speed": f"{entities.SPEED}/{entities.COMMANDED}",
+    "turn_rate": f"{entities.TURN_RATE}/{entities.COMMANDED}",
+}
+"""The entity of each curve that has marks."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mark:
+    """One metric on its curve.
+
+    Attributes:
+        plot: Where the curve stands.
+        label: Legend: what it is, with its value.
+        unit: Of the value.
+        shape: Rerun's name of a marker.
+        time_ns: In the run's own time [ns].
+        level: In the unit of the curve.
+    """
+
+    plot: str
+    label: str
+    unit: str
+    shape: Shape
+    time_ns: int
+    level: float
+
+    @property
+    def entity(self) -> str:
+        """Entity path of all marks of the plot, below the run's prefix."""
+        return f"{self.plot}/{entities.MARKS}"
+
+
+def list_marks(
+    run: Run, series: Sequence[Series], metrics: Mapping[str, Metric]
+) -> tuple[Mark, ...]:
+    """Return the metrics that have a place on a curve that is drawn."""
+    curves = {curve.entity: curve for curve in series}
+    marks = []
+    for found in list_characteristics(run, metrics):
+        shape, curve = _SHAPES.get(found.kind), curves.get(_CURVES.get(found.signal, ""))
+        if shape is None or curve is None or found.level is None:
+            continue
+        marks.append(
+            Mark(
+                plot=curve.plot,
+                label=f"{found.word} {found.value:.3g} {found.unit}",
+                unit=found.unit,
+                shape=shape,
+                time_ns=run.start_ns + round(found.at_s * 1e9),
+                level=found.level,
+            )
+        )
+    return tuple(marks)
+
+
+def draw_marks(run_stream: RunStream, marks: Sequence[Mark]) -> None:
+    """Draw each metric as a point whose name, in the legend, holds the value."""
+    for entity in dict.fromkeys(mark.entity for mark in marks):
+        found = [mark for mark in marks if mark.entity == entity]
+        style = rr.SeriesPoints(
+            names=_name_marks(found),
+            colors=palette.pack_colors([palette.MARK] * len(found)),
+            markers=[mark.shape for mark in found],
+            marker_sizes=[_SIZE] * len(found),
+        )
+        run_stream.log(entity, style)
+        # A row for each, in which the others are nowhere.
+        levels = np.full((len(found), len(found)), np.nan)
+        np.fill_diagonal(levels, [mark.level for mark in found])
+        times_ns = [mark.time_ns for mark in found]
+        run_stream.send_few(entity, times_ns, rr.Scalars.columns(scalars=levels))
+
+
+def draw_lines(
+    run_stream: RunStream,
+    entity: str,
+    label: str,
+    color: Color,
+    times_ns: Sequence[int],
+    *,
+    largest: float,
+) -> None:
+    """Draw upright lines at times of the run [ns], up to the `largest` value of any plot.
+
+    Every plot that shows them needs a fixed range.
+    """
+    style = rr.SeriesLines(
+        names=[label],
+        colors=palette.pack_colors([color]),
+        widths=[_LINE_WIDTH],
+        aggregation_policy="Off",
+    )
+    run_stream.log(entity, style)
+    # The viewer cannot draw a line of many thousand plots' height: it goes by powers of ten.
+    steps = largest * _DECADES
+    line = [*-steps, *steps[::-1], np.nan]
+    levels = np.tile(line, len(times_ns))
+    run_stream.send_few(entity, np.repeat(times_ns, len(line)), rr.Scalars.columns(scalars=levels))
+
+
+def list_responses(run: Run, metrics: Mapping[str, Metric]) -> tuple[Series, ...]:
+    """Return the ideal response of each loop, and the sampled one with the dead time found.
+
+    Both start where the loop starts, as if nothing were clipped. A loop whose reference moves, that
+    is not theory's, or whose gain is not known has neither; one whose dead time is not known has no
+    sampled one.
+    """
+    found: list[Series] = []
+    for signal in entities.PLOTS:
+        for number, step in enumerate(find_steps(run, signal)):
+            if step.end_ns > step.start_ns:
+                of = step.loop.name if number else ""
+                dead_time = metrics.get(f"{step.loop.name}.dead_time")
+                found += [_compute_ideal(step, of), *_compute_sampled(step, of, run, dead_time)]
+    return tuple(found)
+
+
+def draw_phases(run_stream: RunStream, run: Run) -> None:
+    """Draw the phases as a bar that ends in `done`, or in nothing where the run was cut."""
+    spans = run.find_phase_spans()
+    if not spans:
+        return
+    style = rr.StateConfiguration(
+        values=list(run.phase_names),
+        # The pause is too short for its name; the title of the view explains its colour.
+        labels=[" " if name == PAUSE else name for name in run.phase_names],
+        colors=[found.bar for found in palette.choose_phase_colors(run.phase_names)],
+    )
+    prefix = entities.locate_phases(run_stream.prefix)
+    phases = RunStream(run_stream.stream, prefix, run_stream.timelines)
+    phases.log("", style)
+    last = DONE if run.is_complete else ""
+    columns = rr.StateChange.columns(state=[*(span.phase for span in spans), last])
+    starts_ns = [*(span.start_ns for span in spans), run.end_ns]
+    phases.send_few("", starts_ns, columns)
+
+
+def draw_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
+    """List the events as a text log, each after the speaker's name if there is one."""
+    if not run.events:
+        return
+    columns = rr.TextLog.columns(
+        text=[f"{speaker}: {event.text}" if speaker else event.text for event in run.events],
+        level=["INFO" if event.kind == "stop" else "WARN" for event in run.events],
+    )
+    run_stream.send_few(entities.EVENTS, [event.time_ns for event in run.events], columns)
+
+
+def list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
+    """Return the dead time at the start of each loop, where it is known, in order of time.
+
+    Each is a start and an end in the run's own time [ns], from a loop's first sample until its
+    command acts. Of loops that begin together it is the longest.
+    """
+    ends_ns: dict[int, int] = {}
+    for loop in run.declaration.loops:
+        metric, stretch = metrics.get(f"{loop.name}.dead_time"), find_first_stretch(run, loop)
+        if stretch and metric is not None and metric.value:
+            start_ns = stretch[0].start_ns
+            end_ns = start_ns + round(metric.value * 1e9)
+            ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
+    return sorted(ends_ns.items())
+
+
+def draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) -> None:
+    """Draw dead times as a bar of their own, below that of the phases."""
+    if not spans_ns:
+        return
+    style = rr.StateConfiguration(
+        values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.SAMPLED])
+    )
+    dead_times = RunStream(
+        run_stream.stream, entities.locate_dead_times(run_stream.prefix), run_stream.timelines
+    )
+    dead_times.log("", style)
+    times_ns = [time_ns for span_ns in spans_ns for time_ns in span_ns]
+    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans_ns))
+    dead_times.send_few("", times_ns, columns)
+
+
+def list_pause_times(run: Run) -> list[int]:
+    """Return where each pause starts and ends [ns]."""
+    pauses = [span for span in run.find_phase_spans() if span.phase == PAUSE]
+    return [time_ns for span in pauses for time_ns in (span.start_ns, span.end_ns)]
+
+
+def _name_marks(marks: Sequence[Mark]) -> list[str]:
+    """Return a name for each mark; those of one unit share it, and so a line of the legend."""
+    of_unit: dict[str, list[str]] = {}
+    for mark in sorted(marks, key=lambda found: found.time_ns):
+        of_unit.setdefault(mark.unit, []).append(f"{_SIGNS[mark.shape]} {mark.label}")
+    return ["  ".join(of_unit[mark.unit]) for mark in marks]
+
+
+def _compute_ideal(step: LoopStep, of: str) -> Series:
+    time_s = np.arange(_POINTS) * ((step.end_ns - step.start_ns) / 1e9 / (_POINTS - 1))
+    return _build(step, of, entities.IDEAL, "ideal", time_s, step.respond(time_s))
+
+
+def _compute_sampled(
+    step: LoopStep, of: str, run: Run, dead_time: Metric | None
+) -> Iterator[Series]:
+    steps_ns = np.diff(run.samples.time_ns)
+    if dead_time is None or dead_time.value is None or not (steps_ns > 0).any():
+        return
+    period_s = float(np.median(steps_ns[steps_ns > 0])) / 1e9
+    delay = round(dead_time.value / period_s)
+    count = int((step.end_ns - step.start_ns) / 1e9 / period_s) + 1
+    if count > _MOST_SAMPLES or delay > _MOST_DEAD_SAMPLES:
+        return
+    values = compute_sampled_step_response(
+        step.kp,
+        count,
+        period_s=period_s,
+        dead_time_ticks=delay,
+        initial=step.initial,
+        reference=step.reference,
+    )
+    label = f"ideal with {dead_time.value * 1e3:.3g} ms dead time"
+    time_s = np.arange(count) * period_s
+    yield _build(step, of, entities.SAMPLED, label, time_s, values)
+
+
+def _build(
+    step: LoopStep, of: str, kind: str, label: str, time_s: NDArray[np.floating], values: Values
+) -> Series:
+    """Return a response as a curve; `of` names its loop where its plot has those of several."""
+    return Series(
+        entity="/".join(part for part in (entities.PLOTS[step.loop.signal], kind, of) if part),
+        labels=(f"{label}, {of}" if of else label,),
+        colors=(_COLORS[kind],),
+        time_ns=step.start_ns + np.rint(time_s * 1e9).astype(np.int64),
+        values=values[:, np.newaxis],
+        width=_RESPONSE_WIDTH,
+        is_main=False,
+        is_measured=False,
+    )

@@ -1,0 +1,256 @@
+"""What a run puts into the plane: its trace, its error and command, its events."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from turtlelog.charts import palette
+from turtlelog.charts.palette import Color, choose_run_colors
+from turtlelog.charts.robot_curves import lack_samples, read_pace
+from turtlelog.charts.tracked_path import has_own_way, read_way_to_reference
+from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.timelines import RunStream, Values, choose_trace_rows
+from turtlelog.draw.rerun.turtles import Look, draw_faintly, part_strip, send_trail
+from turtlelog.draw.rerun.world import UPWARD
+from turtlelog.run import Event, Run
+
+_SPEED_LEVELS: Final = 16
+_TRACE_RADIUS: Final = 1.5  # [points], as are the others
+_SPEED_RADIUS: Final = 1.75
+_ARROW_SHARE: Final = 0.12
+_ARROW_RADIUS: Final = 2.5
+_THIN_RADIUS: Final = 1.0
+_SENSED_RADIUS: Final = 1.25
+_BELOW_TRACES: Final = 18.0  # lines have 20
+_ON_TRACES: Final = 22.0
+_EVENT_RADIUS: Final = 4.0
+_LOST_AGAIN: Final = frozenset({"poses_lost", "commands_lost"})
+"""Kinds of events of which random effects make one every few samples; the list holds them."""
+_ABOVE_TRACES: Final = 28.0  # below points, which have 30
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SpeedTrace:
+    """A path in colours of its speed.
+
+    Attributes:
+        strips: Stretches of one colour [m], each of shape (n, 2).
+        colors: One per strip, brighter where faster.
+        highest_m_s: What the brightest means [m/s].
+    """
+
+    strips: list[Values]
+    colors: list[Color]
+    highest_m_s: float
+
+
+def draw_trace_by_phase(run_stream: RunStream, run: Run, *, is_growing: bool = False) -> None:
+    """Draw the path, each stretch in the colour of its phase: faintly, and as a trail.
+
+    Of a run that grows all is driven: there is no more than the path, and it is bright.
+    """
+    run_stream.log(entities.PLANE, UPWARD)
+    strips, colors, hues, phases = part_strip(run), [palette.START], [palette.START], None
+    if not lack_samples([run]):
+        kept, phases = choose_trace_rows(run), _find_phases(run)
+        hues = [*(found.trace for found in palette.choose_phase_colors(run.phase_names))]
+        stretches = list(_split_where_changed(phases[kept][:-1]))
+        xy_m = run.poses.xy_m[kept]
+        strips = [xy_m[first : last + 1] for first, last in stretches] or [xy_m]
+        colors = [_choose_hue(hues, int(phases[kept][first])) for first, _ in stretches]
+        colors, hues = colors or [palette.MAIN], [*hues, palette.START]
+    colors = colors * len(strips) if len(colors) == 1 else colors
+    if is_growing:
+        _log_strips(run_stream, entities.PATH, strips, colors, _TRACE_RADIUS)
+        return
+    draw_faintly(run_stream, strips, colors, _TRACE_RADIUS)
+    look = Look(color=palette.START, width=_TRACE_RADIUS)
+    send_trail(run_stream, run, look, hues=hues, kinds=phases)
+
+
+def build_speed_trace(run: Run) -> SpeedTrace | None:
+    """Return the whole path in colours of its speed, None where nothing moves."""
+    kept = choose_trace_rows(run)
+    xy_m, speed_m_s = run.poses.xy_m[kept], read_pace(run, np.arange(len(run.poses))[kept])
+    highest = float(speed_m_s.max(initial=0.0))
+    if not 0.0 < highest < np.inf:
+        return None
+    levels = np.rint(speed_m_s / highest * (_SPEED_LEVELS - 1)).astype(np.int64)
+    ramp = choose_run_colors(_SPEED_LEVELS)
+    stretches = list(_split_where_changed(levels))
+    return SpeedTrace(
+        strips=[xy_m[first : last + 1] for first, last in stretches],
+        colors=[ramp[int(levels[first])] for first, _ in stretches],
+        highest_m_s=highest,
+    )
+
+
+def draw_speed_trace(run_stream: RunStream, trace: SpeedTrace) -> None:
+    """Draw the whole path in colours of its speed."""
+    _log_strips(run_stream, entities.SPEED_PATH, trace.strips, trace.colors, _SPEED_RADIUS)
+
+
+def draw_reference_path(run_stream: RunStream, run: Run) -> None:
+    """Draw the way of the reference pose, where the law records one: a strip where it is known.
+
+    The path that a law tracks is drawn itself.
+    """
+    xy_m = run.samples.reference_xy_m
+    if xy_m is None or not has_own_way(run):
+        return
+    known = np.isfinite(xy_m[:, 0]).astype(np.int64)
+    stretches = [s for s in _split_where_changed(known) if known[s[0]]]
+    strips = [xy_m[first:after] for first, after in stretches]
+    colors = [palette.REFERENCE] * len(strips)
+    _log_strips(run_stream, entities.REFERENCE_PATH, strips, colors, _TRACE_RADIUS)
+
+
+def draw_sensed(run_stream: RunStream, run: Run) -> None:
+    """Draw where the controller read that the turtle is, and where it is when it read nothing."""
+    xy_m, lost = run.poses.sensed_xy_m, np.flatnonzero(run.poses.dropped_out)
+    if xy_m is None:
+        return
+    kept = choose_trace_rows(run)
+    lost_m = run.poses.xy_m[np.intersect1d(kept, lost)]
+    for entity, places_m, color, order in (
+        (entities.SENSED_PLACES, xy_m[kept], palette.SENSED, _BELOW_TRACES),
+        (entities.DROPPED_PLACES, lost_m, palette.DROPPED_OUT, _ON_TRACES),
+    ):
+        points = rr.Points2D(
+            places_m[np.isfinite(places_m[:, 0])],
+            radii=rr.Radius.ui_points(_SENSED_RADIUS),
+            colors=[color],
+            draw_order=order,
+        )
+        run_stream.log(entity, points)
+
+
+def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> None:
+    """Draw the reference pose at the cursor as an arrow, where the law records one."""
+    xy_m, heading_rad = run.samples.reference_xy_m, run.samples.reference_heading_rad
+    if xy_m is None or heading_rad is None or not np.isfinite(heading_rad).any():
+        return
+    _log_arrow_style(run_stream, entities.REFERENCE_POSE, palette.GOAL, _ARROW_RADIUS)
+    ways = half_size_m * _ARROW_SHARE * np.column_stack([np.cos(heading_rad), np.sin(heading_rad)])
+    values = np.column_stack([xy_m, ways])
+    run_stream.send(entities.REFERENCE_POSE, run.samples.time_ns, values, _build_known_arrows)
+
+
+def draw_arrows(run_stream: RunStream, run: Run) -> None:
+    """Draw at the cursor the error, from turtle to goal, and the command: its second's way.
+
+    Of a law without a goal the error is that to the reference pose, where it records one.
+
+    The command is two arrows in the turtle's frame: the speed along the heading, and the turn rate
+    as what it moves a point 1 m ahead by, to the left of it.
+    """
+    ways_m = _read_errors(run)
+    if ways_m is not None:
+        _log_arrow_style(run_stream, entities.ERROR, palette.ERROR)
+        values = np.column_stack([run.poses.xy_m, ways_m])
+        run_stream.send(entities.ERROR, run.poses.time_ns, values, _build_error)
+    table = run.samples if len(run.samples) else run.commands
+    if len(table):
+        _log_arrow_style(run_stream, entities.COMMAND, palette.SECOND)
+        values = np.column_stack([table.speed_m_s, table.turn_rate_rad_s])
+        run_stream.send(entities.COMMAND, table.time_ns, values, _build_command)
+
+
+def name_arrows(run: Run) -> str:
+    """Return what the thin arrows at the turtle are, in words, as `draw_arrows` draws them."""
+    aim = "goal" if run.goal_xy_m is not None else "reference"
+    words = [f"pink: to the {aim}"] if _read_errors(run) is not None else []
+    words += ["yellow: command"] if len(run.samples) or len(run.commands) else []
+    return ", ".join(words)
+
+
+def _read_errors(run: Run) -> Values | None:
+    """Return the way from every pose to where the robot should be [m], shape (n, 2)."""
+    if run.goal_xy_m is not None:
+        return np.asarray(np.array(run.goal_xy_m) - run.poses.xy_m)
+    return read_way_to_reference(run)
+
+
+def list_placed(run: Run) -> list[Event]:
+    """Return the events that are marked: what is lost time and again would cover all else."""
+    return [event for event in run.events if event.kind not in _LOST_AGAIN]
+
+
+def draw_event_places(run_stream: RunStream, run: Run) -> None:
+    """Mark where the turtle was when something happened; the viewer names it at the pointer."""
+    events = list_placed(run)
+    times_ns = [event.time_ns for event in events]
+    rows = np.searchsorted(run.poses.time_ns, times_ns, side="right") - 1
+    points = rr.Points2D(
+        run.poses.xy_m[np.maximum(rows, 0)],
+        radii=rr.Radius.ui_points(_EVENT_RADIUS),
+        colors=[palette.WANTED if event.kind == "wall_hit" else palette.EVENT for event in events],
+        labels=[event.kind.replace("_", " ") for event in events],
+        show_labels=False,
+    )
+    run_stream.log(entities.EVENT_PLACES, points)
+
+
+def _find_phases(run: Run) -> NDArray[np.int64]:
+    """Return the index of the phase of each pose, -1 before the first sample, shape (n,)."""
+    phases = np.full(len(run.poses), palette.NO_PHASE)
+    for span in run.find_phase_spans():
+        first, last = np.searchsorted(run.poses.time_ns, [span.start_ns, span.end_ns])
+        phases[first : last + 1] = run.phase_names.index(span.phase)
+    return phases
+
+
+def _choose_hue(hues: Sequence[Color], phase: int) -> Color:
+    return palette.START if phase == palette.NO_PHASE else hues[phase]
+
+
+def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
+    """Yield the first row of each stretch of equal values, and the row after its last."""
+    bounds = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    for first, last in pairwise(bounds):
+        if last > first:
+            yield first, last
+
+
+def _log_strips(
+    run_stream: RunStream,
+    entity: str,
+    strips: list[Values],
+    colors: list[Color],
+    radius: float,
+) -> None:
+    radii = rr.Radius.ui_points(radius)
+    run_stream.log(entity, rr.LineStrips2D(strips, radii=radii, colors=palette.pack_colors(colors)))
+
+
+def _log_arrow_style(
+    run_stream: RunStream, entity: str, color: Color, radius: float = _THIN_RADIUS
+) -> None:
+    style = rr.Arrows2D.from_fields(
+        colors=[color], radii=rr.Radius.ui_points(radius), draw_order=_ABOVE_TRACES
+    )
+    run_stream.log(entity, style)
+
+
+def _build_known_arrows(values: Values) -> rr.ComponentColumnList:
+    """Build an arrow for each row; one of NaN has none, and takes that of the row before away."""
+    known = np.isfinite(values).all(axis=1)
+    columns = rr.Arrows2D.columns(origins=values[known, :2], vectors=values[known, 2:])
+    return columns.partition(known.astype(np.int64))
+
+
+def _build_error(values: Values) -> rr.ComponentColumnList:
+    return rr.Arrows2D.columns(origins=values[:, :2], vectors=values[:, 2:])
+
+
+def _build_command(values: Values) -> rr.ComponentColumnList:
+    zeros = np.zeros(len(values))
+    vectors = np.column_stack([values[:, 0], zeros, zeros, values[:, 1]]).reshape(-1, 2)
+    origins = np.tile([(0.0, 0.0), (1.0, 0.0)], (len(values), 1))
+    lengths = np.full(len(values), 2)
+    return rr.Arrows2D.columns(origins=origins, vectors=vectors).partition(lengths)

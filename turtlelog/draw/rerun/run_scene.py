@@ -1,0 +1,167 @@
+"""One run as a Rerun recording."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import rerun as rr
+
+from turtlelog.charts import palette
+from turtlelog.draw.documents import describe_run
+from turtlelog.draw.rerun import entities, plane
+from turtlelog.draw.rerun.content import (
+    Content,
+    describe_content,
+    find_corners,
+    find_ends,
+    find_largest,
+)
+from turtlelog.draw.rerun.entities import join_path
+from turtlelog.draw.rerun.ghosts import Ghost, build_ideal_ghost, draw_ghost, draw_key
+from turtlelog.draw.rerun.layout import build_run_layout, is_small
+from turtlelog.draw.rerun.marks import (
+    Mark,
+    draw_events,
+    draw_lines,
+    draw_marks,
+    draw_phases,
+    list_marks,
+    list_responses,
+)
+from turtlelog.draw.rerun.plots import (
+    LevelLines,
+    Series,
+    draw_references,
+    draw_series,
+    list_references,
+    list_series,
+)
+from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording, send_run_properties
+from turtlelog.draw.rerun.timelines import RunStream, add_thinning, build_run_timelines, read_span
+from turtlelog.draw.rerun.turtles import Look, draw_turtle
+from turtlelog.draw.rerun.world import draw_close_up, draw_world, draw_worst_place
+from turtlelog.measure import Metric, measure_run
+from turtlelog.run import Run
+
+_RUN: Final = "the run"
+_EVENT_LINES: Final = f"{entities.LINES}/event"
+
+
+def write_run_rrd(
+    run: Run,
+    path: str | Path,
+    *,
+    documents: Mapping[str, str] | None = None,
+    size: tuple[int, int] | None = None,
+) -> None:
+    """Write a recording of one run with its layout; time zero is the first sample.
+
+    Args:
+        run: What to show.
+        path: The .rrd file; replaced when the new one is complete.
+        documents: Markdown texts by title, shown as tabs; `describe_run` where None.
+        size: Of the window that it is for [pixels], where known: in a small one legends, phases and
+            documents give way to curves.
+
+    Raises:
+        ShowError: Where the file cannot be written.
+    """
+    single = build_single(run)
+    if documents is None:
+        documents = describe_run(run, metrics=single.metrics)
+    documents = add_thinning(documents, [run])
+    content = replace(single.describe(documents), is_small=is_small(size))
+    with open_recording(path, name=run.name, layout=build_run_layout(content)) as stream:
+        draw_single(stream, single, content)
+        draw_documents(stream, documents)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Single:
+    """One run, measured, and all that is drawn of it.
+
+    Attributes:
+        run: The run.
+        metrics: Its metrics by id.
+        series: Its curves, and those of theory.
+        references: Level lines.
+        marks: Metrics that have a place on a curve.
+        by_speed: Its path in colours of its speed, None where nothing moves.
+        ideal: The ideal loop, None where theory does not know where it would be.
+    """
+
+    run: Run
+    metrics: Mapping[str, Metric]
+    series: tuple[Series, ...]
+    references: tuple[LevelLines, ...]
+    marks: tuple[Mark, ...]
+    by_speed: plane.SpeedTrace | None
+    ideal: Ghost | None = None
+
+    def describe(self, documents: Mapping[str, str]) -> Content:
+        """Return what a recording of it holds."""
+        content = describe_content([self.run], [""], [self.series], self.references, documents)
+        return replace(
+            content,
+            ends=find_ends(self.series, content.ranges),
+            corners=find_corners(self.series, content.ranges) if self.run.goal_xy_m is None else {},
+            series=(*content.series, *dict.fromkeys(join_path(mark.entity) for mark in self.marks)),
+            arrows=plane.name_arrows(self.run),
+            lines=(join_path(_EVENT_LINES),) if plane.list_placed(self.run) else (),
+            ghosts=() if self.ideal is None else (self.ideal.prefix,),
+            highest_speed_m_s=None if self.by_speed is None else self.by_speed.highest_m_s,
+        )
+
+
+def build_single(run: Run) -> Single:
+    """Return a run, measured, with its curves and marks."""
+    metrics, measured = measure_run(run), list_series(run)
+    return Single(
+        run=run,
+        metrics=metrics,
+        series=(*measured, *list_responses(run, metrics)),
+        references=list_references([run]),
+        marks=list_marks(run, measured, metrics),
+        by_speed=plane.build_speed_trace(run),
+        ideal=build_ideal_ghost(run),
+    )
+
+
+def draw_single(stream: rr.RecordingStream, single: Single, content: Content) -> None:
+    """Draw the run with all that surrounds it, but for its documents."""
+    run, timelines = single.run, build_run_timelines(single.run)
+    send_run_properties(stream, run, single.metrics)
+    draw_world(stream, [run])
+    run_stream = RunStream(stream, "", timelines)
+    plane.draw_trace_by_phase(run_stream, run)
+    plane.draw_reference_path(run_stream, run)
+    plane.draw_sensed(run_stream, run)
+    if single.by_speed is not None:
+        plane.draw_speed_trace(run_stream, single.by_speed)
+    draw_turtle(run_stream, run.poses, Look(color=palette.MAIN), content.plane.half_size_m)
+    if single.ideal is not None:
+        draw_ghost(stream, single.ideal, timelines, content.plane.half_size_m)
+        rows = [(_RUN, palette.MAIN), (single.ideal.name, single.ideal.look.color)]
+        draw_key(stream, rows, content.plane, [run])
+    plane.draw_reference_pose(run_stream, run, content.plane.half_size_m)
+    plane.draw_arrows(run_stream, run)
+    if content.goal is not None:
+        draw_close_up(stream, content.goal, run, [""], [palette.MAIN])
+    if content.worst is not None:
+        draw_worst_place(stream, content.worst, palette.MAIN)
+    draw_phases(run_stream, run)
+    if run.events:
+        _draw_events(run_stream, run, find_largest(content))
+    draw_references(stream, single.references, read_span([run], [timelines]))
+    for curves in single.series:
+        draw_series(run_stream, curves)
+    draw_marks(run_stream, single.marks)
+
+
+def _draw_events(run_stream: RunStream, run: Run, largest: float) -> None:
+    """Draw the events where the turtle was, across the plots, and as a log."""
+    plane.draw_event_places(run_stream, run)
+    times_ns = sorted({event.time_ns for event in plane.list_placed(run)})
+    draw_lines(run_stream, _EVENT_LINES, "event", palette.EVENT, times_ns, largest=largest)
+    draw_events(run_stream, run)

@@ -1,0 +1,285 @@
+"""A picture of a recording, and what the viewer says about it, without a display."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from rerun.experimental import ViewerClient
+
+from turtlelog.charts.phase_timelines import TIMELINE, WALL_TIMELINE
+from turtlelog.draw.output_files import replace_file
+from turtlelog.draw.rerun.entities import TICKS
+from turtlelog.draw.rerun.viewer import (
+    ViewerProcess,
+    find_free_port,
+    require_recordings,
+    start_viewer,
+    wait_for_viewer,
+)
+from turtlelog.errors import ShowError
+
+_LOAD_S: Final = 60.0
+_PICTURES: Final = 20
+_PAUSE_S: Final = 0.1
+_NOTICE_S: Final = 3.5
+_LAST_BREATH_S: Final = 2.0
+_ZOOM_STEP: Final = 0.1
+_ROUNDING_S: Final = 1e-3
+"""Times are printed in milliseconds."""
+_OTHER_TIMELINES: Final = frozenset({TICKS, WALL_TIMELINE, "log_time", "log_tick"})
+"""Those that do not count in seconds from a moment of the run."""
+
+_PACKAGES: Final = "mesa-vulkan-drivers libvulkan1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShownView:
+    """One view of the layout.
+
+    Attributes:
+        name: Its title.
+        kind: Rerun's class of view, such as `TimeSeries`.
+        is_visible: Whether the layout shows it.
+        problems: Warnings and errors that it reported.
+    """
+
+    name: str
+    kind: str
+    is_visible: bool
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewReport:
+    """What the viewer says of a recording.
+
+    Attributes:
+        views: Of the layout.
+        entities: Entity paths that were loaded, properties among them.
+        messages: Warnings and errors that the viewer logged.
+    """
+
+    views: tuple[ShownView, ...]
+    entities: tuple[str, ...]
+    messages: tuple[str, ...]
+
+
+class Camera:
+    """A headless viewer that takes one picture after the other; made by `open_camera`."""
+
+    def __init__(self, viewer: ViewerProcess, client: ViewerClient, size: tuple[int, int]) -> None:
+        self._viewer, self._client, self._size = viewer, client, size
+        self._is_ready = False
+        self._last_log = 0
+
+    def take(
+        self,
+        rrd_path: str | Path,
+        png_path: str | Path,
+        *,
+        at_s: float | None = None,
+        timeline: str = TIMELINE,
+    ) -> ViewReport:
+        """Write a picture of a recording, as `write_snapshot` does."""
+        require_recordings([rrd_path])
+        client = self._client
+        try:
+            _open(client, Path(rrd_path), self._last_log)
+            self._get_ready()
+            _set_time(client, at_s, timeline)
+            picture = _take_picture(client)
+            report = _read_report(client, self._last_log)
+            client.close("all")
+            self._last_log = max((entry.sequence for entry in client.get_logs()), default=0)
+        except (RuntimeError, OSError) as err:
+            if _has_ended(self._viewer):
+                raise _describe_lack(self._viewer.read_error()) from err
+            width, height = self._size
+            raise ShowError(
+                f"viewer: expected a picture of {width}x{height} pixels, found: {err}"
+            ) from err
+        with replace_file(png_path) as part_path:
+            part_path.write_bytes(picture)
+        return report
+
+    def _get_ready(self) -> None:
+        """Outlast what greets; later, leave the layout of the recording before; hide the menus."""
+        if self._is_ready:
+            self._client.run_command("recording.reset_blueprint_to_default")
+            self._client.take_screenshot(max_size=16)
+        else:
+            _outlast_notices(self._client)
+            self._is_ready = True
+        self._client.run_command("ui.toggle_top_panel")
+
+
+@contextmanager
+def open_camera(*, size: tuple[int, int] = (1600, 900), zoom: float = 1.0) -> Iterator[Camera]:
+    """Start a headless viewer for any number of pictures, and end it on the way out.
+
+    Args:
+        size: Width and height of the window [pixels].
+        zoom: Scale of letters and lines, in steps of 0.1; at least 1.
+
+    Raises:
+        ShowError: Where the viewer cannot start.
+    """
+    port = find_free_port()
+    width, height = size
+    options = ["--headless", "--port", str(port), "--hide-welcome-screen"]
+    with start_viewer([*options, "--window-size", f"{width}x{height}"]) as viewer:
+        client = _connect(viewer, port)
+        for _ in range(round((zoom - 1.0) / _ZOOM_STEP)):
+            client.run_command("ui.zoom_in_ui")
+        yield Camera(viewer, client, size)
+
+
+def write_snapshot(
+    rrd_path: str | Path,
+    png_path: str | Path,
+    *,
+    at_s: float | None = None,
+    timeline: str = TIMELINE,
+    size: tuple[int, int] = (1600, 900),
+    zoom: float = 1.0,
+) -> ViewReport:
+    """Write a picture of a recording as the viewer shows it, and return what it reports.
+
+    Args:
+        rrd_path: The recording.
+        png_path: The picture; replaced when the new one is complete.
+        at_s: Where to put the time cursor [s]; at the end where None.
+        timeline: What time is told in: `sim_time`, or of several runs also that of a phase, as
+            `translate_time`.
+        size: Width and height of the window [pixels].
+        zoom: Scale of letters and lines, in steps of 0.1; at least 1.
+
+    Raises:
+        ShowError: Where the viewer cannot start, or the recording cannot be shown.
+    """
+    require_recordings([rrd_path])
+    with open_camera(size=size, zoom=zoom) as camera:
+        return camera.take(rrd_path, png_path, at_s=at_s, timeline=timeline)
+
+
+def _connect(viewer: ViewerProcess, port: int) -> ViewerClient:
+    try:
+        return wait_for_viewer(viewer, port)
+    except ConnectionError as err:
+        raise _describe_lack(str(err)) from err
+
+
+def _has_ended(viewer: ViewerProcess) -> bool:
+    """Whether it is gone, or goes: without graphics it answers for a moment."""
+    deadline = time.monotonic() + _LAST_BREATH_S
+    while not viewer.has_ended and time.monotonic() < deadline:
+        time.sleep(_PAUSE_S)
+    return viewer.has_ended
+
+
+def _describe_lack(found: str) -> ShowError:
+    return ShowError(
+        f"viewer: expected a graphics adapter or a software one (on Debian: apt-get install"
+        f" {_PACKAGES}), found: {found}"
+    )
+
+
+def _open(client: ViewerClient, path: Path, last_log: int) -> None:
+    client.open(str(path.resolve()))
+    deadline = time.monotonic() + _LOAD_S
+    while (state := client.get_state()).loading or not state.views:
+        found = client.get_logs(after_sequence=last_log)
+        errors = [entry.message for entry in found if entry.level == "ERROR"]
+        if errors:
+            raise ShowError(f"{path}: expected a recording, found: {errors[0].splitlines()[0]}")
+        if time.monotonic() > deadline:
+            raise ShowError(f"{path}: expected a recording that loads in {_LOAD_S:g} s")
+        time.sleep(_PAUSE_S)
+
+
+def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
+    """Put the cursor at a time, or at the end; a recording without times has no cursor."""
+    starts_ns: dict[str, int] = {}
+    ends_ns: dict[str, int] = {}
+    for recording in client.get_state().recordings:
+        for timeline in recording.timelines:
+            if timeline.end is not None and timeline.name not in _OTHER_TIMELINES:
+                start_ns = timeline.end if timeline.start is None else timeline.start
+                starts_ns[timeline.name] = min(start_ns, starts_ns.get(timeline.name, start_ns))
+                ends_ns[timeline.name] = max(timeline.end, ends_ns.get(timeline.name, 0))
+    if name == TIMELINE and name not in ends_ns and len(ends_ns) == 1:
+        (name,) = ends_ns  # of an identified robot its own
+    if name in ends_ns:
+        cursor_s = ends_ns[name] / 1e9 if at_s is None else at_s
+        _require_inside(cursor_s, name, starts_ns[name] / 1e9, ends_ns[name] / 1e9)
+        client.set_time(name, duration=cursor_s, play_state="paused")
+    elif at_s is not None or name != TIMELINE:
+        known = " or ".join(sorted(ends_ns)) or "one, of which there is none"
+        raise ShowError(f"timeline: expected {known}, found {name}")
+
+
+def _require_inside(cursor_s: float, name: str, start_s: float, end_s: float) -> None:
+    """Raise where a view has nothing at a time: the picture would be empty."""
+    if not start_s - _ROUNDING_S <= cursor_s <= end_s + _ROUNDING_S:
+        raise ShowError(
+            f"at: expected {start_s:.3f} to {end_s:.3f} s, where {name} begins and ends,"
+            f" found {cursor_s:g}"
+        )
+
+
+def _take_picture(client: ViewerClient) -> bytes:
+    """Return the first picture that equals the one before it: views settle over some frames."""
+    before = _shoot(client)
+    for _ in range(_PICTURES):
+        time.sleep(_PAUSE_S)
+        picture = _shoot(client)
+        if picture == before:
+            break
+        before = picture
+    return before
+
+
+def _shoot(client: ViewerClient) -> bytes:
+    """Return a picture; Rerun gives up after 15 s, which many runs on a busy machine take."""
+    deadline = time.monotonic() + _LOAD_S
+    while True:
+        try:
+            return client.take_screenshot()
+        except (RuntimeError, OSError) as err:
+            if "Deadline expired" not in str(err) or time.monotonic() > deadline:
+                raise
+
+
+def _outlast_notices(client: ViewerClient) -> None:
+    """Let the viewer paint until the notices that it greets with are gone from the picture."""
+    deadline = time.monotonic() + _NOTICE_S
+    while time.monotonic() < deadline:
+        client.take_screenshot(max_size=16)
+
+
+def _read_report(client: ViewerClient, last_log: int) -> ViewReport:
+    return ViewReport(
+        views=tuple(
+            ShownView(
+                name=view.name,
+                kind=view.view_class,
+                is_visible=view.visible,
+                problems=tuple(
+                    ": ".join(filter(None, (report.severity, report.summary, report.details)))
+                    for report in view.reports
+                ),
+            )
+            for view in client.get_state().views
+        ),
+        entities=tuple(
+            entity.entity_path for entity in client.get_recording_schema(paths_only=True).entities
+        ),
+        messages=tuple(
+            f"{entry.level}: {entry.message}"
+            for entry in client.get_logs(after_sequence=last_log)
+            if entry.level in {"WARN", "ERROR"}
+        ),
+    )

@@ -1,0 +1,278 @@
+"""The timelines of a recording, and the rows of a run that are sent on them."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Final
+
+import numpy as np
+import rerun as rr
+from numpy.typing import ArrayLike, NDArray
+
+from turtlelog.charts.phase_timelines import TIMELINE, WALL_TIMELINE, find_phase_zeros
+from turtlelog.charts.shared_curves import choose_rows
+from turtlelog.compare import name_runs
+from turtlelog.display import join_words
+from turtlelog.draw.rerun.entities import TICKS, join_path
+from turtlelog.run import Run
+
+Times = NDArray[np.int64]
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_LARGEST_NS: Final = 2**62
+_SHARE_BEYOND: Final = 16
+Values = NDArray[np.float64]
+
+CHUNK_ROWS: Final = 65_536
+"""Rows sent at once; Rerun takes longer for each row of larger chunks."""
+
+MOST_ROWS: Final = 2**18
+"""Rows of a table up to which every one is drawn, and about how many of longer tables at most: a
+hundred for each pixel of a wide screen. A million samples in full took four times as many bytes."""
+
+TRACE_ROWS: Final = 2**16
+"""About how many poses a trace in the plane is drawn through."""
+
+MOST_BORDERS: Final = 2**14
+"""Up to so many borders of phases and events are kept exactly: the rows beside them are an eighth
+of the rows of a curve at most. More than these lie closer together than pixels."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Timelines:
+    """What a run's times are called on each timeline; all timelines but the first are optional.
+
+    Attributes:
+        zero_ns: Zero of `sim_time`, in the run's own time [ns].
+        tick_ns: Times of the run's poses [ns], shape (n,), whose numbers are the ticks.
+        starts_ns: Zeros of the timelines of phases, by their names, in the run's own time [ns].
+        epoch_ns: Time from 1970 UTC to the run's own time 0 [ns].
+        borders_ns: Where phases begin and end and events are, in the run's own time [ns], rising;
+            long curves keep the rows beside them.
+    """
+
+    zero_ns: int
+    tick_ns: Times | None = None
+    starts_ns: Mapping[str, int] = field(default_factory=dict)
+    epoch_ns: int | None = None
+    borders_ns: Times = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def read(self, time_ns: Times) -> dict[str, Times]:
+        """Return the run's own times [ns], shape (n,), as each timeline tells them."""
+        read = {TIMELINE: time_ns - self.zero_ns}
+        if self.tick_ns is not None:
+            read[TICKS] = _count_ticks(self.tick_ns, time_ns)
+        for name, start_ns in self.starts_ns.items():
+            read[name] = time_ns - start_ns
+        if self.epoch_ns is not None:
+            read[WALL_TIMELINE] = time_ns + self.epoch_ns
+        return read
+
+
+def build_run_timelines(run: Run) -> Timelines:
+    """Return the timelines of a run alone: its ticks too, and wall time where it was imported."""
+    stamp = run.notes.get("original_timestamp")
+    epoch_ns = None if stamp is None else parse_timestamp(stamp)
+    return Timelines(
+        zero_ns=run.start_ns,
+        tick_ns=run.poses.time_ns,
+        epoch_ns=epoch_ns,
+        borders_ns=_find_borders(run),
+    )
+
+
+def build_compared_timelines(run: Run) -> Timelines:
+    """Return the timelines of a run among others: from its first sample, and from later phases."""
+    return Timelines(
+        zero_ns=run.start_ns, starts_ns=find_phase_zeros(run), borders_ns=_find_borders(run)
+    )
+
+
+def read_span(runs: Sequence[Run], timelines: Sequence[Timelines]) -> dict[str, Times]:
+    """Return the first time of all runs and a little beyond the last, on each timeline."""
+    spans: dict[str, list[Times]] = {}
+    for run, own in zip(runs, timelines, strict=True):
+        ends_ns = np.array([_find_first_ns(run), run.end_ns])
+        for name, read in own.read(ends_ns).items():
+            spans.setdefault(name, []).append(read)
+    return {name: _widen(np.concatenate(found)) for name, found in spans.items()}
+
+
+def build_index(times: Mapping[str, Times]) -> list[rr.TimeColumn]:
+    """Return index columns; whole nanoseconds, since seconds would be cut off."""
+    return [_build_column(name, values) for name, values in times.items()]
+
+
+def parse_timestamp(text: str) -> int | None:
+    """Return an ISO 8601 time in nanoseconds since 1970 UTC; None where it is no such time.
+
+    A time that names no zone is taken for UTC: where it was told is not known.
+    """
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    moment = moment.replace(tzinfo=moment.tzinfo or UTC)
+    fraction = re.search(r":\d\d[.,](\d+)", text)
+    seconds = (moment.replace(microsecond=0) - _EPOCH) // (moment.resolution * 1_000_000)
+    time_ns = seconds * 1_000_000_000 + int(f"{fraction[1] if fraction else '':0<9}"[:9])
+    return time_ns if abs(time_ns) < _LARGEST_NS else None
+
+
+class RunStream:
+    """Sends what is drawn of one run.
+
+    Attributes:
+        stream: The recording.
+        prefix: Entity prefix of the run, empty where it stands alone.
+        timelines: What its times are called.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, prefix: str, timelines: Timelines) -> None:
+        self.stream, self.prefix, self.timelines = stream, prefix, timelines
+        # Many curves share their times: their index columns are built once.
+        self._indexes: dict[int, tuple[Times, list[list[rr.TimeColumn]]]] = {}
+
+    def log(self, entity: str, archetype: rr.AsComponents) -> None:
+        """Store what holds at all times."""
+        self.stream.log(join_path(self.prefix, entity), archetype, static=True)
+
+    def send(
+        self,
+        entity: str,
+        time_ns: Times,
+        values: Values,
+        build: Callable[[Values], rr.ComponentColumnList],
+    ) -> None:
+        """Send a row per time of the run [ns], `build` making columns of values, shape (n, ...)."""
+        time_ns, values = self.thin(time_ns, values)
+        path = join_path(self.prefix, entity)
+        for part, index in zip(_split(len(values)), self._find_indexes(time_ns), strict=True):
+            self.stream.send_columns(path, index, build(values[part]))
+
+    def thin(self, time_ns: Times, values: Values) -> tuple[Times, Values]:
+        """Return the rows that `send` sends, where there are many."""
+        if len(values) <= MOST_ROWS:
+            return time_ns, values
+        beside = _find_beside(time_ns, self.timelines.borders_ns)
+        rows = choose_rows(values, MOST_ROWS, always=beside)
+        return time_ns[rows], values[rows]
+
+    def send_few(self, entity: str, time_ns: ArrayLike, columns: rr.ComponentColumnList) -> None:
+        """Send columns of a few rows as they are."""
+        times = self.timelines.read(np.asarray(time_ns, dtype=np.int64))
+        self.stream.send_columns(join_path(self.prefix, entity), build_index(times), columns)
+
+    def _find_indexes(self, time_ns: Times) -> list[list[rr.TimeColumn]]:
+        known = self._indexes.get(id(time_ns))
+        if known is None:
+            times = self.timelines.read(time_ns)
+            parts = _split(len(time_ns))
+            known = (
+                time_ns,
+                [build_index({name: read[part] for name, read in times.items()}) for part in parts],
+            )
+            self._indexes[id(time_ns)] = known
+        return known[1]
+
+
+def choose_trace_rows(run: Run) -> NDArray[np.int64]:
+    """Return the poses that a trace in the plane is drawn through."""
+    poses = run.poses
+    beside = _find_beside(poses.time_ns, _find_borders(run)) if len(poses) > TRACE_ROWS else None
+    rows = choose_rows(poses.xy_m, TRACE_ROWS, always=beside)
+    return np.arange(len(run.poses)) if rows is None else rows
+
+
+def add_thinning(documents: Mapping[str, str], runs: Sequence[Run]) -> Mapping[str, str]:
+    """Return documents with one more that says what the pictures leave out, if anything."""
+    text = _describe_thinning(runs)
+    return {**documents, "Drawn": text} if text else documents
+
+
+def _find_first_ns(run: Run) -> int:
+    tables = (run.poses, run.samples, run.commands)
+    return min(int(table.time_ns[0]) for table in tables if len(table))
+
+
+def _find_borders(run: Run) -> Times:
+    """Return where phases begin and end and events are [ns]; nothing of a run that is drawn whole.
+
+    Nothing, too, of more than `MOST_BORDERS`.
+    """
+    borders_ns = None if _is_whole(run) else _list_borders(run)
+    return np.zeros(0, dtype=np.int64) if borders_ns is None else borders_ns
+
+
+def _is_whole(run: Run) -> bool:
+    longest = max(len(run.poses), len(run.samples), len(run.commands))
+    return longest <= min(MOST_ROWS, TRACE_ROWS)
+
+
+def _list_borders(run: Run) -> Times | None:
+    """Return where phases begin and end and events are [ns]; None of more than `MOST_BORDERS`."""
+    if np.count_nonzero(np.diff(run.samples.phase)) > MOST_BORDERS:
+        return None
+    spans = [end_ns for span in run.find_phase_spans() for end_ns in (span.start_ns, span.end_ns)]
+    borders_ns = np.unique(np.array([*spans, *(event.time_ns for event in run.events)], np.int64))
+    return borders_ns if len(borders_ns) <= MOST_BORDERS else None
+
+
+def _find_beside(time_ns: Times, borders_ns: Times) -> NDArray[np.int64]:
+    """Return the last row before each border and the first at or after it."""
+    after = np.searchsorted(time_ns, borders_ns)
+    return np.unique(np.concatenate([after - 1, after]).clip(0, len(time_ns) - 1))
+
+
+def _widen(values: Times) -> Times:
+    """Return the least and a little more than the greatest: there the last phase shows."""
+    first, last = int(values.min()), int(values.max())
+    return np.array([first, last + (last - first) // _SHARE_BEYOND])
+
+
+def _build_column(name: str, values: Times) -> rr.TimeColumn:
+    if name == TICKS:
+        return rr.TimeColumn(name, sequence=values)
+    if name == WALL_TIMELINE:
+        return rr.TimeColumn(name, timestamp=values.astype("datetime64[ns]"))
+    return rr.TimeColumn(name, duration=values.astype("timedelta64[ns]"))
+
+
+def _count_ticks(tick_ns: Times, time_ns: Times) -> Times:
+    """Return the number of the last pose at or before each time."""
+    if time_ns is tick_ns:
+        return np.arange(len(tick_ns), dtype=np.int64)
+    return np.searchsorted(tick_ns, time_ns, side="right") - 1
+
+
+def _describe_thinning(runs: Sequence[Run]) -> str:
+    tables = [table for run in runs for table in (run.poses, run.samples, run.commands)]
+    poses, longest = max(len(run.poses) for run in runs), max(map(len, tables))
+    drawn = []
+    if poses > TRACE_ROWS:
+        drawn.append(f"traces about {TRACE_ROWS:,} of up to {poses:,} poses")
+    if longest > MOST_ROWS:
+        drawn.append(f"curves about {MOST_ROWS:,} of up to {longest:,} rows")
+    if not drawn:
+        return ""
+    kept = ["the first row", "the least and the greatest value", "the first row of a gap"]
+    return (
+        f"Drawn are of {' and of '.join(drawn)} at most: of every stretch {join_words(kept)}"
+        f"{_describe_borders(runs)}. What lies between is left out. Metrics are of all."
+    )
+
+
+def _describe_borders(runs: Sequence[Run]) -> str:
+    """Say of which runs the rows beside borders are kept."""
+    named = zip(name_runs(runs), runs, strict=True)
+    borders = [(name, _list_borders(run)) for name, run in named if not _is_whole(run)]
+    crowded = [name for name, found in borders if found is None]
+    if not any(found is not None and len(found) for _, found in borders):
+        return ""
+    but = f" (not of {join_words(crowded)}: more than {MOST_BORDERS:,})" if crowded else ""
+    return f", and the rows beside each border of a phase and each event{but}"
+
+
+def _split(count: int) -> Iterator[slice]:
+    return (slice(start, start + CHUNK_ROWS) for start in range(0, count, CHUNK_ROWS))

@@ -1,0 +1,327 @@
+"""A run as a Rerun recording that opens where a check was violated, its signal over all else."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from textwrap import shorten
+from typing import Final, Literal
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rerun.blueprint.components import AbsoluteTimeRange
+
+from turtlelog.charts import palette
+from turtlelog.charts.phase_timelines import TIMELINE
+from turtlelog.charts.shared_curves import Curve
+from turtlelog.charts.violated_signal import ViolatedSignal
+from turtlelog.draw.documents import describe_run
+from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.entities import VIOLATION, join_path
+from turtlelog.draw.rerun.layout import LEGEND_TITLE, build_run_layout, build_violation_layout
+from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording
+from turtlelog.draw.rerun.run_scene import build_single, draw_single
+from turtlelog.draw.rerun.timelines import (
+    RunStream,
+    Times,
+    Values,
+    add_thinning,
+    build_run_timelines,
+)
+from turtlelog.escapes import escape_markdown, fence_markdown
+from turtlelog.run import Event, Run
+
+_RADIUS: Final = 6.0  # [points], as are the other sizes
+_CURVE_WIDTH: Final = 2.0
+_OUTSIDE_WIDTH: Final = 4.0
+_LIMIT_WIDTH: Final = 1.5
+_POINT_SIZE: Final = 6.0
+
+Marker = Literal["circle", "diamond", "up", "down"]
+_MARKERS: Final[Mapping[str, Marker]] = {
+    "first": "circle",
+    "worst": "diamond",
+    "high": "up",
+    "low": "down",
+}
+_SIGNS: Final[Mapping[str, str]] = {"high": "▲", "low": "▼"}
+"""How marks of limits look, for the legend: a plot has no words at its lines."""
+
+_NAMES_OUTSIDE: Final[Mapping[str, str]] = {"worst": "outside", "nearest": "not within"}
+
+_MARK_AT: Final = 0.03
+"""Where along a limit its mark stands: at its very beginning the plot's edge cuts it."""
+
+_STRETCH_RADIUS: Final = 2.5
+_ABOVE_TRACES: Final = 26.0  # lines have 20
+
+_STROKES: Final = 700
+"""Upright strokes that fill the band: one for every other pixel of a window of 1400."""
+_STROKE_WIDTH: Final = 3.0
+_FILL_ALPHA: Final = 64
+"""Of 255: strokes overlap once or twice, and curves stay brighter than the band."""
+
+_ROOM: Final = 0.12
+"""Above and below what the plot shows, as a share of its height: room for marks."""
+
+_CLOSE_UP: Final = 4.0
+"""The plot shows the violation alone where the whole curve is so many times as high: the band
+would take less than a quarter of it."""
+
+_LONGEST_TITLE: Final = 110
+"""Letters of 6.5 pixels: the plot of a window 1200 pixels wide has 850 of them for its title."""
+
+_LONGEST_NAME: Final = 28
+"""In the plane: about half of its width."""
+
+
+def write_violation_rrd(
+    run: Run,
+    path: str | Path,
+    *,
+    at_s: float,
+    title: str,
+    message: str,
+    violated: ViolatedSignal | None = None,
+) -> None:
+    """Write a recording of one run that opens at a moment and marks it.
+
+    The violated signal stands over all else with its band, in red where it is outside; its first
+    and its worst moment are named with value and time. The cursor stands at the first in every
+    plot; the plane has a mark where the turtle was, and the list of events a line.
+
+    Args:
+        run: What to show.
+        path: The .rrd file; replaced when the new one is complete.
+        at_s: The moment, from the first sample [s].
+        title: A few words; where there is no signal they stand beside the mark.
+        message: All there is to say, as it would be printed.
+        violated: The signal; None where the violation belongs to none.
+
+    Raises:
+        ShowError: Where the file cannot be written.
+    """
+    at_ns = run.start_ns + round(at_s * 1e9)
+    event = Event(time_ns=at_ns, kind="violation", text=f"Violation: {title}")
+    events = sorted((*run.events, event), key=lambda found: found.time_ns)
+    run = replace(run, events=tuple(events))
+    single = build_single(run)
+    documents = {"Violation": fence_markdown(message), **describe_run(run, metrics=single.metrics)}
+    documents = {**add_thinning(documents, [run])}
+    if violated is not None:
+        documents[LEGEND_TITLE] = _write_legend(violated)
+    content = single.describe(documents)
+    if violated is None:
+        layout = build_run_layout(content)
+    else:
+        layout = build_violation_layout(content, _view_signal(violated))
+    layout.time_panel = _stop_at(at_ns - run.start_ns)
+    with open_recording(path, name=f"{run.name}: {title}", layout=layout) as stream:
+        draw_single(stream, single, content)
+        draw_documents(stream, documents)
+        _mark_place(stream, run, at_ns, _name_place(title, violated))
+        if violated is not None:
+            run_stream = RunStream(stream, "", build_run_timelines(run))
+            _draw_signal(run_stream, violated)
+            _draw_stretch(stream, run, violated)
+
+
+def _view_signal(violated: ViolatedSignal) -> rrb.View:
+    """Show the signal, its band, and what is outside."""
+    low, high = _find_range(violated)
+    curve, shown = violated.curve, violated.describe_moment(violated.worst, violated.worst_word)
+    outside = violated.describe_outside(violated.worst)
+    shown = f"{shown}, {outside} outside" if outside else shown
+    values = curve.values[np.isfinite(curve.values)]
+    is_close_up = bool((values < low).any() or (values > high).any())
+    title = f"{violated.title}{', close up' if is_close_up else ''}: {shown}"
+    title = f"{title}; violates {violated.expected or violated.check}"
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=[f"{join_path(entities.VIOLATED)}/**"],
+        name=shorten(title, _LONGEST_TITLE, placeholder="..."),
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        axis_y=rrb.ScalarAxis(range=(low, high)),
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+
+
+def _write_legend(violated: ViolatedSignal) -> str:
+    """Return what is seen in the plot as Markdown, a line for each mark and each curve."""
+    outside, word = violated.describe_outside(violated.worst), violated.worst_word
+    worst = violated.describe_moment(violated.worst, word)
+    limits = violated.describe_limits()
+    lines = [
+        f"◆ {worst}, {outside} outside" if outside else f"◆ {worst}",
+        f"● {violated.describe_moment(violated.first, 'first violated')}",
+        *(f"{sign} {limits[side]}" for side, sign in _SIGNS.items() if side in limits),
+        "green: allowed",
+        f"blue: {violated.name}",
+        f"red: {_NAMES_OUTSIDE[word]}",
+    ]
+    return "  \n".join(map(escape_markdown, lines))
+
+
+def _find_range(violated: ViolatedSignal) -> tuple[float, float]:
+    """Return the range of the plot: of curve and band, or of the violation where that is small."""
+    curve, outside = violated.curve.values, violated.outside
+    ends = [end for end in (violated.low, violated.high) if end is not None]
+    moments = np.array([violated.first.value, violated.worst.value])
+    # What was waited for in vain is outside from the beginning: what counts is how near it came.
+    shown = curve[:0] if violated.worst_word == "nearest" else curve[outside]
+    near = _span(*ends, shown, moments)
+    whole = _span(*ends, curve, moments)
+    low, high = near if whole[1] - whole[0] > _CLOSE_UP * (near[1] - near[0]) else whole
+    room = _ROOM * (high - low) or 1.0
+    return low - room, high + room
+
+
+def _span(*columns: Values) -> tuple[float, float]:
+    known = np.concatenate([column[np.isfinite(column)] for column in columns])
+    return float(known.min()), float(known.max())
+
+
+def _draw_signal(run_stream: RunStream, violated: ViolatedSignal) -> None:
+    """Draw band, limits, curve, what is outside, and the moments, from below to above."""
+    curve, limits = violated.curve, violated.describe_limits()
+    _fill_band(run_stream, violated)
+    _draw_line(run_stream, curve, "curve", violated.name, (palette.MAIN, _CURVE_WIDTH))
+    for side, label in limits.items():
+        ends = violated.low if side == "low" else violated.high
+        assert ends is not None
+        limit = replace(curve, values=ends)
+        _draw_line(run_stream, limit, f"limit_{side}", label, (palette.ALLOWED, _LIMIT_WIDTH))
+        known = np.flatnonzero(np.isfinite(ends))
+        if len(known):
+            row = int(known[int(_MARK_AT * len(known))])
+            mark = (f"limit_{side}", label, palette.GOAL)
+            _draw_point(run_stream, mark, _MARKERS[side], int(curve.time_ns[row]), float(ends[row]))
+    beyond = replace(curve, values=np.where(violated.outside, curve.values, np.nan))
+    label = _NAMES_OUTSIDE[violated.worst_word]
+    _draw_line(run_stream, beyond, "outside", label, (palette.VIOLATION, _OUTSIDE_WIDTH))
+    moments = {"first": ("first violated", violated.first)}
+    moments["worst"] = (violated.worst_word, violated.worst)
+    for part, (word, moment) in moments.items():
+        mark = (part, violated.describe_moment(moment, word), palette.VIOLATION)
+        time_ns = curve.start_ns + round(moment.time_s * 1e9)
+        _draw_point(run_stream, mark, _MARKERS[part], time_ns, moment.value)
+
+
+def _draw_point(
+    run_stream: RunStream,
+    mark: tuple[str, str, palette.Color],
+    marker: Marker,
+    time_ns: int,
+    value: float,
+) -> None:
+    part, label, color = mark
+    style = rr.SeriesPoints(
+        names=[label],
+        colors=palette.pack_colors([color]),
+        markers=[marker],
+        marker_sizes=[_POINT_SIZE],
+    )
+    entity = f"{entities.VIOLATED}/points/{part}"
+    run_stream.log(entity, style)
+    run_stream.send_few(entity, [time_ns], rr.Scalars.columns(scalars=[value]))
+
+
+def _draw_line(
+    run_stream: RunStream,
+    curve: Curve,
+    part: str,
+    label: str,
+    look: tuple[palette.Color, float],
+) -> None:
+    color, width = look
+    style = rr.SeriesLines(
+        names=[label],
+        colors=palette.pack_colors([color]),
+        widths=[width],
+        interpolation_mode="StepAfter" if curve.holds else "Linear",
+        aggregation_policy="MinMax",
+    )
+    entity = f"{entities.VIOLATED}/{part}"
+    run_stream.log(entity, style)
+    run_stream.send(
+        entity, curve.time_ns, curve.values, lambda rows: rr.Scalars.columns(scalars=rows)
+    )
+
+
+def _fill_band(run_stream: RunStream, violated: ViolatedSignal) -> None:
+    """Fill the band with upright strokes, up to the plot's edge where it has no end."""
+    times_ns, rows = _choose_strokes(violated.curve.time_ns)
+    edges = _find_range(violated)
+    low, high = (
+        np.full(len(rows), edge) if end is None else end[rows]
+        for end, edge in ((violated.low, edges[0]), (violated.high, edges[1]))
+    )
+    strokes = np.column_stack([low, high, np.full(len(rows), np.nan)]).reshape(-1)
+    style = rr.SeriesLines(
+        names=["allowed"],
+        colors=[(*palette.ALLOWED, _FILL_ALPHA)],
+        widths=[_STROKE_WIDTH],
+        aggregation_policy="Off",
+    )
+    entity = f"{entities.VIOLATED}/band"
+    run_stream.log(entity, style)
+    run_stream.send_few(entity, np.repeat(times_ns, 3), rr.Scalars.columns(scalars=strokes))
+
+
+def _choose_strokes(time_ns: Times) -> tuple[Times, NDArray[np.int64]]:
+    """Return evenly spaced times, and the rows that hold there."""
+    times_ns = np.linspace(time_ns[0], time_ns[-1], _STROKES).round().astype(np.int64)
+    rows = np.searchsorted(time_ns, times_ns, side="right") - 1
+    return times_ns, np.clip(rows, 0, len(time_ns) - 1)
+
+
+def _draw_stretch(stream: rr.RecordingStream, run: Run, violated: ViolatedSignal) -> None:
+    """Draw in red where the robot was while the signal was outside, where it was to be inside."""
+    if violated.worst_word != "worst":
+        return
+    rows = np.searchsorted(violated.curve.time_ns, run.poses.time_ns, side="right") - 1
+    is_outside = violated.outside[np.maximum(rows, 0)] & (rows >= 0)
+    starts = np.flatnonzero(np.diff(is_outside.astype(np.int8), prepend=0) == 1)
+    ends = np.flatnonzero(np.diff(is_outside.astype(np.int8), append=0) == -1)
+    strips = [run.poses.xy_m[a : b + 1] for a, b in zip(starts, ends, strict=True) if b > a]
+    if strips:
+        lines = rr.LineStrips2D(
+            strips,
+            radii=rr.Radius.ui_points(_STRETCH_RADIUS),
+            colors=[palette.VIOLATION],
+            draw_order=_ABOVE_TRACES,
+        )
+        stream.log(join_path(entities.VIOLATED_STRETCH), lines, static=True)
+
+
+def _stop_at(at_ns: int) -> rrb.TimePanel:
+    """Return a panel whose cursor stands at a time: it loops over a stretch of no length.
+
+    A layout cannot name the cursor's place, and a paused one stands at the beginning.
+    """
+    return rrb.TimePanel(
+        state="collapsed",
+        timeline=TIMELINE,
+        play_state="playing",
+        loop_mode="selection",
+        time_selection=AbsoluteTimeRange(min=at_ns, max=at_ns),
+    )
+
+
+def _name_place(title: str, violated: ViolatedSignal | None) -> str:
+    """Return the words beside the mark: the check stands in the title of its signal, if any."""
+    if violated is not None:
+        return "first violated"
+    return title if len(title) <= _LONGEST_NAME else f"{title[: _LONGEST_NAME - 3]}..."
+
+
+def _mark_place(stream: rr.RecordingStream, run: Run, at_ns: int, title: str) -> None:
+    row = max(int(run.poses.time_ns.searchsorted(at_ns, side="right")) - 1, 0)
+    mark = rr.Points2D(
+        run.poses.xy_m[row : row + 1],
+        radii=rr.Radius.ui_points(_RADIUS),
+        colors=[palette.VIOLATION],
+        labels=[title],
+    )
+    stream.log(join_path(VIOLATION), mark, static=True)

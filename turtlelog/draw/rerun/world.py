@@ -1,0 +1,294 @@
+"""What the runs of a picture share in the plane: border, starts, goals, how close each run ends."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from turtlelog.charts import palette
+from turtlelog.charts.close_up import (
+    CloseUp,
+    Label,
+    Lettering,
+    find_tolerance,
+    format_length,
+    list_miss_labels,
+    list_ring_labels,
+)
+from turtlelog.charts.palette import Color
+from turtlelog.charts.robot_curves import is_turtlesim
+from turtlelog.charts.tracked_path import WorstPlace, label_worst_place, list_paths, outline_path
+from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.entities import join_path
+from turtlelog.plants import TURTLESIM, find_plant
+from turtlelog.plants.turtlesim import WORLD_SIZE_M
+from turtlelog.run import Run
+
+_WORLD_MARGIN = 0.03
+_MARGIN = 0.12
+_GOAL_ASIDE = 0.22
+_START_ASIDE = 0.32  # beside the turtle's arrow
+_NAME_UP = 0.11  # The viewer writes a name below its point.
+_MARKER_RADIUS = 3.5  # [points]
+
+UPWARD: Final = rr.Transform3D(mat3x3=np.diag([1.0, -1.0, 1.0]))
+"""Turns y upward for all that lies below: Rerun's 2D views have it downward."""
+
+LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
+"""As measured in a window of 1200 x 860 pixels, where 125 pixels are half of the close-up."""
+
+SMALL_LETTERING: Final = Lettering(letter=0.09, line=0.25, gap=0.12, reach=1.55, most_told=6)
+"""Likewise in one of 700 x 450, where 73 pixels are, of which a line of words takes 18."""
+
+_ABOVE: Final = 0.6
+"""The viewer writes words below their point: so far, in lines."""
+
+_END_RADIUS: Final = 4.0  # [points]
+_RING_RADIUS: Final = 0.5
+_WORST_RADIUS: Final = 1.0
+_TRACKED_RADIUS: Final = 2.5
+_BELOW_TRACES: Final = 15.0  # lines have 20
+_RING: Final[Color] = (80, 80, 80)
+_RING_POINTS: Final = 97
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounds:
+    """A square of the plane, y upward [m]."""
+
+    center_xy_m: tuple[float, float]
+    half_size_m: float
+
+
+def is_in_world(runs: Sequence[Run]) -> bool:
+    """Whether every pose lies in turtlesim's world.
+
+    A robot that is no turtle, or is known to have no walls, is not in it, wherever it drives.
+    """
+    if any(find_plant(run) != TURTLESIM or not is_turtlesim(run) for run in runs):
+        return False
+    places = [_list_places(run) for run in runs]
+    return all(xy_m.min() >= 0.0 and xy_m.max() <= WORLD_SIZE_M for xy_m in places)
+
+
+def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
+    """Return the world's bounds, or those of paths and goals where they leave it."""
+    if is_in_world(runs):
+        return _square(np.zeros(2), np.full(2, WORLD_SIZE_M), _WORLD_MARGIN)
+    return find_way_bounds(runs)
+
+
+def find_way_bounds(runs: Sequence[Run]) -> Bounds:
+    """Return the bounds of paths and goals."""
+    goals = np.array(_find_goals(runs)).reshape(-1, 2)
+    points = np.concatenate([*map(_list_places, runs), goals])
+    return _square(points.min(axis=0), points.max(axis=0), _MARGIN)
+
+
+def draw_world(
+    stream: rr.RecordingStream, runs: Sequence[Run], *, half_size_m: float | None = None
+) -> None:
+    """Draw the border, and each path that is tracked, each start and each goal once.
+
+    `half_size_m` is that of the plane's bounds, where they are not those of the world.
+    """
+    stream.log(join_path(entities.PLANE), UPWARD, static=True)
+    if is_in_world(runs):
+        half = WORLD_SIZE_M / 2.0
+        border = rr.Boxes2D(
+            centers=[(half, half)],
+            half_sizes=[(half, half)],
+            colors=[palette.REFERENCE],
+            radii=rr.Radius.ui_points(0.75),
+        )
+        stream.log(join_path(entities.BORDER), border, static=True)
+    _draw_tracked_paths(stream, runs)
+    starts, goals = _find_starts(runs), _find_goals(runs)
+    _draw_marks(stream, entities.START, starts, palette.START)
+    if goals:
+        _draw_marks(stream, entities.GOAL, goals, palette.GOAL)
+        _draw_tolerances(stream, runs)
+    if len(starts) == 1 and len(goals) == 1:
+        half_m = half_size_m or find_plane_bounds(runs).half_size_m
+        _draw_names(stream, starts[0], goals[0], half_m)
+
+
+def draw_close_up(
+    stream: rr.RecordingStream,
+    close_up: CloseUp,
+    run: Run,
+    prefixes: Sequence[str],
+    colors: Sequence[Color],
+    *,
+    lettering: Lettering = LETTERING,
+) -> None:
+    """Draw where each run ends, in its colour, and how far from the goal that is.
+
+    Args:
+        stream: The recording.
+        close_up: What is shown; its ends have the names that stand beside their distances.
+        run: One of them; from where it starts, they come.
+        prefixes: Entity prefix of each run.
+        colors: Colour of each run.
+        lettering: Room that words take in the view.
+    """
+    for end in close_up.ends:
+        dot = rr.Points2D(
+            [end.xy_m],
+            radii=rr.Radius.ui_points(_END_RADIUS),
+            colors=[colors[end.run]],
+            labels=[f"ends {format_length(end.miss_m)} from the goal"],
+            show_labels=False,
+        )
+        stream.log(join_path(prefixes[end.run], entities.END), dot, static=True)
+    misses = list_miss_labels(close_up, lettering)
+    rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
+    up_m = _ABOVE * LETTERING.line * close_up.half_m
+    lines = [line for label in misses for line in _part_lines(label, lettering, close_up.half_m)]
+    hues = [_choose_color(line, colors) for line in lines]
+    _write_words(stream, entities.MISSES, up_m, lines, hues)
+    _write_words(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
+    turns_rad = np.linspace(0.0, 2.0 * np.pi, _RING_POINTS)
+    circle = np.column_stack([np.cos(turns_rad), np.sin(turns_rad)])
+    strips = rr.LineStrips2D(
+        [np.array(close_up.goal_xy_m) + ring_m * circle for ring_m in close_up.rings_m],
+        radii=rr.Radius.ui_points(_RING_RADIUS),
+        colors=[_RING],
+    )
+    stream.log(join_path(entities.RINGS), strips, static=True)
+
+
+def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: Color) -> None:
+    """Draw how far from the path the run is that is furthest off, in its colour."""
+    way = rr.LineStrips2D(
+        [[worst.path_xy_m, worst.xy_m]], radii=rr.Radius.ui_points(_WORST_RADIUS), colors=[color]
+    )
+    stream.log(join_path(entities.WORST), way, static=True)
+    up_m = _ABOVE * LETTERING.line * worst.half_m
+    label = label_worst_place(worst, LETTERING)
+    _write_words(stream, entities.WORST_NAME, up_m, [label], [color])
+
+
+def _draw_tracked_paths(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
+    """Draw the paths that laws track as broad lines below all that is driven."""
+    paths = list_paths(runs)
+    if paths:
+        strips = rr.LineStrips2D(
+            [outline_path(path) for path in paths],
+            radii=rr.Radius.ui_points(_TRACKED_RADIUS),
+            colors=[palette.TRACKED] * len(paths),
+            draw_order=_BELOW_TRACES,
+        )
+        stream.log(join_path(entities.TRACKED_PATH), strips, static=True)
+
+
+def _draw_marks(
+    stream: rr.RecordingStream,
+    entity: str,
+    points: Sequence[tuple[float, float]],
+    color: Color,
+) -> None:
+    radius = rr.Radius.ui_points(_MARKER_RADIUS)
+    stream.log(join_path(entity), rr.Points2D(points, radii=radius, colors=[color]), static=True)
+
+
+def _draw_names(
+    stream: rr.RecordingStream,
+    start: tuple[float, float],
+    goal: tuple[float, float],
+    half_size_m: float,
+) -> None:
+    """Name start and goal beside them, each on the side where the path is not."""
+    (start_x_m, start_y_m), (goal_x_m, goal_y_m) = start, goal
+    aside_m = half_size_m if goal_x_m <= start_x_m else -half_size_m
+    up_m = _NAME_UP * half_size_m
+    names = rr.Points2D(
+        [
+            (start_x_m + _START_ASIDE * aside_m, start_y_m + up_m),
+            (goal_x_m - _GOAL_ASIDE * aside_m, goal_y_m + up_m),
+        ],
+        radii=rr.Radius.ui_points(0.0),
+        colors=[palette.START, palette.GOAL],
+        labels=["start", "goal"],
+        show_labels=True,
+    )
+    stream.log(join_path(entities.NAMES), names, static=True)
+
+
+def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
+    """Draw a square around each goal: the law checks the error's coordinates one by one."""
+    squares = sorted(
+        {
+            (run.goal_xy_m, tolerance_m)
+            for run in runs
+            if run.goal_xy_m is not None and (tolerance_m := find_tolerance(run)) is not None
+        }
+    )
+    if squares:
+        boxes = rr.Boxes2D(
+            centers=[goal for goal, _ in squares],
+            half_sizes=[(tolerance_m, tolerance_m) for _, tolerance_m in squares],
+            colors=[palette.GOAL],
+            radii=rr.Radius.ui_points(0.75),
+        )
+        stream.log(join_path(entities.TOLERANCE), boxes, static=True)
+
+
+def _list_places(run: Run) -> NDArray[np.float64]:
+    """Return where the robot is, where its law wants it to be, and the path that it tracks."""
+    aims, places = run.samples.reference_xy_m, [run.poses.xy_m]
+    if aims is not None:
+        places.append(aims[np.isfinite(aims[:, 0])])
+    return np.concatenate([*places, *map(outline_path, list_paths([run]))])
+
+
+def _find_starts(runs: Sequence[Run]) -> list[tuple[float, float]]:
+    return sorted({(float(x_m), float(y_m)) for run in runs for x_m, y_m in run.poses.xy_m[:1]})
+
+
+def _find_goals(runs: Sequence[Run]) -> list[tuple[float, float]]:
+    return sorted({run.goal_xy_m for run in runs if run.goal_xy_m is not None})
+
+
+def _square(low: NDArray[np.float64], high: NDArray[np.float64], margin: float) -> Bounds:
+    x_m, y_m = (low + high) / 2.0
+    size_m = max(float((high - low).max()), 0.1)
+    return Bounds(center_xy_m=(float(x_m), float(y_m)), half_size_m=size_m * (0.5 + margin))
+
+
+def _part_lines(label: Label, lettering: Lettering, half_m: float) -> list[Label]:
+    """Return a label for each line, from top to bottom, each with the run that it tells of."""
+    lines = label.text.split("\n")
+    if len(lines) == 1:
+        return [label]
+    (x_m, y_m), line_m = label.xy_m, lettering.line * half_m
+    middle = (len(lines) - 1) / 2.0
+    return [
+        Label(text=line, xy_m=(x_m, y_m + (middle - number) * line_m), runs=(run,))
+        for number, (line, run) in enumerate(zip(lines, label.runs, strict=True))
+    ]
+
+
+def _choose_color(label: Label, colors: Sequence[Color]) -> Color:
+    """Return the colour of the run that the words are of, grey where there are several."""
+    return colors[label.runs[0]] if len(label.runs) == 1 else palette.START
+
+
+def _write_words(
+    stream: rr.RecordingStream,
+    entity: str,
+    up_m: float,
+    labels: Sequence[Label],
+    colors: Sequence[Color],
+) -> None:
+    words = rr.Points2D(
+        [(label.xy_m[0], label.xy_m[1] + up_m) for label in labels],
+        radii=rr.Radius.ui_points(0.0),
+        colors=colors,
+        labels=[label.text for label in labels],
+        show_labels=True,
+    )
+    stream.log(join_path(entity), words, static=True)

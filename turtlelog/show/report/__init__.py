@@ -1,7 +1,0 @@
-"""A report as one file of HTML: plots to zoom, a plane to play, tables and provenance."""
-
-from turtlelog.show.report.map_report import write_map_report
-from turtlelog.show.report.report_file import Explanation, write_report
-from turtlelog.show.report.sections import CheckLine
-
-__all__ = ["CheckLine", "Explanation", "write_map_report", "write_report"]
