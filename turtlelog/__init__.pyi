@@ -3,8 +3,8 @@
 __all__: list[str]
 
 from . import (
-    check as check,
     charts as charts,
+    check as check,
     compare as compare,
     display as display,
     draw as draw,

@@ -16,6 +16,9 @@ from turtlelog.run import Run
 MANY: Final = len(FEW)
 """More runs have no hues of their own: their colours follow their order, and a bar tells it."""
 
+RESTLESS_PLOTS: Final = frozenset({"heading_error", "speed", "turn_rate"})
+"""Plots over time that one run's oscillation would fill from end to end."""
+
 _ARRIVED: Final = frozenset({"within_tolerance", "standstill"})
 """Reasons to stop of a run that came to rest by itself."""
 

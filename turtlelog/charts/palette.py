@@ -1,7 +1,6 @@
 """Colours for colour-blind readers: of runs on screen and on paper, of all else on dark ground."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
@@ -72,35 +71,39 @@ GOAL: Final[Color] = (255, 255, 255)
 
 START: Final[Color] = (190, 190, 190)
 
-SECOND: Final[Color] = _OKABE_ITO[2]
-"""The other coordinate, or what the plant applied."""
+COMMAND: Final[Color] = _OKABE_ITO[2]
+"""The arrow of the command at a turtle."""
 
-WANTED: Final[Color] = _OKABE_ITO[3]
-"""What the law asked for before clipping."""
+SHAPED: Final[Color] = FEW[3]
+"""What shaping left of what a law wants, before the limits."""
 
-SHAPED: Final[Color] = _OKABE_ITO[4]
-"""What shaping left of that, before the limits."""
+MEASURED: Final[Color] = FEW[2]
+"""What the robot did of a command: what it reports, or what the plant applied."""
 
-MEASURED: Final[Color] = (170, 160, 60)
-"""Rates that a robot reports: noisy, and not to outshine the commands on them."""
-
-SENSED: Final[Color] = (105, 105, 105)
+SENSED: Final[Color] = (128, 128, 128)
 """What the controller read of a pose."""
 
-DROPPED_OUT: Final[Color] = (190, 175, 215)
+DROPPED_OUT: Final[Color] = (128, 128, 128)
 """A pose that it did not get."""
 
 GHOST: Final[Color] = (170, 170, 170)
 """A run that might have been: without the effects that act, or in the ideal loop."""
 
-IDEAL: Final[Color] = _OKABE_ITO[1]
-"""What the ideal loop would do."""
+IDEAL: Final[Color] = (128, 128, 128)
+"""What the ideal loop would do, what is asked for where that moves: at least 3.9:1 on white and on
+`GROUND`."""
 
-SAMPLED: Final[Color] = _OKABE_ITO[4]
-"""What the sampled loop with dead time would do."""
+DEAD_TIME: Final[Color] = _OKABE_ITO[4]
+"""The bar of a dead time, below those of the phases."""
 
-EVENT: Final[Color] = _OKABE_ITO[5]
+EVENT: Final[Color] = (176, 124, 64)
 """What happened once."""
+
+WALL_HIT: Final[Color] = _OKABE_ITO[3]
+"""Where the wall stopped a turtle."""
+
+PAUSED: Final[Color] = _OKABE_ITO[3]
+"""Where a pause begins and ends."""
 
 ERROR: Final[Color] = _OKABE_ITO[4]
 """From the turtle to the goal."""
@@ -133,47 +136,43 @@ def choose_cause_colors(names: Sequence[str]) -> dict[str, Color]:
     return {name: _OF_CAUSES[number % len(_OF_CAUSES)] for number, name in enumerate(names)}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhaseColors:
-    """How a phase looks.
-
-    Attributes:
-        trace: Light enough for a line.
-        bar: Dark enough for the viewer's white lettering.
-    """
-
-    trace: Color
-    bar: Color
-
-
-_OF_EVERY_LAW: Final[Mapping[str, PhaseColors]] = MappingProxyType(
+_OF_EVERY_LAW: Final[Mapping[str, Color]] = MappingProxyType(
     {
-        PAUSE: PhaseColors(trace=_OKABE_ITO[3], bar=(140, 70, 20)),
-        DONE: PhaseColors(trace=START, bar=(90, 90, 90)),
+        PAUSE: (140, 70, 20),
+        DONE: (90, 90, 90),
     }
 )
 
 
 _BY_ORDER: Final = (
-    PhaseColors(trace=_OKABE_ITO[0], bar=(46, 96, 148)),
-    PhaseColors(trace=_OKABE_ITO[1], bar=(20, 110, 84)),
-    PhaseColors(trace=_OKABE_ITO[2], bar=(112, 104, 20)),
-    PhaseColors(trace=_OKABE_ITO[4], bar=(132, 62, 102)),
-    PhaseColors(trace=(170, 150, 255), bar=(88, 72, 166)),
-    PhaseColors(trace=(150, 215, 90), bar=(70, 106, 24)),
-    PhaseColors(trace=(255, 160, 150), bar=(150, 58, 66)),
-    PhaseColors(trace=(120, 215, 220), bar=(24, 104, 118)),
+    (46, 96, 148),
+    (20, 110, 84),
+    (112, 104, 20),
+    (132, 62, 102),
+    (88, 72, 166),
+    (70, 106, 24),
+    (150, 58, 66),
+    (24, 104, 118),
 )
 """The hues of phases in the order in which a law declares them; more begin again."""
 
 
-def choose_phase_colors(names: Sequence[str]) -> tuple[PhaseColors, ...]:
-    """Return colours for phases in declared order; `pause` and `done` always have their own."""
+def choose_phase_colors(names: Sequence[str]) -> tuple[Color, ...]:
+    """Return colours of the bars of phases in declared order; `pause` and `done` have their own.
+
+    They are dark enough for the viewer's white letters, and stand nowhere else.
+    """
     own = [name for name in names if name not in _OF_EVERY_LAW]
     by_name = {name: _BY_ORDER[number % len(_BY_ORDER)] for number, name in enumerate(own)} | dict(
         _OF_EVERY_LAW
     )
     return tuple(by_name[name] for name in names)
+
+
+def tint(color: Color) -> Color:
+    """Return a lighter colour for a second curve of the same run."""
+    red, green, blue = (part + (255 - part) * 9 // 20 for part in color)
+    return red, green, blue
 
 
 def dim(color: Color) -> Color:

@@ -11,6 +11,7 @@ from turtlelog.display import describe_count
 from turtlelog.errors import ReplayError
 from turtlelog.loops import COMMAND_UNITS
 from turtlelog.measure import find_outliers
+from turtlelog.measure.breaks import find_gaps
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.replay.plant_ticks import find_breaks, read_motion
 from turtlelog.run import Run
@@ -51,25 +52,38 @@ def read_measured(run: Run, command: Command) -> MeasuredRate | None:
     outliers = find_outliers(curve.time_ns, curve.values)
     rest = np.delete(np.arange(len(curve.values)), outliers)
     return MeasuredRate(
-        command=command, curve=select_rows(curve, rest), outliers=select_rows(curve, outliers)
+        command=command,
+        curve=part_curve(run, select_rows(curve, rest)),
+        outliers=select_rows(curve, outliers),
     )
 
 
 def part_path(run: Run) -> Values:
-    """Return the positions of a run [m], shape (n, 2), with NaN before each jump of turtlesim's.
+    """Return the positions of a run [m], shape (n, 2), with NaN before each break of its poses.
 
-    Nobody drove from the pose before a reset or teleport to the one after it.
+    Nobody drove from the pose before a reset or teleport to the one after it, and where a robot was
+    while it sent no poses is not known.
     """
-    return np.insert(run.poses.xy_m, find_jump_rows(run), np.nan, axis=0)
+    return np.insert(run.poses.xy_m, find_break_rows(run), np.nan, axis=0)
 
 
 def part_curve(run: Run, curve: Curve) -> Curve:
-    """Return a curve of the poses with NaN before each such jump; any other as it is."""
-    rows = find_jump_rows(run)
-    if not len(rows) or not np.array_equal(curve.time_ns, run.poses.time_ns):
+    """Return a curve with NaN before each break of the poses that lies in it; what holds, as is."""
+    rows = find_break_rows(run)
+    if not len(rows) or curve.holds:
         return curve
-    time_ns = np.insert(curve.time_ns, rows, run.poses.time_ns[rows])
-    return replace(curve, time_ns=time_ns, values=np.insert(curve.values, rows, np.nan))
+    after_ns = run.poses.time_ns[rows]
+    places = np.searchsorted(curve.time_ns, after_ns)
+    is_inside = (places > 0) & (places < len(curve.time_ns))
+    places, after_ns = places[is_inside], after_ns[is_inside]
+    time_ns = np.insert(curve.time_ns, places, after_ns)
+    return replace(curve, time_ns=time_ns, values=np.insert(curve.values, places, np.nan))
+
+
+def find_break_rows(run: Run) -> NDArray[np.int64]:
+    """Return the rows of poses before which curves break: at jumps, after a time without poses."""
+    gaps = np.array([gap.row for gap in find_gaps(run)], dtype=np.int64)
+    return np.unique(np.concatenate([find_jump_rows(run), gaps]))
 
 
 def find_jump_rows(run: Run) -> NDArray[np.int64]:

@@ -3,12 +3,12 @@
 Headings are in degrees. Of long curves those rows are chosen that draw the same.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.errors import ShowError
@@ -17,7 +17,6 @@ from turtlelog.measure import find_first_stretch, list_signals, read_reference, 
 from turtlelog.measure.references import project_on_line
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
-from turtlelog.theory import compute_step_response
 
 Values = NDArray[np.float64]
 
@@ -89,47 +88,13 @@ class Level:
 
     Attributes:
         label: For a legend.
-        value: In deg or m.
+        value: In the unit of the signal; angles in deg.
+        kind: What it is: where the signal should come to, zero, a limit, or a tolerance.
     """
 
     label: str
     value: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopStep:
-    """The step that a loop answers, where theory knows how.
-
-    Attributes:
-        loop: Which loop.
-        kp: Its gain [1/s].
-        start_ns: Where its first stretch begins, in the run's own time [ns].
-        end_ns: Where that ends, its pause included [ns].
-        initial: The signal when the stretch begins [deg or m].
-        reference: What it drives its signal to [deg or m]; a heading with the full turns of that
-            where the stretch ends.
-    """
-
-    loop: ControlLoop
-    kp: float
-    start_ns: int
-    end_ns: int
-    initial: float
-    reference: float
-
-    def respond(
-        self, time_s: ArrayLike, *, initial: float | None = None, target: float | None = None
-    ) -> Values:
-        """Return the ideal loop's response at times from the start of its stretch [s], shape (n,).
-
-        `initial` and `target` are those of another signal that the loop drives, in its own unit.
-        """
-        return compute_step_response(
-            self.kp,
-            time_s,
-            initial=self.initial if initial is None else initial,
-            reference=self.reference if target is None else target,
-        )
+    kind: Literal["target", "zero", "limit", "tolerance"] = "target"
 
 
 def read_curve(run: Run, signal_name: str) -> Curve | None:
@@ -290,35 +255,6 @@ def read_distance_to_reference(run: Run) -> Values | None:
         return None
     away_m = xy_m - run.poses.xy_m[run.samples.pose_sequence]
     return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
-
-
-def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
-    """Yield the step of each loop of a signal whose response theory knows, in declared order.
-
-    The reference stands still, the signal integrates the command, and the gain is known.
-    """
-    signal = read_signal(run, signal_name)
-    for loop in list_loops(run, signal_name):
-        if loop.moves or not loop.has_theory:
-            continue
-        kp, stretch = loop.read_gain(run.parameters), find_first_stretch(run, loop)
-        reference = read_reference(run, loop)
-        if signal is None or kp is None or not stretch or not isinstance(reference, float):
-            continue
-        start_ns, end_ns = stretch[0].start_ns, stretch[-1].end_ns
-        rows = np.searchsorted(signal.time_ns, [start_ns, end_ns])
-        initial, last = signal.values[np.minimum(rows, len(signal.values) - 1)].tolist()
-        if signal.kind.unit == "rad":
-            reference += round((last - reference) / (2.0 * np.pi)) * 2.0 * np.pi
-            initial, reference = float(np.degrees(initial)), float(np.degrees(reference))
-        yield LoopStep(
-            loop=loop,
-            kp=kp,
-            start_ns=start_ns,
-            end_ns=end_ns,
-            initial=initial,
-            reference=reference,
-        )
 
 
 def find_end_of_turn(run: Run) -> int | None:

@@ -12,7 +12,7 @@ from tests.draw.rerun.rrds import make_foreign_run
 from tests.draw.robots import OUTLIER, OUTLIER_ROW, keep_no_commands, make_robot
 from tests.log.runs import find_shared
 from turtlelog.draw.figures.left_out import list_left_out
-from turtlelog.draw.figures.signal_panels import draw_signal
+from turtlelog.draw.figures.time_panels import draw_time_plot
 from turtlelog.log.ros2 import read_bag
 
 
@@ -98,7 +98,7 @@ def test_what_only_a_controller_has_is_left_out_in_one_line() -> None:
 def test_no_curve_leads_across_a_jump_of_a_real_turtlesim(signal: str) -> None:
     run = tl.read_run(find_shared("ros2", "turtlesim_jazzy"))
     axes = Figure().subplots()
-    draw_signal(axes, [run], signal=signal, label=signal)
+    draw_time_plot(axes, [run], name=signal)
     (line,) = axes.lines
     time_s, values = np.asarray(line.get_xydata()).T
     (row,) = np.flatnonzero(np.isnan(values))

@@ -1,7 +1,6 @@
 """Curves of figures: of runs, thinned, of the ideal loop beside them, and of theory alone."""
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -12,10 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.charts.shared_curves import (
     MOST_POINTS,
     Curve,
-    LoopStep,
     choose_rows,
-    find_steps,
-    read_curve,
 )
 from turtlelog.draw.figures.legend import name_some
 from turtlelog.draw.figures.page import REFERENCE, choose_lines
@@ -33,22 +29,6 @@ Values = NDArray[np.float64]
 
 PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
 _LAST_S: Final = 5.0
-
-_ALONG: Final = ("along_track",)
-_DRIVEN_BY: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "heading": ("heading",),
-        "heading_error": ("heading",),
-        **dict.fromkeys(("x", "y", "error_x", "error_y", "along_track"), _ALONG),
-        **dict.fromkeys(("world_velocity_x", "world_velocity_y"), _ALONG),
-        "distance": ("along_track", "distance"),
-    }
-)
-"""Which loops' signals decide what theory expects of a curve: along the line all are the same."""
-
-_ERRORS: Final = frozenset(
-    {"heading_error", "error_x", "error_y", "distance", "world_velocity_x", "world_velocity_y"}
-)
 
 
 def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
@@ -86,26 +66,6 @@ def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
         if index:
             shown.pop("label", None)
         axes.axhline(level, zorder=1.5, **shown)
-
-
-def compute_ideals(run: Run, signal_name: str) -> list[Curve]:
-    """Return how ideal loops of the same gains would bring a signal to where it belongs.
-
-    Each starts where and when its loop starts. None for signals that no loop of theory's drives,
-    and where the reference moves, or the gain or the goal is not known.
-    """
-    measured = read_curve(run, signal_name)
-    if measured is None or signal_name not in _DRIVEN_BY:
-        return []
-    steps = [step for driven in _DRIVEN_BY[signal_name] for step in find_steps(run, driven)]
-    # Along the line, all but the way itself comes to where it belongs at the goal alone.
-    elsewhere = {"along_track"} - {signal_name}
-    found = [
-        _compute_ideal(run, signal_name, measured, step)
-        for step in steps
-        if step.loop.signal not in elsewhere or step.loop.reference == "goal_distance"
-    ]
-    return [curve for curve in found if curve is not None]
 
 
 def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: ARG001
@@ -163,23 +123,3 @@ def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
         if loop.has_theory
     }
     return tuple(sorted(gain for gain in found if gain is not None))
-
-
-def _compute_ideal(run: Run, signal_name: str, measured: Curve, step: LoopStep) -> Curve | None:
-    target = _find_target(run, signal_name, step)
-    start_s = (step.start_ns - run.start_ns) / 1e9
-    after = measured.time_s >= start_s
-    if target is None or not after.any():
-        return None
-    initial = float(measured.values[after][0])
-    values = step.respond(measured.time_s[after] - start_s, initial=initial, target=target)
-    return Curve(start_ns=run.start_ns, time_ns=measured.time_ns[after], values=values)
-
-
-def _find_target(run: Run, signal_name: str, step: LoopStep) -> float | None:
-    """Return the value that a loop brings a signal to, in the unit of its curve."""
-    if signal_name in _ERRORS:
-        return 0.0
-    if signal_name in ("x", "y"):
-        return None if run.goal_xy_m is None else run.goal_xy_m["xy".index(signal_name)]
-    return step.reference

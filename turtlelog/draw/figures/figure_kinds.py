@@ -1,23 +1,21 @@
 """The figures by name: what each shows, what it needs, and how it is drawn."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 from typing import Final
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog.charts.robot_curves import lack_samples
-from turtlelog.charts.shared_curves import (
-    Command,
-    list_loops,
-    read_curve,
-    require_near,
-)
+from turtlelog.charts.shared_curves import list_loops, read_curve, require_near
 from turtlelog.charts.state_groups import are_comparable, group_states
+from turtlelog.charts.time_plots import TIME_PLOTS, Scale
+from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.display import NamedValues
 from turtlelog.draw.figures.attribution_figure import draw_attribution
-from turtlelog.draw.figures.command_panels import draw_command, draw_wanted
 from turtlelog.draw.figures.figure_curves import (
     draw_plant_responses,
     draw_step_responses,
@@ -38,14 +36,8 @@ from turtlelog.draw.figures.sampled_loops import (
     draw_root_locus,
     draw_step,
 )
-from turtlelog.draw.figures.signal_panels import (
-    draw_along_error,
-    draw_error_magnitude,
-    draw_signal,
-    draw_states,
-    draw_track,
-)
 from turtlelog.draw.figures.strip_figure import draw_strips
+from turtlelog.draw.figures.time_panels import draw_states, draw_time_plot
 from turtlelog.draw.figures.violation_figure import draw_violation
 from turtlelog.run import Run
 
@@ -74,11 +66,13 @@ class Panel:
         loop: Signal that a loop of some run must control; of a usual panel, a run whose loops are
             not known is taken to do so. Empty: whatever is controlled.
         is_usual: Whether it is missed where no run has anything for it.
+        plot: Name of the plot over time that it shows; empty for another panel.
     """
 
     name: str
     needs: str
     draw: Draw
+    plot: str = ""
     loop: str = ""
     is_usual: bool = True
 
@@ -170,20 +164,32 @@ def list_usual_figures() -> tuple[str, ...]:
     return tuple(name for name, kind in FIGURES.items() if not kind.is_extra)
 
 
-def _signal(signal: str, label: str, needs: str, loop: str = "", *, is_usual: bool = True) -> Panel:
-    draw = partial(draw_signal, signal=signal, label=label)
-    name = signal.replace("_", " ")
-    return Panel(name=name, needs=needs, draw=draw, loop=loop, is_usual=is_usual)
+def _panel(name: str, scale: Scale | None = None, *, is_usual: bool | None = None) -> Panel:
+    """Return the panel of a plot over time."""
+    plot = TIME_PLOTS[name]
+    return Panel(
+        name=plot.title,
+        needs=plot.needs,
+        draw=partial(draw_time_plot, name=name, scale=scale),
+        plot=name,
+        loop=plot.loop,
+        is_usual=plot.is_usual if is_usual is None else is_usual,
+    )
 
 
-def _magnitude(signal: str, label: str, needs: str, loop: str = "") -> Panel:
-    draw = partial(draw_error_magnitude, signal=signal, label=label)
-    return Panel(name=signal.replace("_", " "), needs=needs, draw=draw, loop=loop)
+def _panels(figure: str) -> tuple[Panel, ...]:
+    """Return the panels of a figure: the plots that name it."""
+    return tuple(_panel(name) for name, plot in TIME_PLOTS.items() if plot.figure == figure)
 
 
-def _command(command: Command, label: str) -> Panel:
-    draw = partial(draw_command, command=command, label=label)
-    return Panel(name=label, needs=command, draw=draw)
+def _track(*, is_usual: bool = True) -> Panel:
+    """Return the panel of the way along the track, or of the error where all follow a reference."""
+    return replace(_panel("along_track", is_usual=is_usual), draw=_draw_track)
+
+
+def _draw_track(axes: Axes, runs: Sequence[Run]) -> None:
+    follows = all(read_along_error(run) is not None for run in runs)
+    draw_time_plot(axes, runs, name="along_track_error" if follows else "along_track")
 
 
 def list_state_panels(
@@ -220,8 +226,7 @@ def _is_idle(name: str, runs: Sequence[Run]) -> bool:
     return not any(curve.values.any() for curve in curves if curve is not None)
 
 
-FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
-    "figure",
+_NAMED: Final[Mapping[str, FigureKind]] = MappingProxyType(
     {
         "plant": FigureKind(
             title="Impulse, step and ramp response of the plant 1/s",
@@ -246,15 +251,12 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
         "heading": FigureKind(
             title="Heading, the goal bearing and the ideal response",
             paper="9-16",
-            panels=(_signal("heading", "heading [deg]", "poses", "heading"),),
+            panels=_panels("heading"),
         ),
         "along-track": FigureKind(
             title="Way along the track, or distance, the goal and the ideal response",
             paper="",
-            panels=(
-                Panel(name="along track", needs="track", draw=draw_track, loop="along_track"),
-                _signal("distance", "distance [m]", "goal", "distance", is_usual=False),
-            ),
+            panels=(_track(), _panel("distance")),
             needs="track",
             is_usual=False,
             is_extra=True,
@@ -262,59 +264,47 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
         "position": FigureKind(
             title="Position, the goal and the ideal response",
             paper="9-16",
-            panels=(_signal("x", "x [m]", "poses"), _signal("y", "y [m]", "poses")),
+            panels=_panels("position"),
             height=0.95,
         ),
         "heading-error": FigureKind(
             title="Heading error and the ideal response",
             paper="9-16",
-            panels=(_signal("heading_error", "heading error [deg]", "heading_error", "heading"),),
+            panels=_panels("heading-error"),
         ),
         "position-error": FigureKind(
             title="Position error and the ideal response",
             paper="9-16",
-            panels=(
-                _signal("error_x", "error in x [m]", "goal"),
-                _signal("error_y", "error in y [m]", "goal"),
-            ),
+            panels=_panels("position-error"),
             height=0.95,
         ),
         "turn-rate": FigureKind(
             title="Turn rate, its limits",
             paper="9-16",
-            panels=(_command("turn_rate", "turn rate"),),
+            panels=_panels("turn-rate"),
         ),
         "speed": FigureKind(
             title="Speed, its limits",
             paper="14",
-            panels=(_command("speed", "speed"),),
+            panels=_panels("speed"),
         ),
         "wanted-speed": FigureKind(
             title="Speed that the law wanted, before clipping",
             paper="14",
-            panels=(
-                Panel(
-                    name="wanted speed",
-                    needs="wanted",
-                    draw=partial(draw_wanted, command="speed", label="wanted speed"),
-                ),
-            ),
+            panels=_panels("wanted-speed"),
         ),
         "world-velocity": FigureKind(
             title="Gain times error in the world frame, before projection and clipping",
             paper="9-16",
-            panels=(
-                _signal("world_velocity_x", "$K_p e_x$ [m/s]", "world_velocity"),
-                _signal("world_velocity_y", "$K_p e_y$ [m/s]", "world_velocity"),
-            ),
+            panels=_panels("world-velocity"),
             height=0.95,
         ),
         "error-log": FigureKind(
             title="Magnitude of the errors on a logarithmic scale, the ideal decay, the tolerances",
             paper="",
             panels=(
-                _magnitude("heading_error", "|heading error| [deg]", "heading_error", "heading"),
-                _magnitude("distance", "distance [m]", "goal"),
+                _panel("heading_error", "log"),
+                replace(_panel("distance", "log", is_usual=True), loop=""),
             ),
             height=0.95,
         ),
@@ -322,8 +312,8 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             title="Errors along the path, behind its reference, and across it",
             paper="",
             panels=(
-                Panel(name="along", needs="along_error", draw=draw_along_error, is_usual=False),
-                _signal("cross_track", "cross-track [m]", "path", is_usual=False),
+                *_panels("path-error"),
+                replace(_panel("cross_track", is_usual=False), needs="path"),
             ),
             height=0.32,
             needs="path",
@@ -413,13 +403,13 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             title="Both loops, what they missed and what they were told",
             paper="",
             panels=(
-                _signal("heading", "heading [deg]", "poses", "heading"),
-                Panel(name="along track", needs="track", draw=draw_track, loop="along_track"),
-                _signal("distance", "distance [m]", "goal", "distance", is_usual=False),
-                _magnitude("heading_error", "|heading error| [deg]", "heading_error", "heading"),
-                _signal("cross_track", "cross-track [m]", "track"),
-                _command("turn_rate", "turn rate"),
-                _command("speed", "speed"),
+                _panel("heading"),
+                _track(),
+                _panel("distance"),
+                _panel("heading_error", "log"),
+                _panel("cross_track"),
+                _panel("turn_rate"),
+                _panel("speed"),
             ),
             list_more=lambda runs: (
                 list_state_panels(runs, of_commands=True) if len(runs) == 1 else ()
@@ -429,4 +419,23 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
         ),
     },
 )
+
+
+def _list_figures() -> dict[str, FigureKind]:
+    """Return the figures above, and one for each plot over time that is in none of them."""
+    others = {
+        plot.figure: FigureKind(
+            title=plot.title.capitalize(),
+            paper="",
+            panels=_panels(plot.figure),
+            is_usual=False,
+            is_extra=True,
+        )
+        for plot in TIME_PLOTS.values()
+        if plot.figure and plot.figure not in _NAMED
+    }
+    return {**_NAMED, **others}
+
+
+FIGURES: Final[Mapping[str, FigureKind]] = NamedValues("figure", _list_figures())
 """Every figure by name."""

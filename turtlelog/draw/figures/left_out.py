@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Iterable, Sequence
-from functools import partial
 from typing import Final
 
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
@@ -20,7 +19,6 @@ from turtlelog.draw.figures.marked_panels import has_marks
 from turtlelog.draw.figures.needs import GOAL, SAMPLES, find_lacks
 from turtlelog.draw.figures.page import label_runs
 from turtlelog.draw.figures.plane_panels import has_one_plane
-from turtlelog.draw.figures.signal_panels import draw_track
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 
@@ -80,9 +78,8 @@ def _is_marked(name: str, runs: Sequence[Run], found: Sequence[Sequence[Characte
 def _list_signals(name: str, runs: Sequence[Run]) -> list[str]:
     """Return the signals of a figure's panels over time."""
     kind = FIGURES[name]
-    drawn = [panel.draw for panel in kind.choose_panels(runs)] if kind.draw is None else []
-    named = [draw.keywords.get("signal", "") for draw in drawn if isinstance(draw, partial)]
-    return [*filter(None, named), *(["along_track"] if draw_track in drawn else [])]
+    panels = kind.choose_panels(runs) if kind.draw is None else ()
+    return [panel.plot for panel in panels if panel.plot]
 
 
 def _tell_states(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:

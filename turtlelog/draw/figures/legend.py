@@ -13,12 +13,12 @@ from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 
 from turtlelog.charts.shared_curves import BEARING_NOW, REFERENCE as AIMED
-from turtlelog.draw.figures.page import IDEAL, IDEAL_ENDS
+from turtlelog.draw.figures.page import IDEAL_ENDS
 
 _LINE_HEIGHT: Final = 1.45
 _POINTS_PER_INCH: Final = 72.0
 
-_OF_ALL_RUNS: Final = frozenset({IDEAL["label"], IDEAL_ENDS["label"], AIMED, BEARING_NOW})
+_OF_ALL_RUNS: Final = frozenset({"ideal", IDEAL_ENDS, AIMED, BEARING_NOW})
 """What has the colour of each run in a panel, and in a legend that of none."""
 
 _ALIKE: Final = (
@@ -85,10 +85,12 @@ def _join_alike(named: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _describe_looks(label: str, handle: Any) -> Any:
-    """Return what entries have in common that are joined; of most it is their name alone."""
-    alike = next((names for names in _ALIKE if label in names), None)
-    if alike is None or not isinstance(handle, Line2D):
+    """Return what entries have in common that are joined: solid lines their looks, others names."""
+    if not isinstance(handle, Line2D):
         return label
+    alike = next((names for names in _ALIKE if label in names), label)
+    if handle.get_linestyle() == "-":
+        alike = ""
     return (alike, handle.get_color(), handle.get_linewidth(), handle.get_marker())
 
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.shared_curves import find_steps
+from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.loops import ControlLoop
 from turtlelog.measure import model_run_loops
 from turtlelog.run import Run

@@ -5,7 +5,8 @@ from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.charts.shared_curves import Command, read_applied, read_command, read_curve
+from turtlelog.charts.shared_curves import Command, read_curve
+from turtlelog.charts.time_plots import TIME_PLOTS, has_own
 from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.draw.figures.figure_curves import find_gains
 from turtlelog.draw.figures.rates_figure import lacks_commands
@@ -19,11 +20,15 @@ PYTHON_CONTROL: Final = "python-control"
 _STATES: Final = "states of its law that are not always 0"
 
 
-def _lack_command(run: Run, command: Command, *, is_alone: bool) -> str:
-    """Say whether there is something to draw: among several runs no applied rates are."""
-    found = read_command(run, command) or read_curve(run, f"measured_{command}")
-    found = found or (read_applied(run, command) if is_alone else None)
+def _lack_command(run: Run, command: Command) -> str:
+    """Say whether there is something to draw: a command, or what the robot did of one."""
+    found = has_own(run, TIME_PLOTS[command])
     return "" if found else f"{command.replace('_', ' ')} commands"
+
+
+def _lack_wanted(run: Run, command: Command) -> str:
+    is_held = len(run.samples) > 0 and read_curve(run, f"wanted_{command}") is not None
+    return _lack("what the law wanted before clipping", is_held=is_held)
 
 
 def _lack(words: str, *, is_held: bool) -> str:
@@ -73,46 +78,44 @@ _PROPORTIONAL: Final = "a proportional loop"
 OF_THEORY: Final = ("gain", "integrator", "locus")
 """Needs that are met without a run."""
 
-_LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
+_LACKS: Final[Mapping[str, Callable[[Run], str]]] = MappingProxyType(
     {
-        "theory": lambda run, _: find_lack_of_theory([run]),
-        "gain": lambda run, _: find_lack_of_gain([run]),
-        "locus": lambda run, _: _find_lack_of_locus(run),
-        "integrator": lambda run, _: (
+        "theory": lambda run: find_lack_of_theory([run]),
+        "gain": lambda run: find_lack_of_gain([run]),
+        "locus": lambda run: _find_lack_of_locus(run),
+        "integrator": lambda run: (
             find_lack_of_gain([run])
             or _lack("a plant that is 1/s", is_held=find_plant(run).name != LAGGED)
         ),
-        "known_gain": lambda run, _: _lack("the law's gain", is_held=_has_gain(run)),
-        "commands": lambda run, _: _lack("commands", is_held=not lacks_commands(run)),
-        "samples": lambda run, _: _lack(SAMPLES, is_held=len(run.samples) > 0),
-        "poses": lambda run, _: _lack("poses", is_held=len(run.poses) > 0),
-        "goal": lambda run, _: _lack(GOAL, is_held=run.goal_xy_m is not None),
-        "heading_error": lambda run, _: _lack_samples(
+        "known_gain": lambda run: _lack("the law's gain", is_held=_has_gain(run)),
+        "commands": lambda run: _lack("commands", is_held=not lacks_commands(run)),
+        "samples": lambda run: _lack(SAMPLES, is_held=len(run.samples) > 0),
+        "poses": lambda run: _lack("poses", is_held=len(run.poses) > 0),
+        "goal": lambda run: _lack(GOAL, is_held=run.goal_xy_m is not None),
+        "heading_error": lambda run: _lack_samples(
             run, "a heading to aim at", is_held=read_curve(run, "heading_error") is not None
         ),
-        "track": lambda run, _: _lack_samples(
+        "track": lambda run: _lack_samples(
             run, GOAL, is_held=run.goal_line is not None or run.path is not None
         ),
-        "along_error": lambda run, _: (
+        "along_error": lambda run: (
             _lack("a path that its law tracks", is_held=run.path is not None)
             or _lack("a path with a speed", is_held=read_along_error(run) is not None)
         ),
-        "path": lambda run, _: _lack("a path that its law tracks", is_held=run.path is not None),
-        "states": lambda run, _: _lack(_STATES, is_held=has_states(run)),
-        "world_velocity": lambda run, _: _lack_samples(
+        "path": lambda run: _lack("a path that its law tracks", is_held=run.path is not None),
+        "states": lambda run: _lack(_STATES, is_held=has_states(run)),
+        "world_velocity": lambda run: _lack_samples(
             run, "gain times error", is_held=read_curve(run, "world_velocity_x") is not None
         ),
-        "speed": lambda run, a: _lack_command(run, "speed", is_alone=a),
-        "turn_rate": lambda run, a: _lack_command(run, "turn_rate", is_alone=a),
-        "wanted": lambda run, _: _lack(
-            "what the law wanted before clipping",
-            is_held=len(run.samples) > 0 and run.samples.wanted_speed_m_s is not None,
-        ),
+        "speed": lambda run: _lack_command(run, "speed"),
+        "turn_rate": lambda run: _lack_command(run, "turn_rate"),
+        "wanted_speed": lambda run: _lack_wanted(run, "speed"),
+        "wanted_turn_rate": lambda run: _lack_wanted(run, "turn_rate"),
     }
 )
-"""What a panel may need: from a run, which may be alone, to what it lacks, empty where nothing."""
+"""What a panel may need: from a run to what it lacks, empty where nothing."""
 
 
 def find_lacks(runs: Sequence[Run], need: str) -> tuple[str, ...]:
     """Return what each run lacks of what a figure needs, empty where nothing."""
-    return tuple(_LACKS[need](run, len(runs) == 1) for run in runs)
+    return tuple(_LACKS[need](run) for run in runs)

@@ -99,20 +99,13 @@ _DASHES: Final[tuple[Any, ...]] = ("-", (0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0
 REFERENCE: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.45", "linewidth": 0.7})
 """Goals, limits, zeros."""
 
-IDEAL: Final[Mapping[str, Any]] = MappingProxyType(
-    {"linewidth": 0.7, "linestyle": (0, (1, 1.5)), "zorder": 1.8, "label": "ideal"}
-)
-"""What theory says; in the colour of its run."""
-
-IDEAL_ENDS: Final[Mapping[str, Any]] = MappingProxyType(
-    {**IDEAL, "label": "ideal, ends of the bar"}
-)
-"""The same of the first and the last of many runs, between which the others lie."""
+IDEAL_ENDS: Final = "ideal, ends of the bar"
+"""Name of the ideal responses of the first and the last of many runs."""
 
 AIM: Final[Mapping[str, Any]] = MappingProxyType(
     {"linewidth": 0.8, "linestyle": (0, (4, 1.2, 1, 1.2, 1, 1.2)), "zorder": 1.9}
 )
-"""What a law, or the goal, asks for where that moves; in the colour of its run."""
+"""What a law, or the goal, asks for where that moves."""
 
 SENSED: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -127,19 +120,6 @@ SENSED: Final[Mapping[str, Any]] = MappingProxyType(
 )
 """What the controller reads of a pose; below what it is."""
 
-DROPPED_OUT: Final[Mapping[str, Any]] = MappingProxyType(
-    {
-        "linestyle": "",
-        "marker": "|",
-        "markersize": 3.5,
-        "markeredgewidth": 0.4,
-        "color": "0.45",
-        "zorder": 1.7,
-        "label": "dropped out",
-    }
-)
-"""Poses that the controller does not get: strokes at the lower edge."""
-
 PUSHED: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.92", "linewidth": 0.0, "zorder": 0.5, "label": "disturbance"}
 )
@@ -149,7 +129,7 @@ _MOST_LETTERS: Final = 28
 _NAMES: Final = frozenset(
     {
         *("goal", "goal bearing", "goal heading", "zero", "limit", "path", "start"),
-        *(str(IDEAL["label"]), str(IDEAL_ENDS["label"])),
+        *("ideal", IDEAL_ENDS),
         *("tolerance", "sensed", "dropped out", "disturbance", "end", "outlier"),
         *(AIMED, BEARING_NOW),
     }

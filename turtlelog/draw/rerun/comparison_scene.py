@@ -50,7 +50,7 @@ from turtlelog.draw.rerun.timelines import (
     read_span,
 )
 from turtlelog.draw.rerun.turtles import Look, choose_size, count_segments, draw_trail, draw_turtle
-from turtlelog.draw.rerun.views import RESTLESS_PLOTS, choose_phase_rows
+from turtlelog.draw.rerun.views import choose_phase_rows
 from turtlelog.draw.rerun.world import (
     LETTERING,
     SMALL_LETTERING,
@@ -250,7 +250,7 @@ def _list_series(run: Run, name: str, color: Color, *, is_restless: bool) -> tup
     """Return curves of a run among many; commands of one that swings on would cover all others."""
     found = list_compared_series(run, name, color)
     if is_restless:
-        found = tuple(series for series in found if series.plot not in RESTLESS_PLOTS)
+        found = tuple(series for series in found if series.plot not in entities.RESTLESS)
         color = palette.dim(color)
     return tuple(
         replace(series, colors=(color,) * len(series.colors), width=min(series.width, _THIN_WIDTH))

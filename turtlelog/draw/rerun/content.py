@@ -8,34 +8,18 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.close_up import CloseUp, find_close_up
 from turtlelog.charts.phase_timelines import TIMELINE, WALL_TIMELINE, name_phase_timeline
+from turtlelog.charts.ranges import find_range
 from turtlelog.charts.shared_curves import find_end_of_turn
 from turtlelog.charts.state_groups import StateGroup, are_comparable, group_states
+from turtlelog.charts.time_plots import list_controlled
 from turtlelog.charts.tracked_path import WorstPlace, find_worst_place
 from turtlelog.display import describe_count
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import TICKS, join_path
 from turtlelog.draw.rerun.plots import LevelLines, Series
 from turtlelog.draw.rerun.world import Bounds, find_plane_bounds
-from turtlelog.loops import ControlLoop
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
-
-_HEADROOM = 1.25
-"""End of a command's range, as a multiple of its most extreme value."""
-
-_ROOM = 0.08
-"""Room above and below what was measured, as a share of its range; where all values are one, of
-that value."""
-
-_LEAST_ROOM = 1e-9
-"""In the unit of the plot, at least where all values are one: a range needs a height."""
-
-_ROOM_AROUND_0 = 0.1
-"""In the unit of the plot, where all values are 0: ticks of a lower range are hard to read."""
-
-_LEAST_SIDE = 0.15
-"""What a command's range shows at least on either side of 0, as a share of its largest limit,
-times `_HEADROOM`."""
 
 _CLOSE_UP = 2.0
 """Half-height of the close-up, as a multiple of the largest error in it: it fills half of it."""
@@ -60,6 +44,7 @@ class Content:
         series: Entity paths of the curves, in the order of drawing.
         references: Plots that have level lines.
         lines: Entity paths of upright lines, shown in every plot.
+        legends: Plots that have a legend; None: those of several curves.
         highest_speed_m_s: What the brightest colour of the trace by speed means; None without one.
         steps_title: Title of the attribution, None without one.
         has_dead_time: Whether the first run's dead times are drawn.
@@ -72,7 +57,6 @@ class Content:
         goal: What the close-up of the goal shows, None without one.
         ranges: Fixed ranges of values, by plot.
         close_ups: Plots whose range does not hold all of their curves.
-        ends: Last values of the first curves of plots, where they have come to their end.
         controlled: Plots of signals that a loop of a run controls.
         worst: Where runs are furthest from their path, None where that is not shown.
         states: The states of the laws, in groups.
@@ -97,6 +81,7 @@ class Content:
     series: tuple[str, ...]
     references: frozenset[str]
     lines: tuple[str, ...] = ()
+    legends: frozenset[str] | None = None
     highest_speed_m_s: float | None = None
     steps_title: str | None = None
     has_dead_time: bool = False
@@ -109,7 +94,6 @@ class Content:
     goal: CloseUp | None
     ranges: Mapping[str, tuple[float, float]]
     close_ups: frozenset[str] = frozenset()
-    ends: Mapping[str, float] = field(default_factory=dict)
     controlled: frozenset[str] = frozenset()
     worst: WorstPlace | None = None
     states: tuple[StateGroup, ...] = ()
@@ -184,7 +168,7 @@ def describe_content(
         timelines=_list_timelines(runs),
         outliers=_count_outliers(series),
         controlled=frozenset(
-            plot for run in runs for loop in run.declaration.loops for plot in _list_plots(loop)
+            entities.name_plot(plot) for run in runs for plot in list_controlled(run)
         ),
     )
 
@@ -201,14 +185,6 @@ def _count_outliers(series: Sequence[Sequence[Series]]) -> dict[str, str]:
         if curves.entity.endswith(f"/{entities.OUTLIERS}"):
             found[curves.plot] = found.get(curves.plot, 0) + len(curves.time_ns)
     return {plot: f"{describe_count(rows, 'outlier')} left out" for plot, rows in found.items()}
-
-
-def _list_plots(loop: ControlLoop) -> tuple[str, ...]:
-    """Return the plots of what a loop controls."""
-    controlled = entities.PLOTS[loop.signal]
-    if loop.signal == "along_track" and loop.moves:
-        return entities.ALONG_TRACK_ERROR, controlled
-    return (controlled,)
 
 
 def find_largest(content: Content) -> float:
@@ -272,60 +248,16 @@ def _are_overlaid(group: StateGroup, series: Sequence[Sequence[Series]]) -> bool
     return len(series) == 1 and len(group.names) > 1 and are_comparable(found)
 
 
-def find_ends(series: Sequence[Series], ranges: Mapping[str, object]) -> dict[str, float]:
-    """Return the last known value of the first curve of each plot that has a range."""
-    ends: dict[str, float] = {}
-    for curves in series:
-        known = curves.values[np.isfinite(curves.values[:, 0]), 0]
-        if len(known) and curves.plot in ranges:
-            ends.setdefault(curves.plot, float(known[-1]))
-    return ends
-
-
 def find_ranges(
     series: Sequence[Sequence[Series]], references: Sequence[LevelLines]
 ) -> dict[str, tuple[float, float]]:
     """Return ranges of plots that hold all that was measured, and a little more."""
-    return {**_find_ranges(series, references), **_find_command_ranges(series, references)}
-
-
-def _find_ranges(
-    series: Sequence[Sequence[Series]], references: Sequence[LevelLines]
-) -> dict[str, tuple[float, float]]:
-    """Return ranges with room around what was measured: what theory expects may lie far beyond."""
-    found: dict[str, list[float]] = {}
+    levels = {reference.plot: reference.levels for reference in references}
+    measured: dict[str, list[NDArray[np.float64]]] = {}
     for curves in (curves for run in series for curves in run if curves.is_measured):
-        values = curves.values[np.isfinite(curves.values)]
-        if len(values):
-            found.setdefault(curves.plot, []).extend((float(values.min()), float(values.max())))
-    for reference in references:
-        if reference.plot in found:
-            found[reference.plot] += reference.levels
-    return {plot: _add_room(min(values), max(values)) for plot, values in found.items()}
-
-
-def _add_room(low: float, high: float) -> tuple[float, float]:
-    room = _ROOM * (high - low)
-    if not room:
-        room = max(_ROOM * abs(high), _LEAST_ROOM) if high else _ROOM_AROUND_0
-    return low - room, high + room
-
-
-def _find_command_ranges(
-    series: Sequence[Sequence[Series]], references: Sequence[LevelLines]
-) -> dict[str, tuple[float, float]]:
-    """Return ranges that end a little beyond the limits; wanted commands may lie far beyond."""
-    ranges = {}
-    for reference in references:
-        if reference.plot not in {entities.SPEED, entities.TURN_RATE}:
-            continue
-        kinds = {f"{reference.plot}/{kind}" for kind in (entities.COMMANDED, entities.APPLIED)}
-        values = [curves.values for run in series for curves in run if curves.entity in kinds]
-        least = _LEAST_SIDE * max(reference.levels)
-        low = min((float(column.min()) for column in values), default=0.0)
-        high = max((float(column.max()) for column in values), default=0.0)
-        ranges[reference.plot] = min(low, -least) * _HEADROOM, max(high, least) * _HEADROOM
-    return ranges
+        measured.setdefault(curves.plot, []).append(curves.values)
+    found = {plot: find_range(values, levels.get(plot, ())) for plot, values in measured.items()}
+    return {plot: limits for plot, limits in found.items() if limits is not None}
 
 
 def find_heading_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]:

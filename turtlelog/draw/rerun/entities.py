@@ -6,6 +6,9 @@ from typing import Final
 
 from rerun import escape_entity_path_part
 
+from turtlelog.charts.many_runs import RESTLESS_PLOTS
+from turtlelog.charts.time_plots import TIME_PLOTS, TimePlot, find_plot
+
 APPLICATION_ID: Final = "turtlelog"
 TICKS: Final = "tick"
 
@@ -42,26 +45,17 @@ WORST: Final = "plane/close_up/worst"
 WORST_NAME: Final = "plane/close_up/worst/name"
 
 POSITION: Final = "position"
-POSITION_ERROR: Final = "position_error"
 HEADING: Final = "heading_deg"
 HEADING_ERROR: Final = "heading_error_deg"
-HEADING_ERROR_LOG: Final = "heading_error_log10"
 ALONG_TRACK: Final = "along_track"
-ALONG_TRACK_ERROR: Final = "along_track_error"
-CROSS_TRACK: Final = "cross_track"
-DISTANCE: Final = "distance"
-DISTANCE_LOG: Final = "distance_log10"
 SPEED: Final = "speed"
 TURN_RATE: Final = "turn_rate"
 COMMANDED: Final = "commanded"
-WANTED: Final = "wanted"
-SHAPED: Final = "shaped"
 APPLIED: Final = "applied"
 MEASURED: Final = "as_measured"  # before `commanded`: the viewer draws later names on top
 OUTLIERS: Final = "outliers"
 SENSED: Final = "sensed"
 DROPPED_OUT: Final = "dropped_out"
-WORLD_VELOCITY: Final = "world_velocity"
 STATE: Final = "state"
 IDEAL: Final = "ideal"
 SAMPLED: Final = "sampled"
@@ -92,37 +86,48 @@ VIOLATED: Final = "violated"
 """Below it, in the order of drawing, as the viewer draws later names on top: band to points."""
 
 
-PLOTS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "heading": HEADING,
-        "along_track": ALONG_TRACK,
-        "cross_track": CROSS_TRACK,
-        "distance": DISTANCE,
-    }
-)
-"""The plot of each signal that a loop can control."""
+def name_plot(name: str) -> str:
+    """Return the entity of a plot over time: of a pair its own, with the unit of angles."""
+    plot = find_plot(name)
+    return plot.pair or (f"{name}_deg" if plot.unit == "deg" else name)
 
 
-TITLES: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        HEADING: "Heading [deg]",
-        HEADING_ERROR: "Heading error [deg]",
-        HEADING_ERROR_LOG: "log₁₀ heading error [deg]",
-        TURN_RATE: "Turn rate [rad/s]",
-        POSITION: "Position [m]",
-        POSITION_ERROR: "Position error [m]",
-        ALONG_TRACK: "Along-track [m]",
-        ALONG_TRACK_ERROR: "Along-track error [m]",
-        CROSS_TRACK: "Cross-track [m]",
-        DISTANCE: "Distance [m]",
-        DISTANCE_LOG: "log₁₀ distance [m]",
-        SPEED: "Speed [m/s]",
-        GAP_MM: "Distance to ghost [mm]",
-        GAP_M: "Distance to ghost [m]",
-        WORLD_VELOCITY: "World velocity [m/s]",
-    }
+def name_logarithm(entity: str) -> str:
+    """Return the entity of the logarithm of a plot."""
+    return f"{entity.removesuffix('_deg')}_log10"
+
+
+def _group_plots() -> dict[str, tuple[TimePlot, ...]]:
+    groups: dict[str, tuple[TimePlot, ...]] = {}
+    for name, plot in TIME_PLOTS.items():
+        entity = name_plot(name)
+        groups[entity] = (*groups.get(entity, ()), plot)
+    return groups
+
+
+GROUPS: Final[Mapping[str, tuple[TimePlot, ...]]] = MappingProxyType(_group_plots())
+"""The plots over time of each entity: x and y stand together."""
+
+
+RESTLESS: Final = frozenset(map(name_plot, RESTLESS_PLOTS))
+"""The plots that a run which never settles is left out of."""
+
+
+def title_plot(entity: str) -> str:
+    """Return the title of a plot by its entity."""
+    if entity in GROUPS:
+        plots = GROUPS[entity]
+        title = plots[0].title if len(plots) == 1 else entity.replace("_", " ")
+        return f"{title.capitalize()} [{plots[0].unit}]"
+    for name, plots in GROUPS.items():
+        if entity == name_logarithm(name):
+            return f"log₁₀ {plots[0].label}"
+    return _TITLES.get(entity) or f"State {entity.partition('/')[2]}"
+
+
+_TITLES: Final[Mapping[str, str]] = MappingProxyType(
+    {GAP_MM: "Distance to ghost [mm]", GAP_M: "Distance to ghost [m]"}
 )
-"""Titles of plots."""
 
 
 def join_path(*parts: str) -> str:

@@ -106,8 +106,8 @@ def write_explanation_rrd(
     metrics = [measure_run(run) for run in scene.runs]
     dead_times = list_dead_times(recorded, metrics[0])
     lines = {
-        "pause": (palette.WANTED, list_pause_times(recorded)),
-        "dead_time": (palette.SAMPLED, [end_ns for _, end_ns in dead_times]),
+        "pause": (palette.PAUSED, list_pause_times(recorded)),
+        "dead_time": (palette.DEAD_TIME, [end_ns for _, end_ns in dead_times]),
     }
     lines = {name: marked for name, marked in lines.items() if marked[1]}
     content = replace(

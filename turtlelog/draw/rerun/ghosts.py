@@ -10,9 +10,9 @@ import rerun as rr
 from turtlelog.angles import wrap_angle
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import format_length
+from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.palette import Color
 from turtlelog.charts.phase_timelines import TIMELINE, locate_run
-from turtlelog.charts.shared_curves import find_steps
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.plots import Series

@@ -1,7 +1,6 @@
 """Layouts: which views a recording opens with, and where. A view without data is left out."""
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Final
 
 import rerun as rr
@@ -9,6 +8,7 @@ import rerun.blueprint as rrb
 
 from turtlelog.charts.phase_timelines import TIMELINE
 from turtlelog.charts.state_groups import StateGroup
+from turtlelog.charts.time_plots import Column
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import Content
 from turtlelog.draw.rerun.run_legend import view_legend, view_scale
@@ -26,61 +26,33 @@ from turtlelog.draw.rerun.waterfall import view_waterfall
 
 Corners = Mapping[str, rrb.Corner2D]
 
-_RUN_LEGENDS: Final[Corners] = MappingProxyType(
-    {
-        entities.HEADING: rrb.Corner2D.RightBottom,
-        entities.HEADING_ERROR: rrb.Corner2D.RightBottom,
-        entities.TURN_RATE: rrb.Corner2D.RightTop,
-        entities.ALONG_TRACK_ERROR: rrb.Corner2D.RightTop,
-        entities.ALONG_TRACK: rrb.Corner2D.RightBottom,
-        entities.POSITION: rrb.Corner2D.LeftTop,
-        entities.POSITION_ERROR: rrb.Corner2D.RightTop,
-        entities.CROSS_TRACK: rrb.Corner2D.LeftBottom,
-        entities.DISTANCE: rrb.Corner2D.RightTop,
-        entities.SPEED: rrb.Corner2D.LeftBottom,
-        entities.WORLD_VELOCITY: rrb.Corner2D.RightTop,
-    }
-)
-"""Where curves usually leave room; on the right, above or below where they end."""
 
-_TURNING: Final = (
-    (entities.HEADING,),
-    (entities.HEADING_ERROR, entities.HEADING_ERROR_LOG),
-    (entities.TURN_RATE,),
-)
+def _list_column(column: Column) -> tuple[tuple[str, ...], ...]:
+    """Return the cells of a column from top to bottom; several plots in one cell are tabs."""
+    cells: dict[int, list[str]] = {}
+    for name, plots in entities.GROUPS.items():
+        place = plots[0].place
+        if place is not None and place[0] == column:
+            log = [entities.name_logarithm(name)] if plots[0].is_log else []
+            cells.setdefault(place[1], []).extend([name, *log])
+    return tuple(tuple(cells[row]) for row in sorted(cells))
 
-_RUN_MOVING: Final = (
-    (
-        entities.ALONG_TRACK_ERROR,
-        entities.ALONG_TRACK,
-        entities.POSITION,
-        entities.POSITION_ERROR,
-    ),
-    (entities.CROSS_TRACK, entities.DISTANCE, entities.DISTANCE_LOG),
-    (entities.SPEED, entities.WORLD_VELOCITY),
-)
 
-_COMPARED_MOVING: Final = (
-    (entities.ALONG_TRACK_ERROR, entities.ALONG_TRACK, entities.POSITION),
-    (entities.CROSS_TRACK, entities.DISTANCE, entities.DISTANCE_LOG),
-    (entities.SPEED,),
-)
-"""Cells from top to bottom; several plots in one cell are tabs."""
+_COLUMNS: Final = (_list_column("turning"), _list_column("moving"))
 
 _EXPLAINED: Final = (
     (
         (entities.GAP_MM, entities.GAP_M),
-        (entities.HEADING_ERROR, entities.HEADING, entities.HEADING_ERROR_LOG),
+        tuple(map(entities.name_plot, ("heading_error", "heading"))),
     ),
     (
-        (
-            entities.CROSS_TRACK,
-            entities.DISTANCE,
-            entities.ALONG_TRACK_ERROR,
-            entities.ALONG_TRACK,
-            entities.POSITION,
+        tuple(
+            map(
+                entities.name_plot,
+                ("cross_track", "distance", "along_track_error", "along_track", "x"),
+            )
         ),
-        (entities.SPEED, entities.TURN_RATE),
+        tuple(map(entities.name_plot, ("speed", "turn_rate"))),
     ),
 )
 
@@ -157,13 +129,13 @@ def is_small(size: tuple[int, int] | None) -> bool:
 
 def build_run_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a run alone: plane, heading loop, position loop, phases below."""
-    corners = {plot: _avoid_end(content, plot, usual) for plot, usual in _RUN_LEGENDS.items()}
-    return _build_blueprint(content, (_TURNING, _RUN_MOVING), corners)
+    corners = {plot: rrb.Corner2D[corner] for plot, corner in content.corners.items()}
+    return _build_blueprint(content, corners)
 
 
 def build_comparison_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a comparison: the same views with every run in each, one legend."""
-    return _build_blueprint(content, (_TURNING, _COMPARED_MOVING), _choose_legend(content))
+    return _build_blueprint(content, _choose_legend(content))
 
 
 def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprint:
@@ -179,8 +151,7 @@ def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprin
         _build_plane(content, with_arrows=False),
         rrb.Tabs(*tabs, active_tab=0),
     ]
-    columns = (_TURNING, _RUN_MOVING)
-    stacks = [cells for column in columns if (cells := _list_cells(content, column, {}))]
+    stacks = [cells for column in _COLUMNS if (cells := _list_cells(content, column, {}))]
     if stacks:
         parts.append(rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks)))
     below = rrb.Horizontal(*parts, column_shares=_VIOLATION_COLUMNS[: len(parts)])
@@ -215,35 +186,20 @@ def build_explanation_layout(content: Content) -> rrb.Blueprint:
     )
 
 
-def _avoid_end(content: Content, plot: str, usual: rrb.Corner2D) -> rrb.Corner2D:
-    """Return a corner on the same side, on the right away from where the plot's curve ends.
-
-    Of a run without a goal the corner where its curves leave most room.
-    """
-    if plot in content.corners:
-        return rrb.Corner2D[content.corners[plot]]
-    if plot not in content.ends or usual.name.startswith("Left"):
-        return usual
-    is_high = content.ends[plot] > sum(content.ranges[plot]) / 2.0
-    return rrb.Corner2D.RightBottom if is_high else rrb.Corner2D.RightTop
-
-
 def _choose_legend(content: Content) -> Corners:
     """Return the one legend's place: a run keeps its colour in every view."""
     if content.legend_names:
         return {}
-    for plot in (entities.ALONG_TRACK_ERROR, entities.ALONG_TRACK):
+    for plot in ("along_track_error", "along_track"):
         if len(content.list_curves(plot)) == len(content.prefixes):
             return {plot: rrb.Corner2D.RightBottom}
     return {entities.HEADING: rrb.Corner2D.RightBottom}
 
 
-def _build_blueprint(
-    content: Content, columns: Sequence[Sequence[Sequence[str]]], legends: Corners
-) -> rrb.Blueprint:
+def _build_blueprint(content: Content, legends: Corners) -> rrb.Blueprint:
     left = _list_left_views(content)
     parts: list[rrb.Container] = [rrb.Vertical(*left, row_shares=_LEFT_SHARES[: len(left)])]
-    stacks = [cells for column in columns if (cells := _list_cells(content, column, legends))]
+    stacks = [cells for column in _COLUMNS if (cells := _list_cells(content, column, legends))]
     if stacks:
         plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
         parts.append(_add_phases(content, _add_states(content, plots)))

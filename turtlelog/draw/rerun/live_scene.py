@@ -10,11 +10,13 @@ import rerun.blueprint as rrb
 
 from turtlelog.charts import palette
 from turtlelog.charts.phase_timelines import TIMELINE
+from turtlelog.charts.ranges import HEADROOM
 from turtlelog.draw.documents import describe_run
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.content import Content, describe_content
 from turtlelog.draw.rerun.entities import APPLICATION_ID, join_path
 from turtlelog.draw.rerun.layout import build_run_layout
+from turtlelog.draw.rerun.legends import name_legends
 from turtlelog.draw.rerun.marks import draw_events, draw_phases
 from turtlelog.draw.rerun.plots import (
     LevelLines,
@@ -37,7 +39,6 @@ from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
 _FLUSH_S: Final = 5.0
-_HEADROOM: Final = 1.25
 
 _GROWTH = 64
 """What is sent anew as a whole waits until there are 1/64 more rows, so that all of it together
@@ -165,7 +166,8 @@ class LiveScene:
 
     def _draw(self, run: Run) -> None:
         stream, timelines = self._stream, build_run_timelines(run)
-        series, references = list_series(run), list_references([run])
+        named = name_legends(list_series(run), list_references([run]))
+        series, references = named.series, named.references
         run_stream = RunStream(stream, "", timelines)
         stream.begin_round(len(run.poses))
         shown = [curves.entity for curves in series]
@@ -175,7 +177,7 @@ class LiveScene:
             self._arrange(run, _open_up(content, references))
             draw_world(stream, [run])
         if stream.is_due:
-            plane.draw_trace_by_phase(run_stream, run, is_growing=True)
+            plane.draw_driven(run_stream, run, is_growing=True)
             plane.draw_reference_path(run_stream, run)
             plane.draw_sensed(run_stream, run)
             draw_references(stream, references, read_span([run], [timelines]))
@@ -240,9 +242,9 @@ class _Part:
 def _open_up(content: Content, references: Sequence[LevelLines]) -> Content:
     """Return the content of a run that goes on: events may come, and nothing is a close-up yet."""
     limits = {
-        reference.plot: _HEADROOM * max(reference.levels)
+        reference.plot: HEADROOM * max(level.value for level in reference.levels)
         for reference in references
-        if reference.plot in {entities.SPEED, entities.TURN_RATE}
+        if any(level.kind == "limit" for level in reference.levels)
     }
     ranges = {
         plot: (content.ranges[plot][0], max(content.ranges[plot][1], limit))

@@ -6,12 +6,12 @@ from typing import Final, Literal
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from turtlelog.charts import palette
-from turtlelog.charts.characteristics import ALONG_ERROR, TO_REFERENCE, list_characteristics
+from turtlelog.charts.characteristics import list_characteristics
+from turtlelog.charts.ideal_curves import LoopStep, find_steps
 from turtlelog.charts.palette import Color
-from turtlelog.charts.shared_curves import LoopStep, Values, find_steps
+from turtlelog.charts.time_plots import find_marked
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.plots import Series
 from turtlelog.draw.rerun.timelines import RunStream
@@ -29,11 +29,8 @@ _SIZE: Final = 4.0  # [points]
 _LINE_WIDTH: Final = 1.0
 _DECADES: Final = 10.0 ** -np.arange(8.0)
 _RESPONSE_WIDTH: Final = 1.0
-_POINTS: Final = 501
 _MOST_SAMPLES: Final = 1_000_000
 _MOST_DEAD_SAMPLES: Final = 1000
-_COLORS: Final = {entities.IDEAL: palette.IDEAL, entities.SAMPLED: palette.SAMPLED}
-
 
 _SHAPES: Final[Mapping[str, Shape]] = {
     "settling_time": "Circle",
@@ -48,16 +45,6 @@ _SHAPES: Final[Mapping[str, Shape]] = {
 }
 """How metrics are marked, by their kind; others are shown elsewhere."""
 
-_CURVES: Final[Mapping[str, str]] = {
-    **entities.PLOTS,
-    "heading_error": entities.HEADING_ERROR,
-    ALONG_ERROR: entities.ALONG_TRACK_ERROR,
-    TO_REFERENCE: f"{entities.DISTANCE}/{entities.TO_REFERENCE}",
-    "speed": f"{entities.SPEED}/{entities.COMMANDED}",
-    "turn_rate": f"{entities.TURN_RATE}/{entities.COMMANDED}",
-}
-"""The entity of each curve that has marks."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
@@ -65,8 +52,7 @@ class Mark:
 
     Attributes:
         plot: Where the curve stands.
-        label: Legend: what it is, with its value.
-        unit: Of the value.
+        label: Legend: what it is, with its value; in a plot the name of its curve, which has that.
         shape: Rerun's name of a marker.
         time_ns: In the run's own time [ns].
         level: In the unit of the curve.
@@ -74,7 +60,6 @@ class Mark:
 
     plot: str
     label: str
-    unit: str
     shape: Shape
     time_ns: int
     level: float
@@ -92,14 +77,13 @@ def list_marks(
     curves = {curve.entity: curve for curve in series}
     marks = []
     for found in list_characteristics(run, metrics):
-        shape, curve = _SHAPES.get(found.kind), curves.get(_CURVES.get(found.signal, ""))
+        shape, curve = _SHAPES.get(found.kind), curves.get(_locate_curve(found.signal))
         if shape is None or curve is None or found.level is None:
             continue
         marks.append(
             Mark(
                 plot=curve.plot,
                 label=f"{found.word} {found.value:.3g} {found.unit}",
-                unit=found.unit,
                 shape=shape,
                 time_ns=run.start_ns + round(found.at_s * 1e9),
                 level=found.level,
@@ -108,13 +92,22 @@ def list_marks(
     return tuple(marks)
 
 
+def _locate_curve(signal: str) -> str:
+    """Return the entity of the curve on which metrics of a signal stand; empty where none does."""
+    found = find_marked(signal)
+    if found is None:
+        return ""
+    name, entry = found
+    return "/".join(part for part in (entities.name_plot(name), entry.name) if part)
+
+
 def draw_marks(run_stream: RunStream, marks: Sequence[Mark]) -> None:
     """Draw each metric as a point whose name, in the legend, holds the value."""
     for entity in dict.fromkeys(mark.entity for mark in marks):
         found = [mark for mark in marks if mark.entity == entity]
         style = rr.SeriesPoints(
-            names=_name_marks(found),
-            colors=palette.pack_colors([palette.MARK] * len(found)),
+            names=[mark.label for mark in found],
+            colors=palette.pack_colors([palette.MAIN] * len(found)),
             markers=[mark.shape for mark in found],
             marker_sizes=[_SIZE] * len(found),
         )
@@ -154,19 +147,18 @@ def draw_lines(
 
 
 def list_responses(run: Run, metrics: Mapping[str, Metric]) -> tuple[Series, ...]:
-    """Return the ideal response of each loop, and the sampled one with the dead time found.
+    """Return the response of each loop with the dead time that was found, as if nothing clipped.
 
-    Both start where the loop starts, as if nothing were clipped. A loop whose reference moves, that
-    is not theory's, or whose gain is not known has neither; one whose dead time is not known has no
-    sampled one.
+    A loop whose reference moves, that is not theory's, or whose gain or dead time is not known has
+    none.
     """
     found: list[Series] = []
-    for signal in entities.PLOTS:
+    for signal in dict.fromkeys(loop.signal for loop in run.declaration.loops):
         for number, step in enumerate(find_steps(run, signal)):
             if step.end_ns > step.start_ns:
                 of = step.loop.name if number else ""
                 dead_time = metrics.get(f"{step.loop.name}.dead_time")
-                found += [_compute_ideal(step, of), *_compute_sampled(step, of, run, dead_time)]
+                found += _compute_sampled(step, of, run, dead_time)
     return tuple(found)
 
 
@@ -179,7 +171,7 @@ def draw_phases(run_stream: RunStream, run: Run) -> None:
         values=list(run.phase_names),
         # The pause is too short for its name; the title of the view explains its colour.
         labels=[" " if name == PAUSE else name for name in run.phase_names],
-        colors=[found.bar for found in palette.choose_phase_colors(run.phase_names)],
+        colors=palette.pack_colors(palette.choose_phase_colors(run.phase_names)),
     )
     prefix = entities.locate_phases(run_stream.prefix)
     phases = RunStream(run_stream.stream, prefix, run_stream.timelines)
@@ -222,7 +214,7 @@ def draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) 
     if not spans_ns:
         return
     style = rr.StateConfiguration(
-        values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.SAMPLED])
+        values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.DEAD_TIME])
     )
     dead_times = RunStream(
         run_stream.stream, entities.locate_dead_times(run_stream.prefix), run_stream.timelines
@@ -239,17 +231,10 @@ def list_pause_times(run: Run) -> list[int]:
     return [time_ns for span in pauses for time_ns in (span.start_ns, span.end_ns)]
 
 
-def _name_marks(marks: Sequence[Mark]) -> list[str]:
-    """Return a name for each mark; those of one unit share it, and so a line of the legend."""
-    of_unit: dict[str, list[str]] = {}
-    for mark in sorted(marks, key=lambda found: found.time_ns):
-        of_unit.setdefault(mark.unit, []).append(f"{_SIGNS[mark.shape]} {mark.label}")
-    return ["  ".join(of_unit[mark.unit]) for mark in marks]
-
-
-def _compute_ideal(step: LoopStep, of: str) -> Series:
-    time_s = np.arange(_POINTS) * ((step.end_ns - step.start_ns) / 1e9 / (_POINTS - 1))
-    return _build(step, of, entities.IDEAL, "ideal", time_s, step.respond(time_s))
+def name_marks(marks: Sequence[Mark]) -> list[str]:
+    """Return what a legend says of marks, in the order of time."""
+    placed = sorted(marks, key=lambda found: found.time_ns)
+    return [f"{_SIGNS[mark.shape]} {mark.label}" for mark in placed]
 
 
 def _compute_sampled(
@@ -271,19 +256,14 @@ def _compute_sampled(
         initial=step.initial,
         reference=step.reference,
     )
-    label = f"ideal with {dead_time.value * 1e3:.3g} ms dead time"
+    label = f"with {dead_time.value * 1e3:.3g} ms dead time"
     time_s = np.arange(count) * period_s
-    yield _build(step, of, entities.SAMPLED, label, time_s, values)
-
-
-def _build(
-    step: LoopStep, of: str, kind: str, label: str, time_s: NDArray[np.floating], values: Values
-) -> Series:
-    """Return a response as a curve; `of` names its loop where its plot has those of several."""
-    return Series(
-        entity="/".join(part for part in (entities.PLOTS[step.loop.signal], kind, of) if part),
+    yield Series(
+        entity="/".join(
+            part for part in (entities.name_plot(step.loop.signal), entities.SAMPLED, of) if part
+        ),
         labels=(f"{label}, {of}" if of else label,),
-        colors=(_COLORS[kind],),
+        colors=(palette.IDEAL,),
         time_ns=step.start_ns + np.rint(time_s * 1e9).astype(np.int64),
         values=values[:, np.newaxis],
         width=_RESPONSE_WIDTH,

@@ -1,6 +1,6 @@
 """What a run puts into the plane: its trace, its error and command, its events."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.palette import Color, choose_run_colors
-from turtlelog.charts.robot_curves import lack_samples, read_pace
+from turtlelog.charts.robot_curves import read_pace
 from turtlelog.charts.tracked_path import has_own_way, read_way_to_reference
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.timelines import RunStream, Values, choose_trace_rows
-from turtlelog.draw.rerun.turtles import Look, draw_faintly, part_strip, send_trail
+from turtlelog.draw.rerun.turtles import Look, part_strip
 from turtlelog.draw.rerun.world import UPWARD
 from turtlelog.run import Event, Run
 
@@ -49,28 +49,17 @@ class SpeedTrace:
     highest_m_s: float
 
 
-def draw_trace_by_phase(run_stream: RunStream, run: Run, *, is_growing: bool = False) -> None:
-    """Draw the path, each stretch in the colour of its phase: faintly, and as a trail.
+def draw_driven(run_stream: RunStream, run: Run, *, is_growing: bool = False) -> None:
+    """Draw the way of a run alone in its colour: faintly, and as a trail.
 
     Of a run that grows all is driven: there is no more than the path, and it is bright.
     """
-    run_stream.log(entities.PLANE, UPWARD)
-    strips, colors, hues, phases = part_strip(run), [palette.START], [palette.START], None
-    if not lack_samples([run]):
-        kept, phases = choose_trace_rows(run), _find_phases(run)
-        hues = [*(found.trace for found in palette.choose_phase_colors(run.phase_names))]
-        stretches = list(_split_where_changed(phases[kept][:-1]))
-        xy_m = run.poses.xy_m[kept]
-        strips = [xy_m[first : last + 1] for first, last in stretches] or [xy_m]
-        colors = [_choose_hue(hues, int(phases[kept][first])) for first, _ in stretches]
-        colors, hues = colors or [palette.MAIN], [*hues, palette.START]
-    colors = colors * len(strips) if len(colors) == 1 else colors
-    if is_growing:
-        _log_strips(run_stream, entities.PATH, strips, colors, _TRACE_RADIUS)
+    if not is_growing:
+        draw_trail(run_stream, run, Look(color=palette.MAIN, width=_TRACE_RADIUS))
         return
-    draw_faintly(run_stream, strips, colors, _TRACE_RADIUS)
-    look = Look(color=palette.START, width=_TRACE_RADIUS)
-    send_trail(run_stream, run, look, hues=hues, kinds=phases)
+    run_stream.log(entities.PLANE, UPWARD)
+    strips = part_strip(run)
+    _log_strips(run_stream, entities.PATH, strips, [palette.MAIN] * len(strips), _TRACE_RADIUS)
 
 
 def build_speed_trace(run: Run) -> SpeedTrace | None:
@@ -156,7 +145,7 @@ def draw_arrows(run_stream: RunStream, run: Run) -> None:
         run_stream.send(entities.ERROR, run.poses.time_ns, values, _build_error)
     table = run.samples if len(run.samples) else run.commands
     if len(table):
-        _log_arrow_style(run_stream, entities.COMMAND, palette.SECOND)
+        _log_arrow_style(run_stream, entities.COMMAND, palette.COMMAND)
         values = np.column_stack([table.speed_m_s, table.turn_rate_rad_s])
         run_stream.send(entities.COMMAND, table.time_ns, values, _build_command)
 
@@ -189,24 +178,13 @@ def draw_event_places(run_stream: RunStream, run: Run) -> None:
     points = rr.Points2D(
         run.poses.xy_m[np.maximum(rows, 0)],
         radii=rr.Radius.ui_points(_EVENT_RADIUS),
-        colors=[palette.WANTED if event.kind == "wall_hit" else palette.EVENT for event in events],
+        colors=[
+            palette.WALL_HIT if event.kind == "wall_hit" else palette.EVENT for event in events
+        ],
         labels=[event.kind.replace("_", " ") for event in events],
         show_labels=False,
     )
     run_stream.log(entities.EVENT_PLACES, points)
-
-
-def _find_phases(run: Run) -> NDArray[np.int64]:
-    """Return the index of the phase of each pose, -1 before the first sample, shape (n,)."""
-    phases = np.full(len(run.poses), palette.NO_PHASE)
-    for span in run.find_phase_spans():
-        first, last = np.searchsorted(run.poses.time_ns, [span.start_ns, span.end_ns])
-        phases[first : last + 1] = run.phase_names.index(span.phase)
-    return phases
-
-
-def _choose_hue(hues: Sequence[Color], phase: int) -> Color:
-    return palette.START if phase == palette.NO_PHASE else hues[phase]
 
 
 def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]:

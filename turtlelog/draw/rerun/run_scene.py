@@ -14,12 +14,12 @@ from turtlelog.draw.rerun.content import (
     Content,
     describe_content,
     find_corners,
-    find_ends,
     find_largest,
 )
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.ghosts import Ghost, build_ideal_ghost, draw_ghost, draw_key
 from turtlelog.draw.rerun.layout import build_run_layout, is_small
+from turtlelog.draw.rerun.legends import name_legends
 from turtlelog.draw.rerun.marks import (
     Mark,
     draw_events,
@@ -46,6 +46,7 @@ from turtlelog.run import Run
 
 _RUN: Final = "the run"
 _EVENT_LINES: Final = f"{entities.LINES}/event"
+"""Below the entity of a plot."""
 
 
 def write_run_rrd(
@@ -87,6 +88,8 @@ class Single:
         series: Its curves, and those of theory.
         references: Level lines.
         marks: Metrics that have a place on a curve.
+        names: Of the main curve of each plot.
+        legends: Plots that have a legend.
         by_speed: Its path in colours of its speed, None where nothing moves.
         ideal: The ideal loop, None where theory does not know where it would be.
     """
@@ -96,33 +99,49 @@ class Single:
     series: tuple[Series, ...]
     references: tuple[LevelLines, ...]
     marks: tuple[Mark, ...]
+    names: Mapping[str, str]
+    legends: frozenset[str]
     by_speed: plane.SpeedTrace | None
     ideal: Ghost | None = None
+
+    def list_lined(self) -> list[str]:
+        """Return the plots that events are drawn across, where there are any."""
+        return [*self.names] if plane.list_placed(self.run) else []
 
     def describe(self, documents: Mapping[str, str]) -> Content:
         """Return what a recording of it holds."""
         content = describe_content([self.run], [""], [self.series], self.references, documents)
         return replace(
             content,
-            ends=find_ends(self.series, content.ranges),
-            corners=find_corners(self.series, content.ranges) if self.run.goal_xy_m is None else {},
-            series=(*content.series, *dict.fromkeys(join_path(mark.entity) for mark in self.marks)),
+            corners=find_corners(self.series, content.ranges),
+            legends=self.legends,
+            series=(
+                *content.series,
+                *dict.fromkeys(join_path(mark.entity) for mark in self.marks),
+                *(join_path(plot, _EVENT_LINES) for plot in self.list_lined()),
+            ),
             arrows=plane.name_arrows(self.run),
-            lines=(join_path(_EVENT_LINES),) if plane.list_placed(self.run) else (),
             ghosts=() if self.ideal is None else (self.ideal.prefix,),
             highest_speed_m_s=None if self.by_speed is None else self.by_speed.highest_m_s,
         )
 
 
 def build_single(run: Run) -> Single:
-    """Return a run, measured, with its curves and marks."""
+    """Return a run, measured, with its curves and marks under the names of short legends."""
     metrics, measured = measure_run(run), list_series(run)
+    named = name_legends(
+        (*measured, *list_responses(run, metrics)),
+        list_references([run]),
+        list_marks(run, measured, metrics),
+    )
     return Single(
         run=run,
         metrics=metrics,
-        series=(*measured, *list_responses(run, metrics)),
-        references=list_references([run]),
-        marks=list_marks(run, measured, metrics),
+        series=named.series,
+        references=named.references,
+        marks=named.marks,
+        names=named.names,
+        legends=named.shown,
         by_speed=plane.build_speed_trace(run),
         ideal=build_ideal_ghost(run),
     )
@@ -134,7 +153,7 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     send_run_properties(stream, run, single.metrics)
     draw_world(stream, [run])
     run_stream = RunStream(stream, "", timelines)
-    plane.draw_trace_by_phase(run_stream, run)
+    plane.draw_driven(run_stream, run)
     plane.draw_reference_path(run_stream, run)
     plane.draw_sensed(run_stream, run)
     if single.by_speed is not None:
@@ -152,16 +171,19 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
         draw_worst_place(stream, content.worst, palette.MAIN)
     draw_phases(run_stream, run)
     if run.events:
-        _draw_events(run_stream, run, find_largest(content))
+        _draw_events(run_stream, single, content)
     draw_references(stream, single.references, read_span([run], [timelines]))
     for curves in single.series:
         draw_series(run_stream, curves)
     draw_marks(run_stream, single.marks)
 
 
-def _draw_events(run_stream: RunStream, run: Run, largest: float) -> None:
+def _draw_events(run_stream: RunStream, single: Single, content: Content) -> None:
     """Draw the events where the turtle was, across the plots, and as a log."""
+    run, largest = single.run, find_largest(content)
     plane.draw_event_places(run_stream, run)
     times_ns = sorted({event.time_ns for event in plane.list_placed(run)})
-    draw_lines(run_stream, _EVENT_LINES, "event", palette.EVENT, times_ns, largest=largest)
+    for plot in single.list_lined():
+        name, entity = single.names[plot], f"{plot}/{_EVENT_LINES}"
+        draw_lines(run_stream, entity, name, palette.MAIN, times_ns, largest=largest)
     draw_events(run_stream, run)

@@ -1,17 +1,15 @@
 """The turtle in the plane, and its trail: the way until the cursor, and faintly the rest."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.palette import Color
-from turtlelog.charts.robot_curves import find_jump_rows
+from turtlelog.charts.robot_curves import find_break_rows
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.timelines import RunStream, Values, choose_trace_rows
 from turtlelog.draw.rerun.world import UPWARD
@@ -127,53 +125,29 @@ def draw_trail(
     """Draw the whole way faintly, and the driven part of it as a trail."""
     run_stream.log(entities.PLANE, UPWARD)
     strips = part_strip(run)
-    draw_faintly(run_stream, strips, [look.color] * len(strips), look.width)
-    send_trail(run_stream, run, look, segments=segments)
-
-
-def draw_faintly(
-    run_stream: RunStream, strips: Sequence[Values], colors: Sequence[Color], width: float
-) -> None:
-    """Draw the whole way, which is not driven yet."""
-    faint = palette.pack_colors(colors) & 0xFFFFFF00 | _FAINT
-    radii = rr.Radius.ui_points(width)
+    # What is not driven yet is faint.
+    faint = palette.pack_colors([look.color] * len(strips)) & 0xFFFFFF00 | _FAINT
+    radii = rr.Radius.ui_points(look.width)
     run_stream.log(entities.PATH, rr.LineStrips2D(strips, radii=radii, colors=faint))
+    _send_trail(run_stream, run, look, segments)
 
 
-def send_trail(
-    run_stream: RunStream,
-    run: Run,
-    look: Look,
-    *,
-    hues: Sequence[Color] = (),
-    kinds: NDArray[np.int64] | None = None,
-    segments: int = MOST_SEGMENTS,
-) -> None:
+def _send_trail(run_stream: RunStream, run: Run, look: Look, segments: int) -> None:
     """Send the trail in segments, each at the time of its last pose; a view shows those until now.
 
-    A segment ends where a kind does, and none leads over a jump or stands still.
-
-    Args:
-        run_stream: Where to.
-        run: Whose way it is.
-        look: How it is drawn.
-        hues: Colours by kind, the last one for -1; none: that of the look.
-        kinds: Of each pose, shape (n,); None: all are alike.
-        segments: How many there may be, changes of kind apart.
+    None leads over a break of the poses or stands still.
     """
     kept = choose_trace_rows(run)
     if len(kept) < 2:
         return
-    of_rows = np.zeros(len(kept), dtype=np.int64) if kinds is None else kinds[kept]
     even = np.linspace(0, len(kept) - 1, min(segments, len(kept) - 1) + 1).round().astype(int)
-    changes = np.flatnonzero(np.diff(of_rows)) + 1
-    jumps = np.searchsorted(kept, find_jump_rows(run))
-    edges = np.unique(np.concatenate([even, changes, jumps, np.maximum(jumps - 1, 0)]))
+    breaks = np.searchsorted(kept, find_break_rows(run))
+    edges = np.unique(np.concatenate([even, breaks, np.maximum(breaks - 1, 0)]))
     xy_m = run.poses.xy_m[kept]
     pieces = [
         (first, last)
         for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-        if last not in jumps and np.ptp(xy_m[first : last + 1], axis=0).any()
+        if last not in breaks and np.ptp(xy_m[first : last + 1], axis=0).any()
     ]
     if not pieces:
         return
@@ -181,9 +155,7 @@ def send_trail(
         radii=rr.Radius.ui_points(look.width), draw_order=_TRAIL_ORDER - 0.5 * look.is_ghost
     )
     run_stream.log(entities.TRAIL, style)
-    colors = palette.pack_colors(
-        [(hues or [look.color])[int(of_rows[first])] for first, _ in pieces]
-    )
+    colors = palette.pack_colors([look.color] * len(pieces))
     columns = rr.LineStrips2D.columns(
         strips=[xy_m[first : last + 1] for first, last in pieces], colors=colors
     )
@@ -194,7 +166,7 @@ def send_trail(
 def part_strip(run: Run) -> list[Values]:
     """Return the path in strips, parted where nobody drove from one pose to the next."""
     rows = np.arange(len(run.poses))[choose_trace_rows(run)]
-    strips = np.split(run.poses.xy_m[rows], np.searchsorted(rows, find_jump_rows(run)))
+    strips = np.split(run.poses.xy_m[rows], np.searchsorted(rows, find_break_rows(run)))
     return [strip for strip in strips if len(strip)]
 
 

@@ -17,14 +17,6 @@ from turtlelog.draw.rerun.content import Content
 from turtlelog.draw.rerun.entities import join_path, locate_dead_times, locate_phases, name_document
 from turtlelog.draw.rerun.world import Bounds
 
-_PAIRS: Final = frozenset({entities.POSITION, entities.POSITION_ERROR, entities.WORLD_VELOCITY})
-
-_CROWDED: Final = frozenset({entities.HEADING, entities.ALONG_TRACK})
-"""Plots whose legends have no room for more."""
-
-RESTLESS_PLOTS: Final = frozenset({entities.HEADING_ERROR, entities.SPEED, entities.TURN_RATE})
-"""Plots that one run's swinging would fill from end to end."""
-
 _MOST_PHASE_ROWS: Final = 4
 """Of more than seven runs: plots above them keep the larger part."""
 
@@ -95,16 +87,14 @@ def _view_close_up(content: Content, name: str, bounds: Bounds) -> rrb.View:
 def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: str = "") -> rrb.View:
     """Show curves over time, with a legend where there is a corner and anything to tell apart."""
     contents = content.list_curves(plot)
-    has_names = len(contents) > 1 or plot in {*content.references, *_PAIRS}
-    has_names = has_names or any(path.endswith(f"/{entities.MEASURED}") for path in contents)
+    has_names = len(contents) > 1 if content.legends is None else plot in content.legends
     if plot in content.references:
-        contents.insert(0, join_path(entities.REFERENCE, plot))
-    if legend is None or plot not in _CROWDED:
-        contents += content.lines
-    title, limits = name or _name_plot(plot), content.ranges.get(plot)
+        contents.insert(0, f"{join_path(entities.REFERENCE, plot)}/**")
+    contents += content.lines
+    title, limits = name or entities.title_plot(plot), content.ranges.get(plot)
     if plot in content.outliers:
         title += f", {content.outliers[plot]}"
-    if content.restless and plot in RESTLESS_PLOTS:
+    if content.restless and plot in entities.RESTLESS:
         title += f", without {content.restless}"
     return rrb.TimeSeriesView(
         origin="/",
@@ -155,10 +145,6 @@ def view_events(content: Content) -> rrb.View:
         name="Events",
         columns=columns,
     )
-
-
-def _name_plot(plot: str) -> str:
-    return entities.TITLES.get(plot) or f"State {plot.partition('/')[2]}"
 
 
 def _show_trails(content: Content) -> dict[Any, VisibleTimeRanges]:

@@ -1,0 +1,56 @@
+"""What the axes of plots over time span: all that was measured, without those that never settle."""
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.charts.shared_curves import Level
+
+Values = NDArray[np.float64]
+
+HEADROOM: Final = 1.25
+"""End of a command's range, as a multiple of its most extreme value."""
+
+_ROOM: Final = 0.08
+"""Room above and below what was measured, as a share of its range; where all values are one, of
+that value."""
+
+_LEAST_ROOM: Final = 1e-9
+"""In the unit of the plot, at least where all values are one: a range needs a height."""
+
+_ROOM_AROUND_0: Final = 0.1
+"""In the unit of the plot, where all values are 0: ticks of a lower range are hard to read."""
+
+_LEAST_SIDE: Final = 0.15
+"""What a command's range shows at least on either side of 0, as a share of its largest limit,
+times `HEADROOM`."""
+
+
+def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float, float] | None:
+    """Return the range of a plot that holds curves and level lines, and a little more.
+
+    Of commands it ends a little beyond what they reach, whether that is their limit or not.
+
+    Returns:
+        None where no value is known.
+    """
+    known = [values[np.isfinite(values)] for values in curves]
+    spans = [(float(values.min()), float(values.max())) for values in known if len(values)]
+    if not spans:
+        return None
+    low, high = min(span[0] for span in spans), max(span[1] for span in spans)
+    limits = [level.value for level in levels if level.kind == "limit"]
+    if limits:
+        least = _LEAST_SIDE * max(limits)
+        return min(low, -least) * HEADROOM, max(high, least) * HEADROOM
+    others = [level.value for level in levels]
+    return _add_room(min([low, *others]), max([high, *others]))
+
+
+def _add_room(low: float, high: float) -> tuple[float, float]:
+    room = _ROOM * (high - low)
+    if not room:
+        room = max(_ROOM * abs(high), _LEAST_ROOM) if high else _ROOM_AROUND_0
+    return low - room, high + room

@@ -1,0 +1,274 @@
+"""Panels over time: the curves of `charts.time_plots`, their level lines, gaps and outliers."""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import SymmetricalLogLocator
+
+from turtlelog.charts.looks import choose_curve_color
+from turtlelog.charts.many_runs import find_restless
+from turtlelog.charts.palette import FEW, Color, choose_run_colors
+from turtlelog.charts.pose_gaps import list_seen_gaps
+from turtlelog.charts.ranges import find_range
+from turtlelog.charts.shared_curves import Curve, find_disturbance
+from turtlelog.charts.time_plots import (
+    COMPARED,
+    POINTS,
+    CurveKind,
+    PlottedCurve,
+    Scale,
+    TimePlot,
+    find_plot,
+    list_own,
+    list_plot_levels,
+    list_plotted,
+    take_magnitude,
+)
+from turtlelog.draw.figures.figure_curves import draw_curve, draw_level, draw_points
+from turtlelog.draw.figures.page import (
+    IDEAL_ENDS,
+    PUSHED,
+    REFERENCE,
+    choose_lines,
+    label_runs,
+    style_runs,
+)
+from turtlelog.draw.figures.panels import finish
+from turtlelog.run import Run
+
+_LOOKS: Final[Mapping[CurveKind, Mapping[str, Any]]] = MappingProxyType(
+    {
+        "beside": {"linewidth": 0.9, "linestyle": "-", "zorder": 1.9},
+        "measured": {"linewidth": 0.8, "linestyle": "-", "zorder": 1.9},
+        "applied": {"linewidth": 0.8, "linestyle": "-", "zorder": 2.1},
+        "shaped": {"linewidth": 0.9, "linestyle": (0, (3, 1.2, 1, 1.2)), "zorder": 1.9},
+        "ideal": {"linewidth": 0.7, "linestyle": (0, (1, 1.5)), "zorder": 1.8},
+        "aim": {"linewidth": 0.8, "linestyle": (0, (4, 1.2, 1, 1.2, 1, 1.2)), "zorder": 1.9},
+        "sensed": {"marker": ".", "markersize": 2.4, "markeredgewidth": 0.0, "zorder": 1.7},
+    }
+)
+"""Width, dash and order of each kind of curve; its colour is that of `charts.looks`."""
+
+_LEVELS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
+    {
+        "target": REFERENCE,
+        "zero": {**REFERENCE, "label": None},
+        "limit": {**REFERENCE, "linestyle": (0, (5, 2))},
+        "tolerance": {**REFERENCE, "linestyle": (0, (5, 2))},
+    }
+)
+
+_GRID: Final = {"color": "0.8", "linewidth": 0.5}
+"""Zero in a panel of commands or states."""
+
+_COMMANDED: Final[Mapping[str, Any]] = MappingProxyType(
+    {"linestyle": (0, (1, 1.5)), "linewidth": 0.8, "zorder": 1.8, "label": "commanded"}
+)
+"""Commands beside measured rates of the same run, in its colour."""
+
+_LOST: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "linestyle": "",
+        "marker": "|",
+        "markersize": 3.5,
+        "markeredgewidth": 0.4,
+        "zorder": 1.7,
+        "label": "dropped out",
+    }
+)
+"""Poses that the controller does not get: strokes at the lower edge."""
+
+_OUTLIER: Final[Mapping[str, Any]] = MappingProxyType(
+    {"linestyle": "", "marker": "v", "markersize": 4.0, "clip_on": False, "label": "outlier"}
+)
+
+_GAP: Final[Mapping[str, Any]] = MappingProxyType(
+    {"facecolor": "0.95", "edgecolor": "0.8", "hatch": "////", "linewidth": 0.0, "zorder": 0.45}
+)
+
+_DIMMED: Final[Mapping[str, Any]] = MappingProxyType(
+    {"alpha": 0.35, "linewidth": 0.6, "zorder": 1.4}
+)
+"""A run that never settles, below those that do."""
+
+_WORDS_POINTS: Final = 6.5
+
+_OUTLIER_ROOM: Final = 0.15
+"""Of an axis' length, for a line of words on outliers below the curves."""
+
+
+def draw_time_plot(
+    axes: Axes, runs: Sequence[Run], *, name: str, scale: Scale | None = None
+) -> None:
+    """Draw one plot of `TIME_PLOTS` or a state: of a run alone all curves, of several a few kinds.
+
+    Beside it stands what the plot's signal aims at. Runs that never settle are dimmed where others
+    do, and do not set the axes.
+    """
+    plot = find_plot(name)
+    scale = scale or plot.scale
+    if plot.command is None and scale != "symlog":
+        axes.set_label(f"|{name}|" if scale == "log" else name)  # where marks find it
+    _scale(axes, scale)
+    _draw_levels(axes, runs, plot, scale)
+    restless = find_restless(runs)
+    _draw_curves(axes, runs, plot, scale, restless)
+    label = f"|{plot.title}| [{plot.unit}]" if scale == "log" else plot.label
+    finish(axes, runs, label.replace("Kp ", "$K_p$ "))
+    calm = [run for number, run in enumerate(runs) if number not in restless]
+    _fit(axes, calm, plot, scale, is_forced=bool(restless))
+    if restless:
+        axes.set_xlim(right=1.02 * max(float(run.duration_s) for run in calm))
+    if len(runs) == 1:
+        _shade(axes, runs[0], plot)
+    if plot.command is not None:
+        _name_outliers(axes, runs, plot)
+
+
+def draw_states(axes: Axes, runs: Sequence[Run], *, names: Sequence[str], label: str) -> None:
+    """Draw states of a law: one of every run, or several of one run."""
+    if len(names) == 1:
+        draw_time_plot(axes, runs, name=names[0])
+        axes.set_ylabel(label)
+        return
+    draw_level(axes, [0.0], **_GRID)
+    for name, looks in zip(names, choose_lines(len(names)), strict=True):
+        for found in list_plotted(runs[0], find_plot(name)):
+            draw_curve(axes, found.curve, **looks, label=name)
+    finish(axes, runs, label)
+
+
+def _scale(axes: Axes, scale: Scale) -> None:
+    if scale == "log":
+        axes.set_yscale("log")
+    elif scale == "symlog":
+        axes.set_yscale("symlog", linthresh=1.0)
+        ticks = SymmetricalLogLocator(base=10.0, linthresh=1.0, subs=(1.0, 2.0, 5.0))
+        axes.yaxis.set_major_locator(ticks)
+        axes.yaxis.set_major_formatter("{x:g}")
+
+
+def _draw_levels(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale) -> None:
+    """Draw level lines under their names, each name once."""
+    levels = list_plot_levels(runs, plot, scale)
+    if any(level.kind == "limit" for level in levels) or plot.command is not None:
+        draw_level(axes, [0.0], **_GRID)
+    for label, kind in dict.fromkeys((level.label, level.kind) for level in levels):
+        values = [level.value for level in levels if (level.label, level.kind) == (label, kind)]
+        draw_level(axes, values, **{"label": label, **_LEVELS[kind]})
+
+
+def _draw_curves(
+    axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, restless: frozenset[int]
+) -> None:
+    """Draw the curves of all runs; what several aim at alike is drawn once."""
+    is_alone, is_many = len(runs) == 1, len(runs) > len(FEW)
+    aims: list[Curve] = []
+    colors = choose_run_colors(len(runs))
+    for number, (run, looks) in enumerate(style_runs(runs)):
+        listed = list_plotted(run, plot, None if is_alone else COMPARED)
+        is_answered = any(one.kind == "measured" for one in listed) and not is_alone
+        is_between = is_many and 0 < number < len(runs) - 1
+        for found in listed:
+            if found.kind == "outlier" or (found.kind == "ideal" and is_between):
+                continue
+            if found.kind == "aim" and _is_known(found.curve, aims):
+                continue
+            own = {
+                **_choose_looks(found, looks, colors[number], is_alone=is_alone),
+                **(_COMMANDED if found.kind == "run" and is_answered else {}),
+                **({"label": IDEAL_ENDS} if found.kind == "ideal" and is_many else {}),
+                **(_DIMMED if number in restless else {}),
+            }
+            curve = take_magnitude(found.curve) if scale == "log" else found.curve
+            _draw(axes, run, found.kind, curve, own)
+
+
+def _choose_looks(
+    found: PlottedCurve, looks: Mapping[str, Any], color: Color, *, is_alone: bool
+) -> dict[str, Any]:
+    """Return how a curve looks: in its colour, in dashes of its run or of its kind."""
+    hue = tuple(part / 255.0 for part in choose_curve_color(found.kind, color, is_alone=is_alone))
+    own = {**looks, "color": hue, **_LOOKS.get(found.kind, {})}
+    if found.kind in ("ideal", "aim") or (is_alone and found.entry.name):
+        own["label"] = found.label
+    if found.kind in POINTS:
+        own["linestyle"] = ""
+    return own
+
+
+def _is_known(aim: Curve, aims: list[Curve]) -> bool:
+    """Whether another run has the same reference; otherwise it is one of those that are drawn."""
+    if any(_are_alike(aim, other) for other in aims):
+        return True
+    aims.append(aim)
+    return False
+
+
+def _draw(axes: Axes, run: Run, kind: CurveKind, curve: Curve, looks: Mapping[str, Any]) -> None:
+    if kind == "dropped_out":
+        lost_s = (run.poses.time_ns[run.poses.dropped_out] - run.start_ns) / 1e9
+        edge = np.full(len(lost_s), 0.02)
+        own = {**_LOST, "color": looks["color"]}
+        axes.plot(lost_s, edge, transform=axes.get_xaxis_transform(), **own)
+    elif kind in POINTS:
+        draw_points(axes, curve.time_s, curve.values, **looks)
+    else:
+        draw_curve(axes, curve, **looks)
+
+
+def _are_alike(one: Curve, other: Curve) -> bool:
+    """Whether two references are the same: of runs that track one path by time."""
+    return np.array_equal(one.time_s, other.time_s) and np.array_equal(
+        one.values, other.values, equal_nan=True
+    )
+
+
+def _fit(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, *, is_forced: bool) -> None:
+    """Give an axis the height of what was measured: of magnitudes and commands, or where forced."""
+    curves = [curve for run in runs for curve in list_own(run, plot)]
+    if scale == "log":
+        sizes = [take_magnitude(curve).values for curve in curves]
+        known = np.concatenate([*(values[np.isfinite(values)] for values in sizes), np.empty(0)])
+        if len(known):
+            axes.set_ylim(0.6 * known.min(), 1.8 * known.max())
+        return
+    if scale == "symlog" or not (is_forced or plot.command is not None):
+        return
+    found = find_range([curve.values for curve in curves], list_plot_levels(runs, plot))
+    if found is not None:
+        axes.set_ylim(found)
+
+
+def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
+    """Shade when something pushes the plant, and stretches without poses, with their length."""
+    if plot.command is not None and (pushed_s := find_disturbance(run)) is not None:
+        axes.axvspan(*pushed_s, **PUSHED)
+    for start_s, end_s, words in list_seen_gaps(run):
+        axes.axvspan(start_s, end_s, **_GAP)
+        text = axes.text((start_s + end_s) / 2.0, 0.5, words, fontsize=_WORDS_POINTS, color="0.3")
+        text.set(transform=axes.get_xaxis_transform(), ha="center", va="center", rotation=90)
+        text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8})
+
+
+def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
+    """Name the outliers that the axis leaves out, with a mark at each one's time."""
+    lines = []
+    colors = choose_run_colors(len(runs))
+    for run, name, color in zip(runs, label_runs(runs), colors, strict=True):
+        for found in list_plotted(run, plot):
+            if found.kind != "outlier":
+                continue
+            hue = choose_curve_color("outlier", color, is_alone=len(runs) == 1)
+            at_s, edge = found.curve.time_s, axes.get_xaxis_transform()
+            looks = {**_OUTLIER, "color": tuple(part / 255.0 for part in hue)}
+            axes.plot(at_s, np.zeros(len(at_s)), transform=edge, **looks)
+            lines.append(found.label if len(runs) == 1 else f"{name}: {found.label}")
+    if lines:
+        low, high = axes.get_ylim()
+        axes.set_ylim(low - _OUTLIER_ROOM * len(lines) * (high - low), high)
+        text = axes.text(0.99, 0.03, "\n".join(lines), fontsize=_WORDS_POINTS, color="0.3")
+        text.set(transform=axes.transAxes, ha="right", va="bottom")
