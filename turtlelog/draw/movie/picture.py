@@ -3,7 +3,7 @@
 What stands still is drawn once; for each picture only what moves is drawn over a copy of it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -22,8 +22,18 @@ from turtlelog.charts.close_up import (
     list_miss_labels,
 )
 from turtlelog.charts.phase_timelines import TIMELINE, locate_run
+from turtlelog.charts.ranges import find_range
 from turtlelog.charts.robot_curves import part_path
-from turtlelog.charts.shared_curves import Curve, choose_rows, find_unit, list_levels, read_curve
+from turtlelog.charts.shared_curves import Curve, choose_rows
+from turtlelog.charts.time_plots import (
+    COMPARED,
+    find_plot,
+    has_own,
+    list_controlled,
+    list_own,
+    list_plot_levels,
+    list_plotted,
+)
 from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.figures.page import LOOKS, choose_lines, use_looks
 from turtlelog.draw.movie.encoding import Picture
@@ -52,6 +62,9 @@ _TALL_CURVES: Final = ((0.63, 0.53, 0.35, 0.355), (0.63, 0.095, 0.35, 0.355))
 
 _FAINT: Final = 0.22
 """How much of its colour the way has that is not driven yet."""
+
+_BESIDE: Final[Mapping[str, Any]] = {"color": "0.5", "linewidth": 1.2, "linestyle": ":", "zorder": 1.5}
+"""What the ideal loop would do, and what is asked for."""
 
 _TURTLE: Final = np.array([(1.0, 0.0), (-0.7, 0.62), (-0.35, 0.0), (-0.7, -0.62)])
 _TURTLE_SIZE: Final = 0.045
@@ -167,10 +180,10 @@ def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
     )
     close_up = find_close_up(runs)
     _set_plane(stage, runs, looks)
-    for place, signal in zip(
-        _TALL_CURVES if close_up is None else _CURVES, _choose_signals(runs), strict=False
+    for place, name in zip(
+        _TALL_CURVES if close_up is None else _CURVES, _choose_plots(runs), strict=False
     ):
-        _set_curve(stage, figure.add_axes(place), runs, looks, signal)
+        _set_curve(stage, figure.add_axes(place), runs, looks, name)
     if close_up is not None:
         _set_goal(stage, runs, looks, close_up)
     name_runs_above(figure, runs, [look["color"] for look in looks], left=_PLANE[0])
@@ -216,39 +229,39 @@ def _start_trail(axes: Axes, run: Run, zero_ns: int, look: Look) -> _Growing:
     return _Growing(line=line, time_s=time_s[rows], points=xy_m[rows])
 
 
-def _choose_signals(runs: Sequence[Run]) -> list[str]:
-    """Return what two curves show: what loops control, in declared order."""
-    controlled = [loop.signal for run in runs for loop in run.declaration.loops]
+def _choose_plots(runs: Sequence[Run]) -> list[str]:
+    """Return what two plots show: what loops control, in declared order."""
+    controlled = [plot for run in runs for plot in list_controlled(run)]
     found = dict.fromkeys([*controlled, *_USUAL])
-    return [name for name in found if any(read_curve(run, name) is not None for run in runs)][:2]
+    return [name for name in found if any(has_own(run, find_plot(name)) for run in runs)][:2]
 
 
 def _set_curve(
-    stage: _Stage,
-    axes: Axes,
-    runs: Sequence[Run],
-    looks: Sequence[Look],
-    signal: str,
+    stage: _Stage, axes: Axes, runs: Sequence[Run], looks: Sequence[Look], name: str
 ) -> None:
-    """Draw a signal over time, of each run that holds it."""
+    """Draw a plot over time: what each run did grows, what was asked for stands."""
+    plot = find_plot(name)
     for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
-        curve = read_curve(run, signal)
-        if curve is None:
-            continue
-        time_s, values = _thin(curve, zero_ns)
-        step: Look = {"drawstyle": "steps-post"} if curve.holds else {}
-        axes.plot(time_s, values, **look, **step, alpha=_FAINT)
-        (line,) = axes.plot([], [], **look, **step, animated=True)
-        stage.curves.append(
-            _Growing(line=line, time_s=time_s, points=np.column_stack([time_s, values]))
-        )
-    levels = dict.fromkeys(level.value for run in runs for level in list_levels(run, signal))
+        for found in list_plotted(run, plot, COMPARED):
+            time_s, values = _thin(found.curve, zero_ns)
+            step: Look = {"drawstyle": "steps-post"} if found.curve.holds else {}
+            if found.kind not in ("run", "measured"):
+                axes.plot(time_s, values, **step, **_BESIDE)
+                continue
+            axes.plot(time_s, values, **look, **step, alpha=_FAINT)
+            (line,) = axes.plot([], [], **look, **step, animated=True)
+            stage.curves.append(
+                _Growing(line=line, time_s=time_s, points=np.column_stack([time_s, values]))
+            )
+    levels = dict.fromkeys(level.value for level in list_plot_levels(runs, plot))
     for level in levels if len(levels) == 1 else ():
         axes.axhline(level, color="0.45", linewidth=1.0, zorder=1)
-    title = f"{signal.replace('_', '-')} [{find_unit(runs[0], signal)}]"
-    axes.set_title(title, loc="left", pad=4.0)
+    own = [curve.values for run in runs for curve in list_own(run, plot)]
+    limits = find_range(own, list_plot_levels(runs, plot))
+    if limits is not None:
+        axes.set_ylim(limits)
+    axes.set_title(plot.label, loc="left", pad=4.0)
     axes.set_xlim(float(stage.film.time_s[0]), float(stage.film.time_s[-1]))
-    axes.margins(y=0.12)
     axes.locator_params(axis="y", nbins=4)
     stage.cursors.append(axes.axvline(0.0, color="0.2", linewidth=1.2, animated=True))
 

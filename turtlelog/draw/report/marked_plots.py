@@ -1,6 +1,6 @@
 """Characteristics in the plots of a report: dots with names, settling bands, dead times, pauses."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -44,16 +44,16 @@ def draw_marks(
     plots: Plots,
     figure: Any,
     drawn: Sequence[Drawn],
-    signal: str,
+    signals: Collection[str],
     found: Sequence[Sequence[Characteristic]],
 ) -> None:
-    """Mark characteristics of a signal, and the pauses; of one run names stand beside the dots.
+    """Mark characteristics of signals, and the pauses; of one run names stand beside the dots.
 
     Args:
         plots: The page.
         figure: The plot of the signal.
         drawn: Runs first.
-        signal: What the plot shows.
+        signals: What the plot shows.
         found: Characteristics of each run.
     """
     if len(found) > MOST_MARKED:
@@ -61,10 +61,11 @@ def draw_marks(
     is_alone = len(found) == 1
     dots = []
     for number, marks in enumerate(found):
-        if read_marked_curve(drawn[number].run, signal) is None:
+        run = drawn[number].run
+        if all(read_marked_curve(run, signal) is None for signal in signals):
             continue
         color = to_hex(drawn[number].color)
-        own = [mark for mark in marks if mark.signal == signal and mark.level is not None]
+        own = [mark for mark in marks if mark.signal in signals and mark.level is not None]
         shades = [
             *_shade_pauses(figure, marks, RING if is_alone else color),
             *_shade_spans(figure, own, RING if is_alone else color),

@@ -2,30 +2,31 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.charts.characteristics import (
-    ALONG_ERROR,
-    TO_REFERENCE,
-    Characteristic,
-    list_characteristics,
-    read_marked_curve,
-)
+from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
-from turtlelog.charts.robot_curves import part_curve
-from turtlelog.charts.shared_curves import (
-    Curve,
-    Values,
-    find_unit,
-    list_aims,
-    list_levels,
-    read_applied,
-    read_command,
-    read_curve,
-)
+from turtlelog.charts.looks import choose_curve_color
+from turtlelog.charts.many_runs import find_restless
+from turtlelog.charts.pose_gaps import list_seen_gaps
+from turtlelog.charts.ranges import find_range
+from turtlelog.charts.shared_curves import Values
 from turtlelog.charts.state_groups import group_states
+from turtlelog.charts.time_plots import (
+    COMPARED,
+    POINTS,
+    TIME_PLOTS,
+    CurveKind,
+    TimePlot,
+    find_plot,
+    has_own,
+    list_own,
+    list_plot_levels,
+    list_plotted,
+)
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.draw.report.drawn import (
     MOST_POINTS,
@@ -40,7 +41,7 @@ from turtlelog.draw.report.marked_plots import draw_marks
 from turtlelog.draw.report.planes import draw_planes
 from turtlelog.draw.report.violation_plots import RED, draw_violations
 from turtlelog.libraries import load_library
-from turtlelog.measure import Metric, list_signals
+from turtlelog.measure import Metric
 from turtlelog.run import Run
 
 _MOST_OF_ALL: Final = 24_000
@@ -51,28 +52,29 @@ _LEAST_POINTS: Final = 200
 _ROOM: Final = 0.012
 """Of the time, before and behind it: dots at its ends are seen whole."""
 
-_ALWAYS: Final = ("heading", "distance", "cross_track", "speed", "turn_rate")
-_TITLES: Final = {
-    "heading": "heading",
-    "distance": "distance to the goal",
-    "cross_track": "cross-track error",
-    "speed": "commanded speed",
-    "turn_rate": "commanded turn rate",
-    "measured_speed": "measured speed",
-    "measured_turn_rate": "measured turn rate",
-    "x": "x",
-    "y": "y",
-    "along_track": "along the track",
-    ALONG_ERROR: "behind the reference along the track",
-    TO_REFERENCE: "distance to the reference",
-}
-_IF_MOVING: Final = ("x", "y", "along_track")
-"""Plotted where what they should be moves."""
-
-_DERIVED: Final = (ALONG_ERROR, TO_REFERENCE)
 _MOST_STATES: Final = 6
-_MOST_TIPS: Final = 6
 """States of a law that have a plot: a page of more would be skimmed."""
+
+_MOST_TIPS: Final = 6
+"""Curves that are all read at the cursor; of more the one under it: tips would hide the plot."""
+
+_GHOST: Final[frozenset[CurveKind]] = frozenset({"run"})
+"""Of what would have been, what it did alone."""
+
+_DIMMED: Final = 0.3
+"""Opacity of a run that never settles, below those that do."""
+
+_STYLES: Final[Mapping[CurveKind, tuple[str, float]]] = MappingProxyType(
+    {
+        "ideal": ("dotted", 1.2),
+        "aim": ("dashed", 1.2),
+        "applied": ("solid", 1.2),
+        "measured": ("solid", 1.2),
+        "beside": ("solid", 1.2),
+        "shaped": ("dotdash", 1.2),
+    }
+)
+"""Dash and width of each kind of curve; what the run did is solid and broader."""
 
 _RARE: Final = 1e-3
 """Share of rows that may be left out of view at either end: faults of a sensor are single ones."""
@@ -124,7 +126,9 @@ def draw_plots(
     }
     runs = [one.run for one in drawn]
     draw_planes(plots, drawn, find_close_up(runs))
-    end_s = max(float(one.run.duration_s) for one in drawn) or 1.0
+    restless = _find_restless(drawn)
+    lasting = [one.run for number, one in enumerate(drawn) if number not in restless]
+    end_s = max(float(run.duration_s) for run in lasting) or 1.0
     plots.config["end_s"] = end_s
     x_range = load_library("bokeh.models").Range1d(
         -_ROOM * end_s, (1.0 + _ROOM) * end_s, bounds=None
@@ -133,8 +137,8 @@ def draw_plots(
     plots.config["room_s"] = _ROOM * end_s
     pairs = zip(runs, metrics, strict=False)
     marks = [list_characteristics(run, known) for run, known in pairs]
-    for signal in _choose_signals(runs):
-        _draw_signal(plots, drawn, signal, x_range, (marks, violations))
+    for name in _choose_plots(runs):
+        _draw_plot(plots, drawn, name, x_range, (marks, violations))
     found = [
         (one.signal, None if one.run is None else drawn[one.run].color)
         for one in violations
@@ -144,74 +148,66 @@ def draw_plots(
     return plots
 
 
-def _choose_signals(runs: Sequence[Run]) -> list[str]:
-    """Return what is plotted over time: signals, what follows a reference that moves, states."""
-    names = [name for name in _ALWAYS if any(_read(run, name) is not None for run in runs)]
-    names += [name for name in _IF_MOVING if any(list_aims(run, name) for run in runs)]
-    names += [name for name in _DERIVED if any(_read(run, name) is not None for run in runs)]
-    lawless = [run for run in runs if not len(run.samples)]
-    for name in ("measured_speed", "measured_turn_rate"):
-        if any(read_curve(run, name) is not None for run in lawless):
-            names.append(name)
+def _choose_plots(runs: Sequence[Run]) -> list[str]:
+    """Return the plots over time of a report; of states those that are not always 0."""
+    names = [
+        name
+        for name, plot in TIME_PLOTS.items()
+        if _is_due(runs, plot) and any(has_own(run, plot) for run in runs)
+    ]
     groups = group_states(*(run.declaration for run in runs))
     states = [name for group in groups for name in group.names]
     return names + [name for name in states if _moves(runs, name)][:_MOST_STATES]
 
 
+def _is_due(runs: Sequence[Run], plot: TimePlot) -> bool:
+    """Whether a report has a plot: always, or because what is asked for in it moves."""
+    if plot.report != "moving":
+        return plot.report == "always"
+    aims = [entry for entry in plot.curves if entry.kind == "aim"]
+    return any(True for run in runs for entry in aims for _ in entry.read(run))
+
+
 def _moves(runs: Sequence[Run], state: str) -> bool:
     """Whether a state of a law is ever anything but 0."""
-    curves = [_read(run, state) for run in runs if state in run.declaration.states]
-    return any(curve is not None and bool(np.any(curve.values)) for curve in curves)
+    return any(curve.values.any() for run in runs for curve in list_own(run, find_plot(state)))
 
 
-def _read(run: Run, signal: str) -> Curve | None:
-    """Return a signal; of a robot that recorded no commands what its plant applied."""
-    if signal == "speed":
-        return read_command(run, "speed") or read_applied(run, "speed")
-    if signal == "turn_rate":
-        return read_command(run, "turn_rate") or read_applied(run, "turn_rate")
-    if signal in _DERIVED:
-        return read_marked_curve(run, signal)
-    curve = read_curve(run, signal)
-    return None if curve is None else part_curve(run, curve)
-
-
-def _draw_signal(
+def _draw_plot(
     plots: Plots,
     drawn: Sequence[Drawn],
-    signal: str,
+    name: str,
     x_range: Any,
     marked: tuple[Sequence[Sequence[Characteristic]], Sequence[Violation]],
 ) -> None:
     models = load_library("bokeh.models")
-    title = _TITLES.get(signal, f"state {signal}").replace("_", " ")
-    unit = _find_unit([one.run for one in drawn], signal)
-    measured = f"{title} [{unit}]" if unit else title
+    plot = find_plot(name)
+    label = plot.label if name in TIME_PLOTS else f"state {name}"
     figure = make_figure(
-        plots, f"plot-{signal}", measured, x_range=x_range, height=230,
+        plots, f"plot-{name}", label, x_range=x_range, height=230,
         x_axis_label="time from the first sample [s]",
     )  # fmt: skip
-    config: dict[str, Any] = {"title": measured, "curves": []}
+    config: dict[str, Any] = {"title": label, "curves": []}
     plots.config["plots"].append(config)
-    levels = {level for one in drawn for level in list_levels(one.run, signal)}
-    for level in sorted(levels, key=lambda found: found.value):
-        figure.add_layout(
-            models.Span(
+    runs = [one.run for one in drawn]
+    for level in list_plot_levels(runs, plot):
+        if level.kind == "target":
+            span = models.Span(
                 location=level.value, dimension="width", line_color=RING, line_dash="dashed"
             )
-        )
-    source = models.ColumnDataSource(data=_list_curves(plots, drawn, signal, config))
+            figure.add_layout(span)
+    source = models.ColumnDataSource(data=_list_curves(plots, drawn, plot, config))
     config["source"] = source.id
     lines = figure.multi_line(
         "xs", "ys", source=source, color="color", line_width="width", line_dash="dash",
         line_alpha="alpha",
     )  # fmt: skip
-    _keep_in_view(figure, source.data["ys"])
-    draw_marks(plots, figure, drawn, signal, marked[0])
+    _set_height(figure, drawn, plot, source.data["ys"])
+    _shade_gaps(figure, drawn)
+    signals = {entry.signal for entry in plot.curves if entry.signal}
+    draw_marks(plots, figure, drawn, signals, marked[0])
     for found in marked[1]:
-        if signal not in found.names and not set(found.names).isdisjoint(_TITLES):
-            continue
-        if found.first_s is not None:
+        if found.first_s is not None and _concerns(found, name):
             figure.add_layout(
                 models.Span(location=found.first_s, dimension="height", line_color=RED,
                             line_dash="dotted", line_width=2)
@@ -219,8 +215,8 @@ def _draw_signal(
     cursor = models.Span(location=0.0, dimension="height", line_color=RING, line_width=1)
     figure.add_layout(cursor)
     plots.config["cursors"].append(cursor.id)
-    tips = [("", "@name"), ("time", "$snap_x{0.000} s"), (title, f"$snap_y{{0.0000}} {unit}")]
-    # Of few curves all are read at the cursor, of more the one under it: tips would hide the plot.
+    value = f"$snap_y{{0.0000}} {plot.unit}"
+    tips = [("", "@name"), ("time", "$snap_x{0.000} s"), (plot.title, value)]
     mode = "vline" if len(config["curves"]) <= _MOST_TIPS else "mouse"
     figure.add_tools(
         models.HoverTool(renderers=[lines], tooltips=tips, line_policy="nearest", mode=mode),
@@ -228,53 +224,91 @@ def _draw_signal(
     )
 
 
+def _concerns(found: Violation, name: str) -> bool:
+    """Whether a violation stands in a plot: in that of its signal, or of no signal in all."""
+    signals = {signal.removeprefix("measured_") for signal in found.names}
+    return name in signals or signals.isdisjoint(TIME_PLOTS)
+
+
 def _list_curves(
-    plots: Plots, drawn: Sequence[Drawn], signal: str, config: dict[str, Any]
+    plots: Plots, drawn: Sequence[Drawn], plot: TimePlot, config: dict[str, Any]
 ) -> dict[str, list[Any]]:
-    """Return the curves of a signal, each a row: aims that move first, so that they lie below.
+    """Return the curves of a plot, each a row: what stands beside what runs did lies below.
 
     Curves that hold are stored as they are: the page's script turns them into steps.
     """
+    is_alone = len(drawn) == 1
+    kinds = None if is_alone else COMPARED
+    restless = _find_restless(drawn)
+    listed = [
+        (number, found)
+        for number, one in enumerate(drawn)
+        if one.is_plotted
+        for found in list_plotted(one.run, plot, _GHOST if one.is_ghost else kinds)
+        if found.kind not in POINTS
+    ]
+    listed.sort(key=lambda pair: (pair[0] not in restless, pair[1].kind == "run"))
     data: dict[str, list[Any]] = {
         key: [] for key in ("xs", "ys", "color", "name", "dash", "width", "alpha")
     }
-
-    def add(curve: Curve, number: int, *, is_aim: bool) -> None:
-        one = drawn[number]
+    for number, found in listed:
+        one, curve = drawn[number], found.curve
+        is_main = found.kind in ("run", "measured")
         time_s, values = thin(plots, [curve.time_s, curve.values], curve.values)
+        dash, width = _STYLES.get(found.kind, ("solid", 1.8))
+        color = choose_curve_color(found.kind, one.color, is_alone=is_alone)
+        told = found.label if is_alone else f"{one.name}: {found.label}"
         row = {
             "xs": time_s,
             "ys": values,
-            "color": to_hex(one.color),
-            "name": f"{one.name}: {curve.label}" if is_aim else one.name,
-            "dash": "dashed" if one.is_ghost or is_aim else "solid",
-            "width": 1.2 if one.is_ghost or is_aim else 1.8,
-            "alpha": 0.6 if is_aim else 1.0,
+            "color": to_hex(color),
+            "name": one.name if is_main and not is_alone else told,
+            "dash": "dashed" if one.is_ghost else dash,
+            "width": 1.2 if one.is_ghost else width,
+            "alpha": _DIMMED if number in restless else 1.0,
         }
         for key, value in row.items():
             data[key].append(value)
         # Between rows that are left out a value does not hold: steps would show what never was.
         holds = curve.holds and len(time_s) == len(curve.values)
-        config["curves"].append({"run": number, "holds": holds, "aim": is_aim})
-
-    for number, one in enumerate(drawn):
-        aims = list_aims(one.run, signal) if one.is_plotted and not one.is_ghost else []
-        for aim in aims:
-            add(aim, number, is_aim=True)
-    for number, one in enumerate(drawn):
-        curve = _read(one.run, signal) if one.is_plotted else None
-        if curve is not None:
-            add(curve, number, is_aim=False)
+        config["curves"].append({"run": number, "holds": holds, "aim": found.kind != "run"})
     return data
 
 
-def _find_unit(runs: Sequence[Run], signal: str) -> str:
-    """Return the unit of a plot; empty of states, whose unit nobody declares."""
-    if signal in _DERIVED:
-        return "m"
-    known = [run for run in runs if signal in list_signals(run.declaration)]
-    unit = find_unit(known[0], signal) if known else ""
-    return "" if unit == "1" else unit
+def _find_restless(drawn: Sequence[Drawn]) -> frozenset[int]:
+    """Return the numbers of runs that never settle, where others do; ghosts are no runs."""
+    return find_restless([one.run for one in drawn if not one.is_ghost])
+
+
+def _shade_gaps(figure: Any, drawn: Sequence[Drawn]) -> None:
+    """Shade stretches without poses of a run alone, with their length in words."""
+    models = load_library("bokeh.models")
+    for start_s, end_s, words in list_seen_gaps(drawn[0].run) if len(drawn) == 1 else ():
+        box = models.BoxAnnotation(
+            left=start_s, right=end_s, fill_color=RING, fill_alpha=0.12, line_color=None,
+            hatch_pattern="/", hatch_color=RING, hatch_alpha=0.3, level="underlay",
+        )  # fmt: skip
+        text = models.Label(
+            x=(start_s + end_s) / 2.0, y=4, y_units="screen", text=words, text_color=RING,
+            text_font_size="11px", text_align="center",
+        )  # fmt: skip
+        figure.add_layout(box)
+        figure.add_layout(text)
+
+
+def _set_height(
+    figure: Any, drawn: Sequence[Drawn], plot: TimePlot, curves: Sequence[Values]
+) -> None:
+    """Give a plot the height of what runs that settle do, and of all where every one does."""
+    restless = _find_restless(drawn)
+    if not restless:
+        _keep_in_view(figure, curves)
+        return
+    calm = [one.run for number, one in enumerate(drawn) if number not in restless]
+    own = [curve.values for run in calm for curve in list_own(run, plot)]
+    found = find_range(own, list_plot_levels(calm, plot))
+    if found is not None:
+        figure.y_range = load_library("bokeh.models").Range1d(*found)
 
 
 def _keep_in_view(figure: Any, curves: Sequence[Values]) -> None:

@@ -15,7 +15,7 @@ from turtlelog.charts.robot_curves import read_pace
 from turtlelog.charts.tracked_path import has_own_way, read_way_to_reference
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.timelines import RunStream, Values, choose_trace_rows
-from turtlelog.draw.rerun.turtles import Look, part_strip
+from turtlelog.draw.rerun.turtles import Look, draw_trail, part_strip
 from turtlelog.draw.rerun.world import UPWARD
 from turtlelog.run import Event, Run
 
