@@ -9,15 +9,13 @@ import numpy as np
 
 from turtlelog.charts.palette import FEW
 from turtlelog.charts.shared_curves import is_limit
+from turtlelog.compare import name_runs
 from turtlelog.compare.run_names import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
 from turtlelog.run import Run
 
 MANY: Final = len(FEW)
 """More runs have no hues of their own: their colours follow their order, and a bar tells it."""
-
-RESTLESS_PLOTS: Final = frozenset({"heading_error", "speed", "turn_rate"})
-"""Plots over time that one run's oscillation would fill from end to end."""
 
 _ARRIVED: Final = frozenset({"within_tolerance", "standstill"})
 """Reasons to stop of a run that came to rest by itself."""
@@ -30,6 +28,9 @@ LONGEST_NAME: Final = 24
 """In letters: a legend takes half of a plot 350 pixels wide with more."""
 
 _BETWEEN_WORDS: Final = re.compile(r"(?<=\w)([-_ ])(?=[A-Za-z])")
+
+_MOST_NAMED: Final = 2
+"""Named in a title; of more their number is told."""
 
 _MOST_KEYS: Final = 3
 """Keys that a name tells; with more it would be as long as the name that it stands for."""
@@ -59,6 +60,10 @@ class GainScale:
     values: tuple[float, ...]
     unit: str = ""
 
+    def name_run(self, number: int) -> str:
+        """Return what a run is called in a picture: by what the colours tell."""
+        return f"{self.word} {self.values[number]:.3g}"
+
 
 def group_equal(runs: Sequence[Run]) -> list[list[int]]:
     """Return the numbers of runs in groups of those whose rows are all equal, from time zero."""
@@ -81,6 +86,27 @@ def find_restless(runs: Sequence[Run]) -> frozenset[int]:
     """Return the numbers of runs that never come to rest, where others do."""
     found = frozenset(number for number, run in enumerate(runs) if _is_restless(run))
     return found if len(found) < len(runs) else frozenset()
+
+
+def describe_restless(runs: Sequence[Run]) -> str:
+    """Return the runs that never come to rest in words; empty where there are none."""
+    numbers = sorted(find_restless(runs))
+    scale = find_gain_scale(runs) if len(runs) > MANY else None
+    return join_names(numbers, name_runs(runs), scale)
+
+
+def join_names(numbers: Sequence[int], names: Sequence[str], scale: GainScale | None) -> str:
+    """Return some of the runs of a picture in words.
+
+    Where they are the last in order they are named by the value from which on they are.
+    """
+    are_last = [*numbers] == [*range(len(names) - len(numbers), len(names))]
+    if scale is not None and are_last and len(numbers) > 1:
+        return f"{scale.word} from {scale.values[numbers[0]]:.3g} on"
+    labels = names if scale is None else [*map(scale.name_run, range(len(names)))]
+    told = ", ".join(labels[number] for number in numbers[:_MOST_NAMED])
+    more = len(numbers) - _MOST_NAMED
+    return f"{told} and {more} more" if more > 0 else told
 
 
 def _is_restless(run: Run) -> bool:

@@ -12,6 +12,7 @@ from typing import Final, Literal
 import numpy as np
 
 from turtlelog.charts.ideal_curves import compute_ideals
+from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.robot_curves import part_curve, read_measured
 from turtlelog.charts.shared_curves import (
     Command,
@@ -101,6 +102,7 @@ class TimePlot:
         is_compared: Whether a view of several runs has it.
         report: When a report has it: always, where what is asked for moves, never.
         command: Which command it shows; None for any other signal.
+        is_filled: Whether one oscillation would fill it from end to end.
     """
 
     title: str
@@ -118,6 +120,7 @@ class TimePlot:
     is_compared: bool = True
     report: Literal["always", "moving", "never"] = "never"
     command: Command | None = None
+    is_filled: bool = False
 
     @property
     def label(self) -> str:
@@ -191,6 +194,11 @@ def find_marked(signal: str) -> tuple[str, CurveEntry] | None:
             if entry.signal == signal:
                 return name, entry
     return None
+
+
+def leaves_out(count: int, plot: TimePlot) -> bool:
+    """Whether a plot of so many runs leaves out those that never settle."""
+    return count > MANY and plot.is_filled
 
 
 def take_magnitude(curve: Curve) -> Curve:
@@ -337,6 +345,7 @@ def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> Ti
         place=place,
         report="always",
         command=command,
+        is_filled=True,
     )
 
 
@@ -445,6 +454,7 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
             curves=(_ideal("heading_error"), _signal("heading_error", "heading error")),
             list_levels=partial(_list_errors, signal="heading_error"),
             is_log=True,
+            is_filled=True,
             figure="heading-error",
             needs="heading_error",
             loop="heading",

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts.looks import choose_curve_color
-from turtlelog.charts.many_runs import find_restless
+from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import FEW, Color, choose_run_colors
 from turtlelog.charts.pose_gaps import list_seen_gaps
 from turtlelog.charts.ranges import find_range
@@ -22,6 +22,7 @@ from turtlelog.charts.time_plots import (
     Scale,
     TimePlot,
     find_plot,
+    leaves_out,
     list_own,
     list_plot_levels,
     list_plotted,
@@ -122,6 +123,9 @@ def draw_time_plot(
     _fit(axes, calm, plot, scale, is_forced=bool(restless))
     if restless:
         axes.set_xlim(right=1.02 * max(float(run.duration_s) for run in calm))
+        how = "without" if leaves_out(len(runs), plot) else "pale:"
+        words = f"{how} {describe_restless(runs)}, never settling"
+        axes.set_title(words, fontsize=_WORDS_POINTS, color="0.3", loc="right", pad=3.0)
     if len(runs) == 1:
         _shade(axes, runs[0], plot)
     if plot.command is not None:
@@ -172,6 +176,8 @@ def _draw_curves(
         listed = list_plotted(run, plot, None if is_alone else COMPARED)
         is_answered = any(one.kind == "measured" for one in listed) and not is_alone
         is_between = is_many and 0 < number < len(runs) - 1
+        if number in restless and leaves_out(len(runs), plot):
+            continue
         for found in listed:
             if found.kind == "outlier" or (found.kind == "ideal" and is_between):
                 continue

@@ -5,6 +5,7 @@ What stands still is drawn once; for each picture only what moves is drawn over 
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -63,7 +64,9 @@ _TALL_CURVES: Final = ((0.63, 0.53, 0.35, 0.355), (0.63, 0.095, 0.35, 0.355))
 _FAINT: Final = 0.22
 """How much of its colour the way has that is not driven yet."""
 
-_BESIDE: Final[Mapping[str, Any]] = {"color": "0.5", "linewidth": 1.2, "linestyle": ":", "zorder": 1.5}
+_BESIDE: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.5", "linewidth": 1.2, "linestyle": ":", "zorder": 1.5}
+)
 """What the ideal loop would do, and what is asked for."""
 
 _TURTLE: Final = np.array([(1.0, 0.0), (-0.7, 0.62), (-0.35, 0.0), (-0.7, -0.62)])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.palette import Color
 from turtlelog.charts.shared_curves import choose_rows
+from turtlelog.charts.time_plots import CurveKind
 from turtlelog.libraries import load_library
 from turtlelog.run import Run
 
@@ -56,6 +57,7 @@ class Plots:
         config: For the script: ids of models, by what they are.
         thinned: How many curves are drawn with fewer points than were recorded.
         points: How many points a curve has at most.
+        kinds: Which kinds of curves there are.
         crosshair: The time under the mouse, in all plots over time.
     """
 
@@ -63,6 +65,7 @@ class Plots:
     config: dict[str, Any] = field(default_factory=dict)
     thinned: int = 0
     points: int = MOST_POINTS
+    kinds: set[CurveKind] = field(default_factory=set)
     crosshair: Any = field(default_factory=_make_crosshair)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.looks import choose_curve_color
-from turtlelog.charts.many_runs import find_restless
+from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.pose_gaps import list_seen_gaps
 from turtlelog.charts.ranges import find_range
 from turtlelog.charts.shared_curves import Values
@@ -20,9 +20,11 @@ from turtlelog.charts.time_plots import (
     POINTS,
     TIME_PLOTS,
     CurveKind,
+    PlottedCurve,
     TimePlot,
     find_plot,
     has_own,
+    leaves_out,
     list_own,
     list_plot_levels,
     list_plotted,
@@ -183,6 +185,9 @@ def _draw_plot(
     models = load_library("bokeh.models")
     plot = find_plot(name)
     label = plot.label if name in TIME_PLOTS else f"state {name}"
+    without = describe_restless([one.run for one in drawn if not one.is_ghost])
+    if without and leaves_out(len(drawn), plot):
+        label += f", without {without}"
     figure = make_figure(
         plots, f"plot-{name}", label, x_range=x_range, height=230,
         x_axis_label="time from the first sample [s]",
@@ -196,8 +201,10 @@ def _draw_plot(
                 location=level.value, dimension="width", line_color=RING, line_dash="dashed"
             )
             figure.add_layout(span)
-    source = models.ColumnDataSource(data=_list_curves(plots, drawn, plot, config))
+    listed = _list_plotted(drawn, plot)
+    source = models.ColumnDataSource(data=_list_curves(plots, drawn, listed, config))
     config["source"] = source.id
+    plots.kinds |= {found.kind for _, found in listed}
     lines = figure.multi_line(
         "xs", "ys", source=source, color="color", line_width="width", line_dash="dash",
         line_alpha="alpha",
@@ -230,24 +237,32 @@ def _concerns(found: Violation, name: str) -> bool:
     return name in signals or signals.isdisjoint(TIME_PLOTS)
 
 
-def _list_curves(
-    plots: Plots, drawn: Sequence[Drawn], plot: TimePlot, config: dict[str, Any]
-) -> dict[str, list[Any]]:
-    """Return the curves of a plot, each a row: what stands beside what runs did lies below.
-
-    Curves that hold are stored as they are: the page's script turns them into steps.
-    """
-    is_alone = len(drawn) == 1
-    kinds = None if is_alone else COMPARED
+def _list_plotted(drawn: Sequence[Drawn], plot: TimePlot) -> list[tuple[int, PlottedCurve]]:
+    """Return the curves of a plot with the numbers of their runs, the lowest first."""
+    kinds = None if len(drawn) == 1 else COMPARED
     restless = _find_restless(drawn)
     listed = [
         (number, found)
         for number, one in enumerate(drawn)
-        if one.is_plotted
+        if one.is_plotted and not (number in restless and leaves_out(len(drawn), plot))
         for found in list_plotted(one.run, plot, _GHOST if one.is_ghost else kinds)
         if found.kind not in POINTS
     ]
-    listed.sort(key=lambda pair: (pair[0] not in restless, pair[1].kind == "run"))
+    return sorted(listed, key=lambda pair: (pair[0] not in restless, pair[1].kind == "run"))
+
+
+def _list_curves(
+    plots: Plots,
+    drawn: Sequence[Drawn],
+    listed: Sequence[tuple[int, PlottedCurve]],
+    config: dict[str, Any],
+) -> dict[str, list[Any]]:
+    """Return curves as a table, each a row.
+
+    Curves that hold are stored as they are: the page's script turns them into steps.
+    """
+    is_alone = len(drawn) == 1
+    restless = _find_restless(drawn)
     data: dict[str, list[Any]] = {
         key: [] for key in ("xs", "ys", "color", "name", "dash", "width", "alpha")
     }

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 from turtlelog.charts.palette import GHOST, choose_cause_colors, choose_run_colors
 from turtlelog.charts.shared_curves import require_near
+from turtlelog.charts.time_plots import CurveKind
 from turtlelog.compare import (
     name_runs,
     order_by_gain,
@@ -50,6 +52,17 @@ _MARKS_NOTE: Final = (
     '<p class="note">Shaded where a run has them: pauses over the whole height, dead times in'
     " brown, settling bands along the reference.</p>"
 )
+_KINDS: Final[Mapping[CurveKind, str]] = MappingProxyType(
+    {
+        "ideal": "dotted grey: the ideal loop",
+        "aim": "dashed grey: what is asked for",
+        "applied": "green: what the plant applied",
+        "measured": "green: what the robot measured",
+        "beside": "lighter: the distance to the reference",
+    }
+)
+"""What curves are beside what a run did."""
+
 _LARGE: Final = 2**20
 
 
@@ -196,7 +209,12 @@ def _write_stage(plots: Plots, count: int) -> str:
     planes = "".join(places.pop(place) for place in ("plane", "goal") if place in places)
     series = "".join(place for name, place in places.items() if name.startswith("plot-"))
     marks = '<label><input type="checkbox" checked id="marks">marks</label>'
-    note = _MARKS_NOTE if plots.config["marks"] else ""
+    told = [word for kind, word in _KINDS.items() if kind in plots.kinds]
+    if count > 1:
+        told = [word for word in told if not word.startswith("green")]
+    words = "; ".join(told)
+    note = f'<p class="note">{words[0].upper()}{words[1:]}.</p>' if words else ""
+    note += _MARKS_NOTE if plots.config["marks"] else ""
     return f"""<section id="stage"><h2>{"The run" if count == 1 else "The runs"}</h2>
 <div class="controls">
 <button type="button" id="play" aria-pressed="false">Play</button>

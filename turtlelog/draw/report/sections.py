@@ -8,6 +8,7 @@ from typing import Final
 from turtlelog.charts.attribution_steps import list_attribution_steps
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.compare import Table, format_cell
+from turtlelog.compare.run_names import list_differing
 from turtlelog.display import describe_count
 from turtlelog.draw.report.drawn import to_hex
 from turtlelog.draw.report.violation_plots import MOST_VIOLATIONS
@@ -15,8 +16,8 @@ from turtlelog.escapes import escape_controls
 from turtlelog.explain import Attribution, write_sentences
 from turtlelog.run import Run
 
-_MOST_LISTED: Final = 12
-"""Scenarios of more runs fold into one line."""
+_MOST_DIFFERING: Final = 8
+"""Keys in a table of what differs: more would be wider than a page."""
 
 _LEAST_PERCENT: Final = 0.4
 """Of the width: a narrower bar would not be seen."""
@@ -171,15 +172,25 @@ def write_provenance(
         for run, name, (file, key) in zip(runs, names, sources, strict=True)
     ]
     parts.append(_wrap_table("Recordings", ["run", "file", "sha256", "source"], files))
-    scenarios = "".join(
-        f"<details><summary>Scenario of {show(name)}</summary>{_list_scenario(run)}</details>"
-        for run, name in zip(runs, names, strict=True)
-    )
-    if len(runs) > _MOST_LISTED:
-        heading = f"Scenarios of {len(runs)} runs"
-        scenarios = f"<details><summary>{heading}</summary>{scenarios}</details>"
-    parts.append(scenarios)
+    if len(runs) == 1:
+        parts.append(f"<details><summary>Scenario</summary>{_list_scenario(runs[0])}</details>")
+    else:
+        parts.append(_write_differences(runs, names))
     return f'<section id="provenance"><h2>Where this comes from</h2>{"".join(parts)}</section>'
+
+
+def _write_differences(runs: Sequence[Run], names: Sequence[str]) -> str:
+    """Return a table of the keys in which scenarios differ, and where the whole ones are."""
+    keys = list_differing(runs)[:_MOST_DIFFERING]
+    rows = [
+        f'<tr><th scope="row">{show(name)}</th>'
+        + "".join(f"<td>{show(run.parameters.get(key, ''))}</td>" for key in keys)
+        + "</tr>"
+        for run, name in zip(runs, names, strict=True)
+    ]
+    table = _wrap_table("What differs between the scenarios", ["run", *keys], rows) if keys else ""
+    note = "Whole scenarios: <code>turtlelog scenario FILE</code>."
+    return f'{table}<p class="note">{note}</p>'
 
 
 def _list_scenario(run: Run) -> str:

@@ -17,6 +17,7 @@ from turtlelog.charts.many_runs import (
     find_gain_scale,
     find_restless,
     group_equal,
+    join_names,
     shorten_names,
 )
 from turtlelog.charts.palette import Color, choose_run_colors
@@ -63,9 +64,6 @@ from turtlelog.measure import measure_run
 from turtlelog.run import Run
 
 _THIN_WIDTH: Final = 1.0
-_MOST_RESTLESS: Final = 2
-"""Named in a title; of more their number is told."""
-
 _MOST_EXTREMES: Final = 3
 """Runs whose names stand in the plane: more would hide the ways."""
 
@@ -166,7 +164,7 @@ class _Overlay:
             ranges=ranges,
             end_s=lasting if lasting < longest else None,
             length_s=longest,
-            restless=self._join_names(sorted(self.restless)),
+            restless=join_names(sorted(self.restless), self.names, self.scale),
             outliers={**content.outliers, **self._name_beyond(ranges)},
         )
 
@@ -179,16 +177,10 @@ class _Overlay:
                 values = series.values[np.isfinite(series.values)]
                 if ((values < low) | (values > high)).any():
                     found.setdefault(series.plot, []).append(number)
-        return {plot: f"{self._join_names(numbers)} beyond" for plot, numbers in found.items()}
-
-    def _join_names(self, numbers: Sequence[int]) -> str:
-        """Return runs in words: from which value on, where they are the last in order."""
-        are_last = [*numbers] == [*range(len(self.runs) - len(numbers), len(self.runs))]
-        if self.scale is not None and are_last and len(numbers) > 1:
-            return f"{self.scale.word} from {self.scale.values[numbers[0]]:.3g} on"
-        names = ", ".join(self.name_run(number) for number in numbers[:_MOST_RESTLESS])
-        more = len(numbers) - _MOST_RESTLESS
-        return f"{names} and {more} more" if more > 0 else names
+        return {
+            plot: f"{join_names(numbers, self.names, self.scale)} beyond"
+            for plot, numbers in found.items()
+        }
 
     def name_briefly(self) -> tuple[str, ...]:
         """Return what the runs are called where there is little room."""
@@ -198,9 +190,7 @@ class _Overlay:
 
     def name_run(self, number: int) -> str:
         """Return what a run among many is called in a picture: by what the colours tell."""
-        if self.scale is None:
-            return self.names[number]
-        return f"{self.scale.word} {self.scale.values[number]:.3g}"
+        return self.names[number] if self.scale is None else self.scale.name_run(number)
 
 
 def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[str]:

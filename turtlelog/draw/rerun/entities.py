@@ -6,7 +6,6 @@ from typing import Final
 
 from rerun import escape_entity_path_part
 
-from turtlelog.charts.many_runs import RESTLESS_PLOTS
 from turtlelog.charts.time_plots import TIME_PLOTS, TimePlot, find_plot
 
 APPLICATION_ID: Final = "turtlelog"
@@ -109,8 +108,8 @@ GROUPS: Final[Mapping[str, tuple[TimePlot, ...]]] = MappingProxyType(_group_plot
 """The plots over time of each entity: x and y stand together."""
 
 
-RESTLESS: Final = frozenset(map(name_plot, RESTLESS_PLOTS))
-"""The plots that a run which never settles is left out of."""
+RESTLESS: Final = frozenset(name for name, plots in GROUPS.items() if plots[0].is_filled)
+"""The plots that a run which never settles is left out of, among many."""
 
 
 def title_plot(entity: str) -> str:
