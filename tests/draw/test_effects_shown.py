@@ -20,7 +20,7 @@ from turtlelog.simulate import RunCollector, iterate_ticks
 SCENARIO = build_case("noise", "dropout", "low_pass", "disturbance", max_duration_s=1.5)
 SENSED = {"/plane/sensed", "/heading_deg/sensed", "/position/sensed"}
 DROPPED = {"/plane/dropped_out", "/heading_deg/dropped_out", "/position/dropped_out"}
-SHAPED = {"/speed/shaped", "/turn_rate/shaped"}
+SHAPED = {"/wanted_speed/shaped", "/wanted_turn_rate/shaped"}
 
 
 @cache
@@ -67,7 +67,7 @@ def test_the_plane_shows_where_the_controller_saw_the_robot() -> None:
 def test_commands_stand_beside_what_shaping_left_and_while_something_pushed() -> None:
     run = simulate()
     axes = draw_first("turn-rate", run)
-    values = read_lines(axes)["shaped"][1]
+    values = read_lines(draw_first("wanted-turn-rate", run))["shaped"][1]
     np.testing.assert_array_equal(values, run.samples.shaped_turn_rate_rad_s)
     spans = [patch for patch in axes.patches if patch.get_label() == "disturbance"]
     [(low, high)] = [(span.get_x(), span.get_x() + span.get_width()) for span in spans]  # type: ignore[attr-defined]
@@ -116,7 +116,7 @@ def test_rerun_shows_what_was_sensed_shaped_and_lost(tmp_path: Path) -> None:
     assert 0 < len(lost) < len(run.poses)
     assert len(read_times(path, "/heading_deg/dropped_out")) == len(lost)
     assert len(read_times(path, "/heading_deg/sensed")) == len(run.poses) - len(lost)
-    shaped = np.ravel(read_rows(path, "/turn_rate/shaped", "Scalars:scalars"))
+    shaped = np.ravel(read_rows(path, "/wanted_turn_rate/shaped", "Scalars:scalars"))
     np.testing.assert_array_equal(shaped, run.samples.shaped_turn_rate_rad_s)
     places = read_static(path, "/plane/dropped_out", "Points2D:positions")
     np.testing.assert_array_equal(places, run.poses.xy_m[lost].astype(np.float32))

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.charts.pose_gaps import list_breaking_gaps
 from turtlelog.charts.shared_curves import Command, Curve, read_curve, select_rows
 from turtlelog.display import describe_count
 from turtlelog.errors import ReplayError
 from turtlelog.loops import COMMAND_UNITS
 from turtlelog.measure import find_outliers
-from turtlelog.measure.breaks import find_gaps
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.replay.plant_ticks import find_breaks, read_motion
 from turtlelog.run import Run
@@ -82,7 +82,7 @@ def part_curve(run: Run, curve: Curve) -> Curve:
 
 def find_break_rows(run: Run) -> NDArray[np.int64]:
     """Return the rows of poses before which curves break: at jumps, after a time without poses."""
-    gaps = np.array([gap.row for gap in find_gaps(run)], dtype=np.int64)
+    gaps = np.array([gap.row for gap in list_breaking_gaps(run)], dtype=np.int64)
     return np.unique(np.concatenate([find_jump_rows(run), gaps]))
 
 

@@ -89,7 +89,7 @@ class TimePlot:
     Attributes:
         title: What it shows.
         unit: Of its values; empty where nobody declares it.
-        curves: Its curves, from the lowest to the highest in the drawing.
+        curves: Its curves, as a legend lists them.
         list_levels: Returns the level lines of a run.
         is_log: Whether it has a twin that shows magnitudes on a logarithmic scale.
         scale: How values stand on its axis.
@@ -314,6 +314,13 @@ def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> Ti
         unit=COMMAND_UNITS[command],
         curves=(
             CurveEntry(
+                kind="run",
+                name="commanded",
+                label="commanded",
+                signal=command,
+                read=partial(_read_one, partial(read_command, command=command)),
+            ),
+            CurveEntry(
                 kind="applied",
                 name="applied",
                 label=applied,
@@ -324,13 +331,6 @@ def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> Ti
                 name="measured",
                 label="measured",
                 read=partial(_read_rate, command=command, is_outlier=False),
-            ),
-            CurveEntry(
-                kind="run",
-                name="commanded",
-                label="commanded",
-                signal=command,
-                read=partial(_read_one, partial(read_command, command=command)),
             ),
             CurveEntry(
                 kind="outlier",

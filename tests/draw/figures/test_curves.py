@@ -255,24 +255,20 @@ def test_the_tolerance_stands_around_the_goal_close_up() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "stages"),
-    [
-        ("turn-rate", ["wanted_turn_rate_rad_s", "turn_rate_rad_s", "turn_rate_rad_s"]),
-        ("speed", ["wanted_speed_m_s", "speed_m_s", "speed_m_s"]),
-    ],
+    ("name", "column"), [("turn-rate", "turn_rate_rad_s"), ("speed", "speed_m_s")]
 )
-def test_one_run_s_commands_are_wanted_commanded_and_applied(name: str, stages: list[str]) -> None:
+def test_one_run_s_commands_are_commanded_applied_and_wanted(name: str, column: str) -> None:
     run, axes = simulate_unequal(), draw_alone(name).axes[0]
     # turtlesim publishes no sign of the speed.
-    labels = ["wanted", "commanded", "|applied|" if name == "speed" else "applied"]
-    for label, column, source in zip(
-        labels, stages, (run.samples, run.samples, run.poses), strict=True
-    ):
+    applied = "|applied|" if name == "speed" else "applied"
+    for label, source in (("commanded", run.samples), (applied, run.poses)):
         ((_, values),) = find_lines(axes, label)
         assert np.array_equal(values, getattr(source, column))
     low, high = axes.get_ylim()
-    assert low < getattr(run.samples, stages[1]).min()
+    assert low < getattr(run.samples, column).min()
     assert 1.0 < high < 2.0
+    ((_, values),) = find_lines(draw_alone(f"wanted-{name}").axes[0], "wanted")
+    assert np.array_equal(values, getattr(run.samples, f"wanted_{column}"))
 
 
 def test_a_logarithmic_axis_spans_what_was_measured() -> None:

@@ -18,9 +18,10 @@ from tests.draw.laws import (
     simulate_pid,
     simulate_tracker,
 )
+from turtlelog.charts.ideal_curves import compute_ideals
 from turtlelog.charts.shared_curves import list_levels, read_applied, read_curve
 from turtlelog.draw import list_left_out
-from turtlelog.draw.figures.figure_curves import compute_ideals, find_gains
+from turtlelog.draw.figures.figure_curves import find_gains
 from turtlelog.draw.figures.figure_kinds import list_usual_figures
 from turtlelog.scenario import get_preset
 
@@ -212,7 +213,7 @@ def test_world_velocity_is_drawn_of_the_samples_that_hold_it() -> None:
 def test_what_is_left_out_of_other_laws_is_told_with_the_reason() -> None:
     assert list_left_out([STRANGE]) == (
         "left out world-velocity: expected gain times error, found none",
-        "left out panel (along track): expected a loop along the track, found none",
+        "left out panel (along-track): expected a loop along the track, found none",
     )
     assert list_left_out([simulate_law("EightPhases")], ["heading", "heading-error"]) == (
         "left out heading, heading-error: expected a loop of the heading, found none",

@@ -98,7 +98,8 @@ def test_of_a_path_without_a_speed_there_is_no_error_along_it() -> None:
     assert list_labels(UNTIMED, "panel")[1] == "along-track [m]"
     left_out = list_left_out([KANAYAMA, UNTIMED], ["path-error"])
     assert left_out == (
-        "left untimed out of path-error (along): expected a path with a speed, found none",
+        "left untimed out of path-error (along-track error): expected a path with a speed,"
+        " found none",
     )
 
 

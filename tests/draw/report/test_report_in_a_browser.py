@@ -177,7 +177,7 @@ def test_the_mouse_reads_all_runs_at_a_time_that_every_plot_shows(
     page.wait_for_function(f"({TIPS})().includes('kp10')")
     told = page.evaluate(TIPS)
     assert SCRIPT in told
-    values = re.findall(r"commanded speed: *([-0-9.]+) m/s", told)
+    values = re.findall(r"speed: *([-0-9.]+) m/s", told)
     assert len(values) == 2
     assert set(values) == {"1.0000"}  # both drive at their limit there
     assert read_pixels(page, "#plot-turn_rate") != before

@@ -1,14 +1,13 @@
 """Where the legends of a run's plots stand: on the right away from where its curves end."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from turtlelog.draw.rerun.content import Content, find_emptiest_corner, find_ends
+from turtlelog.draw.rerun.content import Content, find_emptiest_corner
 from turtlelog.draw.rerun.layout import build_run_layout
 from turtlelog.draw.rerun.plots import Series
 from turtlelog.draw.rerun.run_scene import build_single
@@ -49,37 +48,10 @@ def test_legends_stand_where_the_run_of_the_paper_leaves_room() -> None:
     corners = read_corners(CONTENT)
     assert corners["Heading [deg]"] == "RightBottom"
     assert corners["Turn rate [rad/s]"] == "RightTop"
-    assert corners["Speed [m/s]"] == "LeftBottom"
-
-
-@pytest.mark.parametrize(
-    ("end", "corner"), [(0.6, "RightBottom"), (0.4, "RightTop"), (0.5, "RightTop")]
-)
-def test_a_legend_on_the_right_avoids_where_the_curve_ends(end: float, corner: str) -> None:
-    ranges = dict.fromkeys(CONTENT.ranges, (0.0, 1.0))
-    content = replace(CONTENT, ranges=ranges, ends=dict.fromkeys(ranges, end))
-    corners = read_corners(content)
-    assert corners["Heading [deg]"] == corners["Turn rate [rad/s]"] == corner
-    assert corners["Speed [m/s]"] == "LeftBottom"
+    assert corners["Cross-track [m]"] == "RightBottom"
 
 
 @pytest.mark.parametrize(("level", "corner"), [(0.39, "LeftTop"), (0.41, "LeftBottom")])
 def test_a_legend_takes_two_fifths_of_the_height(level: float, corner: str) -> None:
     values = np.array([0.7, level, level, level, level, 0.05, 0.95, 0.05, 0.95, 0.05])
     assert find_emptiest_corner(np.arange(10), values, (0.0, 1.0)) == corner
-
-
-def test_legends_stand_in_their_usual_places_while_a_run_grows() -> None:
-    corners = read_corners(replace(CONTENT, ends={}))
-    assert corners["Heading [deg]"] == "RightBottom"
-    assert corners["Distance [m]"] == "RightTop"
-
-
-def test_a_curve_ends_at_its_last_known_value_the_first_of_a_plot_counts() -> None:
-    ranges = {"speed": (0.0, 1.0)}
-    first = make_series("speed/wanted", [0.1, 0.2, np.nan])
-    second = make_series("speed/commanded", [0.1, 0.2, 0.9])
-    assert find_ends([first, second], ranges) == {"speed": 0.2}
-    assert find_ends([make_series("speed", [np.nan] * 3), second], ranges) == {"speed": 0.9}
-    assert find_ends([make_series("heading_deg", [1.0, 2.0, 3.0])], ranges) == {}
-    assert find_ends([], ranges) == {}

@@ -22,7 +22,11 @@ def test_every_entity_is_documented(
     documented = set(re.findall(r"`(/[a-z0-9_/<>]+)`", TEXT))
     rrds = (run_rrd, follower_rrd, strange_rrd, tracker_rrd)
     fixed = {
-        re.sub(r"^/state/.*", "/state/<name>", re.sub(r"^/[a-z_]+/marks$", "/<plot>/marks", entity))
+        re.sub(
+            r"^/state/[a-z_]+$",
+            "/state/<name>",
+            re.sub(r"^/.+/(marks|ideal|lines/event)$", r"/<plot>/\1", entity),
+        )
         for entity in (entity for rrd in rrds for entity in list_entities(rrd))
         if not entity.startswith(("/__", "/documents/", "/reference/"))
     }

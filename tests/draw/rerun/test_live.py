@@ -99,7 +99,7 @@ def test_path_reference_and_errors_are_there_while_a_tracker_runs(tmp_path: Path
 ROWS = {
     "/heading_deg": "Scalars:scalars",
     "/position": "Scalars:scalars",
-    "/speed/wanted": "Scalars:scalars",
+    "/wanted_speed/wanted": "Scalars:scalars",
     "/turn_rate/applied": "Scalars:scalars",
     "/distance_log10": "Scalars:scalars",
     "/heading_deg/ideal": "Scalars:scalars",

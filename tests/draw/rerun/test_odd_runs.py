@@ -26,7 +26,12 @@ def test_columns_that_a_log_lacks_are_left_out(tmp_path: Path) -> None:
     poses = replace(RUN.poses, speed_m_s=None, turn_rate_rad_s=None)
     write_run_rrd(replace(RUN, samples=samples, poses=poses), tmp_path / "run.rrd")
     curves = {name for name in list_entities(tmp_path / "run.rrd") if "speed" in name}
-    drawn = {"/speed/commanded", "/speed/marks", "/reference/speed", "/plane/path_by_speed"}
+    drawn = {"/speed/lines/event"} | {
+        "/speed/commanded",
+        "/speed/marks",
+        "/reference/speed/limits",
+        "/plane/path_by_speed",
+    }
     assert curves == drawn
 
 

@@ -42,7 +42,7 @@ def test_an_outlier_is_kept_and_named_and_does_not_set_the_range(tmp_path: Path)
     entity = "/turn_rate/as_measured/outliers"
     assert np.array(read_rows(path, entity, "Scalars:scalars")).tolist() == [[OUTLIER]]
     [names] = [np.ravel(read_static(path, entity, "SeriesPoints:names")).tolist()]
-    assert names == ["outlier -143.6 rad/s at 6.0 s"]
+    assert names == ["measured, crosses: outlier -143.6 rad/s at 6.0 s"]
     low, high = build_single(make_robot()).describe({}).ranges["turn_rate"]
     assert -0.4 < low < high < 0.4
 
@@ -53,7 +53,7 @@ def test_of_a_robot_without_commands_what_it_measured_is_shown(tmp_path: Path) -
     assert "/speed/commanded" not in list_entities(path)
     assert "Speed [m/s]" in read_layout(path)
     visible = read_blueprint_parts(path, "PlotLegend:visible")
-    assert sum(visible) == 3  # position, and both rates, of which the name says that it is measured
+    assert sum(visible) == 2  # x and y, and the outlier
 
 
 def test_compared_robots_show_commands_beside_what_was_measured(tmp_path: Path) -> None:

@@ -36,9 +36,9 @@ POSE_CURVES: dict[str, Callable[[], NDArray[np.float64] | None]] = {
 
 
 SAMPLE_CURVES: dict[str, Callable[[], NDArray[np.float64] | None]] = {
-    "/speed/wanted": lambda: RUN.samples.wanted_speed_m_s,
+    "/wanted_speed/wanted": lambda: RUN.samples.wanted_speed_m_s,
     "/speed/commanded": lambda: RUN.samples.speed_m_s,
-    "/turn_rate/wanted": lambda: RUN.samples.wanted_turn_rate_rad_s,
+    "/wanted_turn_rate/wanted": lambda: RUN.samples.wanted_turn_rate_rad_s,
     "/turn_rate/commanded": lambda: RUN.samples.turn_rate_rad_s,
 }
 
@@ -136,14 +136,10 @@ def test_what_has_a_value_along_x_and_y_comes_in_pairs(run_rrd: Path) -> None:
 def test_references_lie_at_bearing_goal_and_limits(run_rrd: Path) -> None:
     expected = {
         "/reference/heading_deg": [BEARING_DEG],
-        "/reference/heading_error_deg": [0.0],
         "/reference/position": [2.0, 10.0],
-        "/reference/position_error": [0.0],
         "/reference/along_track": [LENGTH_M],
-        "/reference/cross_track": [0.0],
-        "/reference/distance": [0.0],
-        "/reference/speed": [-1.0, 1.0],
-        "/reference/turn_rate": [-1.0, 1.0],
+        "/reference/speed/limits": [-1.0, 1.0],
+        "/reference/turn_rate/limits": [-1.0, 1.0],
     }
     for entity, levels in expected.items():
         assert read_rows(run_rrd, entity, "Scalars:scalars") == [levels, levels]
@@ -153,14 +149,16 @@ def test_limit_that_no_robot_meets_draws_no_line(tmp_path: Path) -> None:
     for limit, levels in ((0.99e9, [[-0.99e9, 0.99e9]] * 2), (1e9, [])):
         parameters = {**RUN.parameters, "limits.speed_m_s": limit}
         write_run_rrd(replace(RUN, parameters=parameters), tmp_path / "run.rrd")
-        has_line = "/reference/speed" in list_entities(tmp_path / "run.rrd")
+        has_line = "/reference/speed/limits" in list_entities(tmp_path / "run.rrd")
         assert has_line == bool(levels)
         if has_line:
-            found = read_rows(tmp_path / "run.rrd", "/reference/speed", "Scalars:scalars")
+            found = read_rows(tmp_path / "run.rrd", "/reference/speed/limits", "Scalars:scalars")
             assert found == levels
 
 
 def test_infinite_limits_draw_no_line(tmp_path: Path) -> None:
     limits = {"limits.speed_m_s": float("inf"), "limits.turn_rate_rad_s": float("inf")}
     write_run_rrd(replace(RUN, parameters={**RUN.parameters, **limits}), tmp_path / "run.rrd")
-    assert not {"/reference/speed", "/reference/turn_rate"} & list_entities(tmp_path / "run.rrd")
+    assert not {"/reference/speed/limits", "/reference/turn_rate/limits"} & list_entities(
+        tmp_path / "run.rrd"
+    )

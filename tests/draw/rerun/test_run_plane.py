@@ -13,8 +13,9 @@ from tests.draw.rerun.rrds import (
     read_times,
     simulate_preset,
 )
-from turtlelog.charts import palette, write_run_rrd
+from turtlelog.charts import palette
 from turtlelog.charts.palette import choose_run_colors
+from turtlelog.draw import write_run_rrd
 
 RUN = simulate_preset("paper-kp10")
 
@@ -32,15 +33,10 @@ def test_turtle_is_turned_by_its_heading(run_rrd: Path) -> None:
     np.testing.assert_allclose(heading_rad, RUN.poses.heading_rad, atol=1e-6)
 
 
-def test_the_trace_is_the_path_in_the_colours_of_its_phases(run_rrd: Path) -> None:
+def test_the_trace_is_the_path_in_the_colour_of_the_run(run_rrd: Path) -> None:
     np.testing.assert_array_equal(join_strips(run_rrd, "/plane/path"), RUN.poses.xy_m)
     colors = read_static(run_rrd, "/plane/path", "LineStrips2D:colors")
-    before = [palette.START] if RUN.start_ns > RUN.poses.time_ns[0] else []
-    hues = {"rotate": (86, 180, 233), "pause": (213, 94, 0), "translate": (0, 158, 115)}
-    expected = palette.pack_colors(
-        [*before, *(hues[span.phase] for span in RUN.find_phase_spans())]
-    )
-    assert [color | 255 for color in colors] == expected.tolist()
+    assert {color | 255 for color in colors} == {int(palette.pack_colors([palette.MAIN])[0])}
 
 
 def test_the_trace_by_speed_is_the_path_brightest_where_it_is_fast(run_rrd: Path) -> None:
@@ -78,11 +74,11 @@ def test_events_stand_in_the_plane_and_across_the_plots(run_rrd: Path) -> None:
     np.testing.assert_array_equal(places, RUN.poses.xy_m[rows])
     labels = read_static(run_rrd, "/plane/events", "Points2D:labels")
     assert labels == [event.kind.replace("_", " ") for event in RUN.events]
-    lines_ns = read_times(run_rrd, "/lines/event") + RUN.start_ns
+    lines_ns = read_times(run_rrd, "/speed/lines/event") + RUN.start_ns
     assert sorted(set(lines_ns.tolist())) == sorted(set(times_ns))
-    levels = np.array(read_rows(run_rrd, "/lines/event", "Scalars:scalars"))[:, 0]
+    levels = np.array(read_rows(run_rrd, "/speed/lines/event", "Scalars:scalars"))[:, 0]
     assert np.nanmin(levels) < min(RUN.samples.turn_rate_rad_s.min(), -1.0)
-    assert "/lines/event" in read_layout(run_rrd)["Speed [m/s]"]
+    assert "/speed/lines/event" in read_layout(run_rrd)["Speed [m/s]"]
 
 
 def test_a_path_outside_the_world_has_no_border(tmp_path: Path) -> None:

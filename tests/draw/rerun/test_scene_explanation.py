@@ -20,8 +20,9 @@ from tests.draw.rerun.rrds import (
     verify,
 )
 from tests.known import known
-from turtlelog.charts import palette, write_explanation_rrd, write_run_rrd
+from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import StepScale
+from turtlelog.draw import write_explanation_rrd, write_run_rrd
 from turtlelog.draw.rerun.ghosts import build_ideal_ghost, find_ideal_poses, list_gaps, measure_gap
 from turtlelog.draw.rerun.turtles import MOST_SEGMENTS, choose_size, count_segments
 from turtlelog.draw.rerun.waterfall import choose_ticks, write_tick
@@ -293,7 +294,7 @@ def test_the_lines_of_pause_and_dead_time_stand_in_every_plot(explanation_rrd: P
     lines = {f"{RECORDED}/lines/pause", f"{RECORDED}/lines/dead_time"}
     layout = read_layout(explanation_rrd)
     plots = [view for view in layout if re.search(r"\[(deg|m|mm|m/s|rad/s)\]$", view)]
-    assert len(plots) == 9
+    assert len(plots) == 8
     assert all(lines < set(layout[view]) for view in plots)
     assert layout["Phases (brown: pause, pink: dead time)"] == [
         "/phase/recorded",

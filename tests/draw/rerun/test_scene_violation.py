@@ -58,7 +58,7 @@ def test_the_violation_is_an_event_among_the_others(violation_rrd: Path) -> None
     assert times_ns == sorted(times_ns)
     assert texts[times_ns.index(AT_NS)] == "Violation: speed <= 0.5"
     assert len(texts) == len(RUN.events) + 1
-    assert AT_NS in read_times(violation_rrd, "/lines/event")
+    assert AT_NS in read_times(violation_rrd, "/speed/lines/event")
 
 
 def test_the_message_is_the_first_document(violation_rrd: Path) -> None:

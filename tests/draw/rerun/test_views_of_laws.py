@@ -22,8 +22,9 @@ from tests.draw.rerun.rrds import (
     simulate_preset,
     verify,
 )
-from turtlelog.charts import palette, write_comparison_rrd, write_explanation_rrd, write_run_rrd
+from turtlelog.charts import palette
 from turtlelog.charts.phase_timelines import name_phase_timeline
+from turtlelog.draw import write_comparison_rrd, write_explanation_rrd, write_run_rrd
 from turtlelog.draw.rerun.timelines import build_compared_timelines
 from turtlelog.draw.rerun.world import find_plane_bounds
 from turtlelog.loops import Declaration
@@ -116,7 +117,7 @@ def test_headings_asked_for_are_near_those_of_a_robot_that_has_turned_around() -
 
 
 def test_the_bearing_from_the_present_position_is_a_curve() -> None:
-    bearings = read_curve(write("example"), "/heading_deg/bearing_now")[:, 0]
+    bearings = read_curve(write("example"), "/heading_deg/reference")[:, 0]
     assert EXAMPLE.goal_xy_m is not None
     away = np.array(EXAMPLE.goal_xy_m) - EXAMPLE.poses.xy_m
     np.testing.assert_allclose(bearings, np.degrees(np.arctan2(away[:, 1], away[:, 0])), atol=1e-9)
@@ -139,16 +140,17 @@ def test_a_loop_with_an_integral_has_its_levels_and_no_response_of_theory(tmp_pa
     write_run_rrd(KP10, tmp_path / "p.rrd")
     write_run_rrd(add_terms(KP10), tmp_path / "pid.rrd")
     of_p, of_pid = list_entities(tmp_path / "p.rrd"), list_entities(tmp_path / "pid.rrd")
-    plots = ("heading_deg", "along_track")
     ghosts = {name for name in of_p if name.startswith(("/ideal_loop/", "/plane/names/key"))}
-    lines = {f"/{plot}/{kind}" for plot in plots for kind in ("ideal", "sampled")}
+    lines = {name for name in of_p if name.endswith(("/ideal", "/sampled"))}
+    assert {"/heading_deg/ideal", "/along_track/ideal", "/along_track/sampled"} < lines
     assert of_p - of_pid == lines | ghosts
     assert of_pid < of_p
 
 
 def test_loops_that_follow_have_no_response_of_theory() -> None:
     entities = list_entities(write("Follower"))
-    assert {entity for entity in entities if "ideal" in entity} == {"/heading_deg/ideal"}
+    ideal = {entity for entity in entities if "ideal" in entity}
+    assert ideal == {"/heading_deg/ideal", "/heading_error_deg/ideal", "/heading_error_log10/ideal"}
     assert {"/along_track/reference", "/distance/to_reference"} <= entities
 
 
@@ -212,7 +214,7 @@ def test_only_an_error_that_is_left_is_a_close_up() -> None:
 
 def test_the_view_that_opens_is_of_what_a_loop_controls() -> None:
     views = read_layout(write("strange"))
-    assert views["Distance [m]"][:2] == ["/reference/distance", "/distance"]
+    assert views["Distance [m]"][:2] == ["/distance/ideal", "/distance"]
 
 
 def test_each_later_phase_is_the_zero_of_a_timeline(laws_rrd: Path) -> None:

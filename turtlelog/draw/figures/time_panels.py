@@ -1,5 +1,6 @@
 """Panels over time: the curves of `charts.time_plots`, their level lines, gaps and outliers."""
 
+import re
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
@@ -117,8 +118,10 @@ def draw_time_plot(
     _draw_levels(axes, runs, plot, scale)
     restless = find_restless(runs)
     _draw_curves(axes, runs, plot, scale, restless)
-    label = f"|{plot.title}| [{plot.unit}]" if scale == "log" else plot.label
-    finish(axes, runs, label.replace("Kp ", "$K_p$ "))
+    # A distance has no sign to take away.
+    has_sign = scale == "log" and name != "distance"
+    label = f"|{plot.title}| [{plot.unit}]" if has_sign else plot.label
+    finish(axes, runs, re.sub(r"Kp e(\w)", r"$K_p e_\1$", label))
     calm = [run for number, run in enumerate(runs) if number not in restless]
     _fit(axes, calm, plot, scale, is_forced=bool(restless))
     if restless:

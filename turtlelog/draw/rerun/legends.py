@@ -62,7 +62,7 @@ def _name_plot(
     curves: Sequence[Series], lines: LevelLines | None, marks: Sequence[Mark]
 ) -> Legends:
     """Return what stands in one plot under the names of its legend."""
-    main = next((one for one in reversed(curves) if one.is_main), curves[-1])
+    main = next((one for one in curves if one.is_main), curves[0])
     # Marks tell enough of a curve that has the name of its plot.
     is_named = not marks or main.entity != main.plot
     words: dict[Color, list[str]] = {main.colors[0]: [main.labels[0]] if is_named else []}

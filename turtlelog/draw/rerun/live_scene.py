@@ -166,7 +166,9 @@ class LiveScene:
 
     def _draw(self, run: Run) -> None:
         stream, timelines = self._stream, build_run_timelines(run)
-        named = name_legends(list_series(run), list_references([run]))
+        # Theory comes at the end, when the stretch of a loop is known.
+        listed = [one for one in list_series(run) if one.colors[0] != palette.IDEAL]
+        named = name_legends(listed, list_references([run]))
         series, references = named.series, named.references
         run_stream = RunStream(stream, "", timelines)
         stream.begin_round(len(run.poses))

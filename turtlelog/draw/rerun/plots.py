@@ -50,7 +50,7 @@ _WIDTHS: Final[Mapping[CurveKind, float]] = MappingProxyType(
 )
 """Of lines, and sizes of points [points]; what the run did has `LINE_WIDTH`."""
 
-_COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured"})
+_COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured", "outlier"})
 """Kinds that a view of several runs has: theory of each would cover all of them."""
 
 _COMMANDED_WIDTH: Final = 3.0
@@ -235,7 +235,7 @@ def _list_group(
             values=np.column_stack([one.curve.values for one in alike]),
             width=_find_width(first, plots[0]),
             holds=first.curve.holds,
-            is_main=first.kind in _COMPARED,
+            is_main=first.kind in ("run", "measured"),
             is_measured=first.kind in OWN,
             marker=_MARKERS.get(first.kind),
         )

@@ -1,0 +1,106 @@
+"""Colours mean the same in print, in Rerun, in a report and in a movie; legends are short."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+
+import turtlelog as tl
+from tests.draw.laws import simulate_tracker
+from tests.draw.rerun.rrds import read_static, simulate_preset
+from tests.draw.robots import make_robot
+from tests.draw.test_effects_shown import simulate
+from turtlelog.charts.looks import choose_curve_color
+from turtlelog.charts.palette import IDEAL, Color, choose_run_colors
+from turtlelog.draw.report.drawn import Drawn, to_hex
+from turtlelog.draw.report.page_plots import draw_plots
+from turtlelog.draw.rerun.run_scene import build_single
+from turtlelog.run import Run
+
+RUNS = [simulate_preset(f"paper-kp{kp}") for kp in (1, 4)]
+
+
+def to_bytes(color: Any) -> Color:
+    red, green, blue = (round(255 * part) for part in to_rgb(color))
+    return red, green, blue
+
+
+def draw_report(*runs: Run) -> Any:
+    colors = choose_run_colors(len(runs))
+    drawn = [Drawn(run=run, name=run.name, color=c) for run, c in zip(runs, colors, strict=True)]
+    return draw_plots(drawn, [tl.measure_run(run) for run in runs], [])
+
+
+def test_a_run_has_one_colour_in_every_picture(tmp_path: Path) -> None:
+    expected = choose_run_colors(2)
+    axes = tl.draw.draw_figure("heading", RUNS).axes[0]
+    printed = {line.get_label(): to_bytes(line.get_color()) for line in axes.get_lines()}
+    assert [printed[run.name] for run in RUNS] == [*expected]
+    tl.write_comparison_rrd(RUNS, tmp_path / "two.rrd")
+    for run, color in zip(RUNS, expected, strict=True):
+        for entity in ("heading_deg", "speed/commanded"):
+            place = f"/runs/{run.name}/{entity}"
+            found = read_static(tmp_path / "two.rrd", place, "SeriesLines:colors")
+            assert [value >> 8 for value in found] == [color[0] << 16 | color[1] << 8 | color[2]]
+    data = draw_report(*RUNS).roots["plot-heading"].renderers[0].data_source.data
+    shown = dict(zip(data["name"], data["color"], strict=True))
+    assert [shown[run.name] for run in RUNS] == [*map(to_hex, expected)]
+
+
+def test_the_ideal_loop_is_grey_in_every_picture() -> None:
+    run = RUNS[1]
+    lines = tl.draw.draw_figure("heading", [run]).axes[0].get_lines()
+    assert {to_bytes(line.get_color()) for line in lines if line.get_label() == "ideal"} == {IDEAL}
+    single = build_single(run)
+    assert {s.colors for s in single.series if s.entity.endswith("/ideal")} >= {(IDEAL,)}
+    data = draw_report(run).roots["plot-heading"].renderers[0].data_source.data
+    assert dict(zip(data["name"], data["color"], strict=True))["ideal"] == to_hex(IDEAL)
+    assert choose_curve_color("ideal", (1, 2, 3), is_alone=False) == IDEAL
+
+
+@pytest.mark.parametrize("kind", ["kp10", "tracker", "robot", "noisy"])
+def test_a_legend_of_a_run_alone_has_two_lines_at_most(kind: str) -> None:
+    run = {
+        "kp10": lambda: simulate_preset("paper-kp10"),
+        "tracker": lambda: simulate_tracker("kanayama"),
+        "robot": make_robot,
+        "noisy": simulate,
+    }[kind]()
+    single = build_single(run)
+    for plot in {series.plot for series in single.series}:
+        if plot.startswith("state/"):
+            continue
+        drawn = [series for series in single.series if series.plot == plot]
+        names = {label for series in drawn for label in series.labels}
+        names |= {line.name for line in single.references if line.plot == plot}
+        names |= {mark.label for mark in single.marks if mark.plot == plot}
+        assert len(names) <= 2, (plot, names)
+
+
+def lose_poses(run: Run, first: int, last: int) -> Run:
+    kept = np.r_[0:first, last : len(run.poses)]
+    return replace(run, poses=tl.run.take_rows(run.poses, kept))
+
+
+def test_curves_break_where_a_robot_sent_no_poses() -> None:
+    robot = make_robot()
+    step_s = float(np.median(np.diff(robot.poses.time_ns))) / 1e9
+    gone = lose_poses(robot, 20, 20 + round(2.0 / step_s))
+    axes = tl.draw.draw_figure("heading", [gone]).axes[0]
+    values = np.asarray(axes.get_lines()[0].get_ydata(), float)
+    assert np.isnan(values).sum() == 1
+    assert any("s without poses" in text.get_text() for text in axes.texts)
+    (series,) = [s for s in build_single(gone).series if s.entity == "heading_deg"]
+    assert np.isnan(series.values).sum() == 1
+    data = draw_report(gone).roots["plot-heading"].renderers[0].data_source.data
+    assert sum(int(np.isnan(ys).sum()) for ys in data["ys"]) == 1
+
+
+@pytest.mark.parametrize(("lost_s", "breaks"), [(0.9, 1), (0.15, 0)])
+def test_curves_break_from_a_hundredth_of_a_run_or_a_second_on(lost_s: float, breaks: int) -> None:
+    gone = lose_poses(make_robot(), 20, 20 + round(lost_s / 0.05))
+    (series,) = [s for s in build_single(gone).series if s.entity == "heading_deg"]
+    assert np.isnan(series.values).sum() == breaks
