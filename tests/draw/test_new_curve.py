@@ -53,7 +53,7 @@ from turtlelog.draw.report.page_plots import draw_plots
 from turtlelog.draw.rerun.run_scene import build_single
 
 run = tl.simulate_run(tl.load_scenario("paper-kp4"))
-figure = tl.draw.draw_figure("along-track", [run])
+figure = tl.draw.draw_figure("error-log", [run])
 assert "to the wall" in [line.get_label() for axes in figure.axes for line in axes.get_lines()]
 assert [axes.get_ylabel() for axes in tl.draw.draw_figure("spread", [run]).axes] == ["spread [m]"]
 single = build_single(run)
@@ -65,7 +65,7 @@ page = draw_plots([Drawn(run=run, name="run", color=(0, 114, 178))], [tl.measure
 assert "plot-spread" in page.roots
 names = page.roots["plot-distance"].renderers[0].data_source.data["name"]
 assert "to the wall" in names
-tl.write_movie([run], "run.gif", length_s=1.0)
+tl.draw.write_movie([run], "run.gif", length_s=1.0)
 """
 
 

@@ -114,12 +114,6 @@ VIOLATION: Final[Color] = (235, 50, 50)
 ALLOWED: Final[Color] = (0, 158, 115)
 """The band that a check asks a signal to stay in, thin enough to see curves on it."""
 
-MARK: Final[Color] = (165, 165, 165)
-"""A metric where it has its place, to be seen on light ground too."""
-
-NO_PHASE: Final = -1
-"""Index of no phase: before the first sample."""
-
 
 def choose_run_colors(count: int) -> tuple[Color, ...]:
     """Return one colour per run: distinct hues for a few, a ramp in the order given for many."""

@@ -59,9 +59,9 @@ LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
         "xtick.major.width": 0.6,
         "ytick.major.width": 0.6,
         "axes.formatter.useoffset": False,
-        # TrueType in PDF, outlines in SVG: the page looks the same without the font installed.
+        # Text that can be selected: TrueType in PDF, in SVG text that names its font.
         "pdf.fonttype": 42,
-        "svg.fonttype": "path",
+        "svg.fonttype": "none",
         "svg.hashsalt": "turtlelog",
     }
 )

@@ -73,11 +73,9 @@ _TURTLE: Final = np.array([(1.0, 0.0), (-0.7, 0.62), (-0.35, 0.0), (-0.7, -0.62)
 _TURTLE_SIZE: Final = 0.045
 """Of the plane's half-width: large enough to see where it heads."""
 
-_ZOOM: Final = (0.55, 0.9)
-"""Of the driving: while the last runs arrive, the goal comes close."""
-
-_RINGS_SEEN: Final = 3.0
-"""Half-widths of the close-up within which its rings have room for their names."""
+_NEAR: Final = 3.0
+"""Half-widths of the close-up within which a robot is near the goal: it arrives within a second or
+so."""
 
 _MOST_POINTS: Final = 2000
 """Of a trail: more than the picture is wide."""
@@ -115,15 +113,13 @@ class _Goal:
 
     Attributes:
         axes: Where it is.
-        close_up: How close it comes.
-        far_m: Half of its height at first.
-        words: Names of its rings, and how far off runs are: shown only close up.
+        close_up: What it shows.
+        words: How far off runs are: shown when they have arrived.
     """
 
     axes: Axes
     close_up: CloseUp
-    far_m: float
-    words: list[tuple[Artist, bool]]
+    words: list[Artist]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -281,14 +277,13 @@ def _set_goal(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look], close_u
     for spine in axes.spines.values():
         spine.set_visible(True)
     goal = close_up.goal_xy_m
-    words: list[tuple[Artist, bool]] = []
+    words: list[Artist] = []
     for ring_m in close_up.rings_m:
         axes.add_patch(Circle(goal, ring_m, fill=False, color="0.7", linewidth=1.0))
         name = axes.text(
             goal[0], goal[1] - ring_m, format_length(ring_m), color="0.4", fontsize=11.0
         )
         name.set(ha="center", va="top", clip_on=True)
-        words.append((name, False))
     axes.plot(*goal, "x", ms=13.0, mew=2.5, color="black", zorder=3)
     for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
         trail = _start_trail(axes, run, zero_ns, look)
@@ -299,10 +294,12 @@ def _set_goal(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look], close_u
         color = looks[label.runs[0]]["color"] if len(label.runs) == 1 else "0.2"
         miss = axes.text(*label.xy_m, label.text, color=color, ha="center", va="center", zorder=5)
         miss.set(bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.85})
-        words.append((miss, True))
-    plane = stage.figure.axes[0]
-    far_m = float(np.diff(plane.get_ylim())[0]) / 2.0
-    stage.goal = _Goal(axes=axes, close_up=close_up, far_m=far_m, words=words)
+        words.append(miss)
+    (x_m, y_m), ratio = goal, _find_ratio(stage.figure, _GOAL)
+    axes.set_xlim(x_m - close_up.half_m * ratio, x_m + close_up.half_m * ratio)
+    axes.set_ylim(y_m - close_up.half_m, y_m + close_up.half_m)
+    axes.set_title(f"at the goal, {close_up.describe()}", loc="left", pad=4.0)
+    stage.goal = _Goal(axes=axes, close_up=close_up, words=words)
 
 
 def _move(stage: _Stage, number: int, time_s: float) -> Iterator[Artist]:
@@ -323,28 +320,22 @@ def _move(stage: _Stage, number: int, time_s: float) -> Iterator[Artist]:
         turtle.set_xy(xy_m[number] + size_m * turned)
         yield turtle
     if stage.goal is not None:
-        yield _come_close(stage, stage.goal, number)
+        _show_goal(stage, stage.goal, number)
+        yield stage.goal.axes
     stage.clock.set_text(f"{time_s:.2f} s{_tell_film(stage.film)}")
     yield stage.clock
 
 
-def _come_close(stage: _Stage, goal: _Goal, number: int) -> Axes:
-    """Bring the goal closer, from the size of the plane to that of the close-up."""
-    begin, end = (share * stage.film.driving for share in _ZOOM)
-    share = float(np.clip((number - begin) / max(end - begin, 1.0), 0.0, 1.0))
-    share = share * share * (3.0 - 2.0 * share)
-    half_m = goal.far_m ** (1.0 - share) * goal.close_up.half_m**share
-    (x_m, y_m), ratio = goal.close_up.goal_xy_m, _find_ratio(stage.figure, _GOAL)
-    goal.axes.set_xlim(x_m - half_m * ratio, x_m + half_m * ratio)
-    goal.axes.set_ylim(y_m - half_m, y_m + half_m)
-    title = f"at the goal, ±{format_length(half_m)}"
-    goal.axes.set_title(title + goal.close_up.count_outside() * (share == 1.0), loc="left", pad=4.0)
-    for words, is_end in goal.words:
-        is_close = half_m < _RINGS_SEEN * goal.close_up.half_m
-        words.set_visible(number + 1 >= stage.film.driving if is_end else is_close)
+def _show_goal(stage: _Stage, goal: _Goal, number: int) -> None:
+    """Show the view of the goal while a robot is near it: elsewhere it would be an empty box."""
+    goal_xy_m = goal.close_up.goal_xy_m
+    ways = [xy_m[number] - goal_xy_m for xy_m, _ in stage.places]
+    reach_m = _NEAR * goal.close_up.half_m
+    goal.axes.set_visible(any(np.hypot(*way) <= reach_m for way in ways))
+    for words in goal.words:
+        words.set_visible(number + 1 >= stage.film.driving)
     for dot, (xy_m, _) in zip(stage.dots, stage.places, strict=True):
         dot.set_data(*xy_m[number : number + 1].T)
-    return goal.axes
 
 
 def _tell_film(film: Film) -> str:

@@ -50,7 +50,6 @@ ALONG_TRACK: Final = "along_track"
 SPEED: Final = "speed"
 TURN_RATE: Final = "turn_rate"
 COMMANDED: Final = "commanded"
-APPLIED: Final = "applied"
 MEASURED: Final = "as_measured"  # before `commanded`: the viewer draws later names on top
 OUTLIERS: Final = "outliers"
 SENSED: Final = "sensed"
