@@ -51,7 +51,7 @@ def test_many_runs_are_drawn_in_the_order_of_their_gains(
     assert said == (
         f"{path} shows the figure heading of paper-kp10 and paper-kp2: {SHOWN['heading']}."
     )
-    comments = re.findall("<!-- (paper-kp[0-9]+) -->", (tmp_path / "heading.svg").read_text())
+    comments = re.findall(">(paper-kp[0-9]+)</text>", (tmp_path / "heading.svg").read_text())
     assert comments == ["paper-kp2", "paper-kp10"]
 
 
@@ -250,7 +250,7 @@ def test_the_attribution_is_that_of_explain(
     with pytest.raises(SystemExit):
         main(["explain", kp10, "--metric", "final.heading_error", "--json"])
     found = json.loads(capsys.readouterr().out)["attribution"]
-    texts = re.findall("<!-- (.*?) -->", (tmp_path / "why.svg").read_text("utf-8"))
+    texts = re.findall(r">([^<]+)</text>", (tmp_path / "why.svg").read_text("utf-8"))
     assert f"what caused {found['as_logged']:.3f} deg" in texts
     (share,) = [one["contribution"] for one in found["contributions"] if one["cause"] == "pause"]
     assert any(f"{-share:.3f} deg".replace("-", "\N{MINUS SIGN}") in text for text in texts)
@@ -267,7 +267,7 @@ def test_a_violation_has_the_moments_of_check(
     with pytest.raises(SystemExit):
         main(["check", kp10, "--expect", formula, "--json"])
     (result,) = json.loads(capsys.readouterr().out)["results"]
-    texts = re.findall("<!-- (.*?) -->", target.read_text("utf-8"))
+    texts = re.findall(r">([^<]+)</text>", target.read_text("utf-8"))
     worst, first = f"at {result['value_s']:.3f} s", f"at {result['first_violation_s']:.3f} s"
     assert {f"worst -{result['value']:.5g} m", worst, first} < {*texts}
 

@@ -167,7 +167,7 @@ class LiveScene:
     def _draw(self, run: Run) -> None:
         stream, timelines = self._stream, build_run_timelines(run)
         # Theory comes at the end, when the stretch of a loop is known.
-        listed = [one for one in list_series(run) if one.colors[0] != palette.IDEAL]
+        listed = [one for one in list_series(run) if not one.entity.endswith("/ideal")]
         named = name_legends(listed, list_references([run]))
         series, references = named.series, named.references
         run_stream = RunStream(stream, "", timelines)
