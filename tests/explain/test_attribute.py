@@ -20,7 +20,7 @@ from turtlelog.explain import (
 )
 from turtlelog.explain.attribution import find_resolution
 from turtlelog.explain.mechanisms import FINER, is_present, list_effects
-from turtlelog.explain.shapley import vary_start
+from turtlelog.explain.starts import vary_start
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, find_dead_time, measure_run
@@ -270,13 +270,23 @@ def test_a_value_depends_on_samples_from_half_of_what_is_added_on(
 ) -> None:
     found = attribute_scenario(KP10).starts
     assert found is not None
-    options: dict[str, Any] = {
-        "resolution": 0.0,
-        "mechanisms": ["queue", "pause"],
-        "acting": ["queue"],
-    }
-    width = found.high - found.low
-    starts = vary_start(KP10, "final.position_error", added=width / part, **options)
+    width, acting = found.high - found.low, ["queue", "pause"]
+    starts = vary_start(
+        KP10, "final.position_error", added=width / part, resolution=0.0, acting=acting
+    )
+    assert starts is not None
+    assert starts.is_wide == is_wide
+
+
+@pytest.mark.parametrize(("part", "is_wide"), [(0.99, True), (1.01, False)])
+def test_a_lucky_start_depends_on_samples_if_others_range_over_the_resolution(
+    part: float, *, is_wide: bool
+) -> None:
+    found = attribute_scenario(KP10).starts
+    assert found is not None
+    resolution = part * (found.high - found.low)
+    options: dict[str, Any] = {"added": 0.0, "resolution": resolution, "acting": ["queue", "pause"]}
+    starts = vary_start(KP10, "final.position_error", **options)
     assert starts is not None
     assert starts.is_wide == is_wide
 
