@@ -122,7 +122,7 @@ class Game:
         """Return the outcomes without these mechanisms, by seed; one where nothing is random."""
         out = frozenset(names).intersection(self.present)
         self.prepare([out])
-        return [self._outcomes[out, seed] for seed in self._list_seeds(out)]
+        return [self._outcomes[out, seed] for seed in self.list_seeds(out)]
 
     def play_as_recorded(self, names: Iterable[str] = ()) -> Outcome:
         """Return the outcome without these mechanisms, with the scenario's own seed."""
@@ -133,7 +133,7 @@ class Game:
     def prepare(self, sets: Iterable[Iterable[str]]) -> None:
         """Simulate without each of these sets of mechanisms."""
         outs = dict.fromkeys(frozenset(names).intersection(self.present) for names in sets)
-        self._simulate([(out, seed) for out in outs for seed in self._list_seeds(out)])
+        self._simulate([(out, seed) for out in outs for seed in self.list_seeds(out)])
 
     def describe_ending(self, name: str) -> str:
         """Return what differs in kind without a mechanism, in one clause; empty: nothing does."""
@@ -155,7 +155,8 @@ class Game:
             self._without[out] = take_out(self._scenario, mechanisms)
         return self._without[out]
 
-    def _list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
+    def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
+        """Return the seeds to simulate with; None alone where what is left draws nothing."""
         return SEEDS if self.is_random and draws_random(self._take_out(out)) else (None,)
 
     def _simulate(self, wanted: Sequence[_Play]) -> None:

@@ -1,0 +1,391 @@
+"""The luck of a run: its value from every start or with every seed, and where those runs end."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.charts import palette
+from turtlelog.charts.close_up import choose_rings, format_length
+from turtlelog.charts.palette import Color, choose_cause_colors
+from turtlelog.display import join_words
+from turtlelog.explain import Luck, LuckCurve
+
+Values = NDArray[np.float64]
+
+_DIGITS: Final = 2
+"""Of a value in words: neighbouring starts differ in the third."""
+
+_MOST_DIGITS: Final = 5
+"""Of two values that fewer digits do not tell apart."""
+
+_JUMP: Final = 0.02
+"""Of the height of the picture: a smaller step between neighbours is no break to the eye."""
+
+_SMOOTH: Final = 6.0
+"""Times the step of a quarter of the neighbours: a larger one is no slope."""
+
+_FROM_ZERO: Final = 0.5
+"""The axis begins at 0 where the least value is below this part of the greatest."""
+
+_ROOM: Final = 0.06
+"""Above and below the curves, of the height of the axis."""
+
+_AROUND: Final = 1.12
+"""Half of the plane, of the way to the furthest end."""
+
+WITH_ALL: Final = "with all effects"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LuckUnit:
+    """In which unit values are shown.
+
+    Attributes:
+        factor: What a value in the metric's unit is multiplied by.
+        name: `mm` of a metric in m that stays below 1 m; empty for a number.
+    """
+
+    factor: float
+    name: str
+
+    def write(self, value: float, *, is_bound: bool = False) -> str:
+        """Return a value in two digits, at least whole; a bound is rounded up."""
+        return f"{self._round(value, _DIGITS, is_bound=is_bound)} {self.name}".strip()
+
+    def write_range(self, low: float, high: float) -> str:
+        """Return two values in as many digits as tell them apart; one where none do."""
+        for digits in range(_DIGITS, _MOST_DIGITS + 1):
+            least, most = (self._round(value, digits) for value in (low, high))
+            if least != most:
+                return f"{least} to {most} {self.name}".strip()
+        return self.write(high)
+
+    def _round(self, value: float, digits: int, *, is_bound: bool = False) -> str:
+        scaled = value * self.factor
+        if not scaled or scaled == round(scaled):
+            return f"{scaled:.0f}"
+        decimals = max(digits - 1 - math.floor(math.log10(abs(scaled))), 0)
+        step = 10.0**-decimals
+        rounded = math.ceil(scaled / step - 1e-9) * step if is_bound else scaled
+        return f"{rounded:.{decimals}f}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LuckLine:
+    """A curve over the starts.
+
+    Attributes:
+        name: To stand at its right end, short: the sentences have the whole one.
+        color: That of the run, of its cause, or of the ghost without all.
+        kind: `run` with all effects, `cause` without one, `ghost` without all.
+        values: In the unit of the picture, shape (n,); NaN where there is none.
+        pieces: First and last row of each part without a jump.
+        is_joined: Whether neighbours are joined by lines: those of seeds have nothing in common.
+    """
+
+    name: str
+    color: Color
+    kind: str
+    values: Values
+    pieces: tuple[tuple[int, int], ...]
+    is_joined: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LuckPlane:
+    """Where the runs end, as seen from the goal.
+
+    Attributes:
+        title: What it shows.
+        half_m: Half of its width and height [m].
+        rings_m: Radii of its rings, round lengths, rising [m].
+        names: Of the rings.
+        ends_m: Ends with all effects, from the goal [m], shape (n, 2).
+        ghosts_m: Ends without all that acts; empty where nothing does, shape (n, 2).
+        recorded_m: Where the run itself ends [m], shape (2,).
+        note: How close the ghosts end, in two lines; empty without any.
+    """
+
+    title: str
+    half_m: float
+    rings_m: tuple[float, ...]
+    names: tuple[str, ...]
+    ends_m: Values
+    ghosts_m: Values
+    recorded_m: Values
+    note: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LuckPicture:
+    """What is shown of the luck of a run.
+
+    Attributes:
+        sentences: The result in words, to stand above.
+        places: Where each start stands on the axis [deg], or each seed, from 1.
+        place_label: Of that axis.
+        value_label: Of the other.
+        limits: Of the axis of values.
+        lines: The curves, the one with all effects first.
+        recorded: Place and value of the run itself; None where it has no value.
+        recorded_name: What to write beside it.
+        plane: Where the runs end; None without a goal.
+    """
+
+    sentences: tuple[str, ...]
+    places: Values
+    place_label: str
+    value_label: str
+    limits: tuple[float, float]
+    lines: tuple[LuckLine, ...]
+    recorded: tuple[float, float] | None
+    recorded_name: str
+    plane: LuckPlane | None
+
+
+def build_luck_picture(luck: Luck) -> LuckPicture:
+    """Return what is shown of the luck of a run."""
+    unit = _choose_unit(luck)
+    order = _order(luck)
+    columns = [curve.values[order] * unit.factor for curve in luck.curves]
+    limits = _find_limits([*columns, np.array(_list_recorded(luck, unit))])
+    colors = choose_cause_colors(luck.causes)
+    lines = tuple(
+        _build_line(luck, curve, values, colors, limits)
+        for curve, values in zip(luck.curves, columns, strict=True)
+    )
+    words = luck.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
+    return LuckPicture(
+        sentences=_write_sentences(luck, unit),
+        places=_find_places(luck),
+        place_label=_name_places(luck),
+        value_label=words.replace(".", " ") + (f" [{unit.name}]" if unit.name else ""),
+        limits=limits,
+        lines=lines,
+        recorded=_place_recorded(luck, unit),
+        recorded_name="this run"
+        if luck.recorded is None
+        else f"this run: {unit.write(luck.recorded)}",
+        plane=_build_plane(luck),
+    )
+
+
+def spread_labels(
+    values: Sequence[float], height: float, limits: tuple[float, float]
+) -> list[float]:
+    """Return where labels stand beside their values, none on another, in the values' order.
+
+    Args:
+        values: Where they would stand.
+        height: Of a label.
+        limits: That they stay within, as far as there is room.
+    """
+    order = sorted(range(len(values)), key=lambda row: values[row])
+    # Groups of labels that touch stand around the mean of their values.
+    groups: list[list[float]] = []
+    for row in order:
+        groups.append([values[row]])
+        while len(groups) > 1 and _bottom(groups[-1], height) < _top(groups[-2], height):
+            highest = groups.pop()
+            groups[-1] += highest
+    places = [
+        _bottom(group, height) + (number + 0.5) * height
+        for group in groups
+        for number in range(len(group))
+    ]
+    for number in reversed(range(len(places))):
+        highest = limits[1] - (len(places) - 1 - number + 0.5) * height
+        places[number] = min(places[number], highest)
+    for number in range(len(places)):
+        places[number] = max(places[number], limits[0] + (number + 0.5) * height)
+    found = dict(zip(order, places, strict=True))
+    return [found[row] for row in range(len(values))]
+
+
+def _bottom(group: Sequence[float], height: float) -> float:
+    return sum(group) / len(group) - len(group) * height / 2.0
+
+
+def _top(group: Sequence[float], height: float) -> float:
+    return sum(group) / len(group) + len(group) * height / 2.0
+
+
+def _choose_unit(luck: Luck) -> LuckUnit:
+    largest = max(float(np.nanmax(np.abs(curve.values), initial=0.0)) for curve in luck.curves)
+    if luck.unit == "m" and largest < 1.0:
+        return LuckUnit(factor=1e3, name="mm")
+    return LuckUnit(factor=1.0, name="" if luck.unit == "1" else luck.unit)
+
+
+def _order(luck: Luck) -> NDArray[np.intp]:
+    """Return starts as they are; seeds by the value with all effects, as they have no order."""
+    values = luck.curves[0].values
+    return np.argsort(values, kind="stable") if luck.varied == "seed" else np.arange(len(values))
+
+
+def _find_places(luck: Luck) -> Values:
+    if luck.varied == "seed":
+        return np.arange(1.0, len(luck.seeds) + 1.0)
+    return np.degrees(luck.starts_rad)
+
+
+def _name_places(luck: Luck) -> str:
+    if luck.varied == "seed":
+        return f"{len(luck.seeds)} seeds, by the value {WITH_ALL}"
+    turn_deg = math.degrees(float(luck.starts_rad[-1] - luck.starts_rad[0]))
+    return f"start heading, from the recorded one [deg] (one sample turns {turn_deg:.3g} deg)"
+
+
+def _list_recorded(luck: Luck, unit: LuckUnit) -> list[float]:
+    return [] if luck.recorded is None else [luck.recorded * unit.factor]
+
+
+def _place_recorded(luck: Luck, unit: LuckUnit) -> tuple[float, float] | None:
+    if luck.recorded is None:
+        return None
+    value = luck.recorded * unit.factor
+    if luck.varied == "start":
+        return 0.0, value
+    return float((luck.curves[0].values <= luck.recorded).sum()) + 0.5, value
+
+
+def _find_limits(columns: Sequence[Values]) -> tuple[float, float]:
+    values = np.concatenate(columns)
+    values = values[np.isfinite(values)]
+    low, high = float(values.min()), float(values.max())
+    if 0.0 <= low <= _FROM_ZERO * high:
+        low = 0.0
+    room = _ROOM * ((high - low) or abs(high) or 1.0)
+    return (0.0 if low == 0.0 else low - room), high + room
+
+
+def _build_line(
+    luck: Luck,
+    curve: LuckCurve,
+    values: Values,
+    colors: dict[str, Color],
+    limits: tuple[float, float],
+) -> LuckLine:
+    kind = "run" if not curve.without else "ghost" if curve is luck.curves[-1] else "cause"
+    is_constant = bool(np.ptp(values) == 0.0)
+    is_joined = luck.varied == "start" or is_constant
+    own = {"run": palette.MAIN, "ghost": palette.GHOST}
+    return LuckLine(
+        name=_name_briefly(curve) + ("" if np.isfinite(values).any() else ": no value"),
+        color=own.get(kind) or colors[curve.without[0]],
+        kind=kind,
+        values=values,
+        pieces=_find_pieces(values, limits[1] - limits[0], is_joined=is_joined),
+        is_joined=is_joined,
+    )
+
+
+def _name_curve(curve: LuckCurve) -> str:
+    return f"without {join_words(curve.without)}" if curve.without else WITH_ALL
+
+
+def _name_briefly(curve: LuckCurve) -> str:
+    if len(curve.without) < 2:
+        return _name_curve(curve)
+    return "without both" if len(curve.without) == 2 else f"without all {len(curve.without)}"
+
+
+def _find_pieces(values: Values, height: float, *, is_joined: bool) -> tuple[tuple[int, int], ...]:
+    """Return the parts of a curve in which each neighbour follows from the one before."""
+    rows = np.flatnonzero(np.isfinite(values)).tolist()
+    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    least = max(_JUMP * height, _SMOOTH * float(np.quantile(steps, 0.25)) if len(steps) else 0.0)
+    cuts = [
+        number
+        for number, (row, following) in enumerate(pairwise(rows), start=1)
+        if not is_joined or following > row + 1 or abs(values[following] - values[row]) > least
+    ]
+    bounds = [0, *cuts, len(rows)]
+    return tuple(
+        (rows[first], rows[after - 1]) for first, after in pairwise(bounds) if after > first
+    )
+
+
+def _write_sentences(luck: Luck, unit: LuckUnit) -> tuple[str, ...]:
+    """Return the values, and whether they depend on luck."""
+    whole, rest = luck.curves[0], luck.curves[-1]
+    first = f"{luck.metric}: {_write_values(luck, whole, unit)} {WITH_ALL}"
+    if len(luck.curves) == 1:
+        has = "no effect changes it" if luck.causes else "no effect is in this run"
+        return f"{first}; {has}.", _write_dependence(luck)
+    low, most = (float(np.nanmin(whole.values)), float(np.nanmax(rest.values, initial=-math.inf)))
+    is_bounded = bool((rest.values >= 0.0).all()) and most < low
+    size = _write_values(luck, rest, unit)
+    if is_bounded:
+        size = f"at most {unit.write(most, is_bound=True)}"
+    return f"{first}, {size} {_name_curve(rest)}.", _write_dependence(luck)
+
+
+def _write_values(luck: Luck, curve: LuckCurve, unit: LuckUnit) -> str:
+    values = curve.values[np.isfinite(curve.values)]
+    if not len(values):
+        return "no value"
+    text = unit.write_range(float(values.min()), float(values.max()))
+    missing = len(curve.values) - len(values)
+    return f"{text} (no value from {missing} {luck.varied}s)" if missing else text
+
+
+def _write_dependence(luck: Luck) -> str:
+    values = luck.curves[0].values
+    if np.ptp(values) == 0.0:
+        return f"The same {_from_each(luck)}."
+    if luck.varied == "seed":
+        return "Each seed gives another value."
+    if luck.dependence == "wide":
+        return "It depends on single samples."
+    if luck.dependence == "follows":
+        return "It follows the start, with the effects as without."
+    return "It depends little on the start."
+
+
+def _from_each(luck: Luck) -> str:
+    count = len(luck.curves[0].values)
+    return f"from all {count} starts" if luck.varied == "start" else f"with all {count} seeds"
+
+
+def _build_plane(luck: Luck) -> LuckPlane | None:
+    if luck.goal_xy_m is None:
+        return None
+    goal_m = np.array(luck.goal_xy_m)
+    whole, rest = luck.curves[0], luck.curves[-1]
+    ends_m, ghosts_m = (
+        curve.ends_xy_m[np.isfinite(curve.ends_xy_m).all(axis=1)] - goal_m
+        for curve in (whole, rest)
+    )
+    recorded_m = np.array(luck.recorded_end_xy_m) - goal_m
+    if len(luck.curves) == 1:
+        ghosts_m = np.zeros((0, 2))
+    shown_m = np.concatenate([ends_m, ghosts_m, recorded_m[np.newaxis]])
+    furthest_m = float(np.hypot(*shown_m.T).max())
+    half_m, rings_m = choose_rings(furthest_m)
+    half_m = min(half_m, _AROUND * max(furthest_m, *rings_m))
+    count = len(whole.values)
+    return LuckPlane(
+        title=f"where {count} {luck.varied}s end",
+        half_m=half_m,
+        rings_m=rings_m,
+        names=tuple(format_length(ring_m) for ring_m in rings_m),
+        ends_m=ends_m,
+        ghosts_m=ghosts_m,
+        recorded_m=recorded_m,
+        note=_write_note(rest, ghosts_m),
+    )
+
+
+def _write_note(rest: LuckCurve, ghosts_m: Values) -> str:
+    if not len(ghosts_m):
+        return ""
+    furthest_m, count = float(np.hypot(*ghosts_m.T).max()), len(rest.values)
+    unit = LuckUnit(factor=1e3, name="mm") if furthest_m < 1.0 else LuckUnit(factor=1.0, name="m")
+    which = f"all {count}" if len(ghosts_m) == count else f"{len(ghosts_m)} of {count}"
+    return f"{_name_curve(rest)}:\n{which} within {unit.write(furthest_m, is_bound=True)}"
