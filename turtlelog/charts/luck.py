@@ -23,6 +23,9 @@ _DIGITS: Final = 2
 _MOST_DIGITS: Final = 5
 """Of two values that fewer digits do not tell apart."""
 
+_SMALL: Final = 0.5
+"""Of the least value with all effects: values that stay below it are told by their bound."""
+
 _JUMP: Final = 0.02
 """Of the height of the picture: a smaller step between neighbours is no break to the eye."""
 
@@ -30,7 +33,7 @@ _SMOOTH: Final = 6.0
 """Times the step of a quarter of the neighbours: a larger one is no slope."""
 
 _FROM_ZERO: Final = 0.5
-"""The axis begins at 0 where the least value is below this part of the greatest."""
+"""The axis begins at 0 where the least value is below this part of the greatest; and of errors."""
 
 _ROOM: Final = 0.06
 """Above and below the curves, of the height of the axis."""
@@ -39,40 +42,6 @@ _AROUND: Final = 1.12
 """Half of the plane, of the way to the furthest end."""
 
 WITH_ALL: Final = "with all effects"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LuckUnit:
-    """In which unit values are shown.
-
-    Attributes:
-        factor: What a value in the metric's unit is multiplied by.
-        name: `mm` of a metric in m that stays below 1 m; empty for a number.
-    """
-
-    factor: float
-    name: str
-
-    def write(self, value: float, *, is_bound: bool = False) -> str:
-        """Return a value in two digits, at least whole; a bound is rounded up."""
-        return f"{self._round(value, _DIGITS, is_bound=is_bound)} {self.name}".strip()
-
-    def write_range(self, low: float, high: float) -> str:
-        """Return two values in as many digits as tell them apart; one where none do."""
-        for digits in range(_DIGITS, _MOST_DIGITS + 1):
-            least, most = (self._round(value, digits) for value in (low, high))
-            if least != most:
-                return f"{least} to {most} {self.name}".strip()
-        return self.write(high)
-
-    def _round(self, value: float, digits: int, *, is_bound: bool = False) -> str:
-        scaled = value * self.factor
-        if not scaled or scaled == round(scaled):
-            return f"{scaled:.0f}"
-        decimals = max(digits - 1 - math.floor(math.log10(abs(scaled))), 0)
-        step = 10.0**-decimals
-        rounded = math.ceil(scaled / step - 1e-9) * step if is_bound else scaled
-        return f"{rounded:.{decimals}f}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -126,6 +95,7 @@ class LuckPicture:
     """What is shown of the luck of a run.
 
     Attributes:
+        varied: Start headings or seeds: `start` or `seed`.
         sentences: The result in words, to stand above.
         places: Where each start stands on the axis [deg], or each seed, from 1.
         place_label: Of that axis.
@@ -137,6 +107,7 @@ class LuckPicture:
         plane: Where the runs end; None without a goal.
     """
 
+    varied: str
     sentences: tuple[str, ...]
     places: Values
     place_label: str
@@ -150,10 +121,11 @@ class LuckPicture:
 
 def build_luck_picture(luck: Luck) -> LuckPicture:
     """Return what is shown of the luck of a run."""
-    unit = _choose_unit(luck)
+    factor, unit = _choose_unit([curve.values for curve in luck.curves], luck.unit)
     order = _order(luck)
-    columns = [curve.values[order] * unit.factor for curve in luck.curves]
-    limits = _find_limits([*columns, np.array(_list_recorded(luck, unit))])
+    columns = [curve.values[order] * factor for curve in luck.curves]
+    recorded = np.array([math.nan if luck.recorded is None else luck.recorded]) * factor
+    limits = _find_limits([*columns, recorded], is_error=luck.metric.endswith("error"))
     colors = choose_cause_colors(luck.causes)
     lines = tuple(
         _build_line(luck, curve, values, colors, limits)
@@ -161,16 +133,15 @@ def build_luck_picture(luck: Luck) -> LuckPicture:
     )
     words = luck.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
     return LuckPicture(
-        sentences=_write_sentences(luck, unit),
+        varied=luck.varied,
+        sentences=_write_sentences(luck),
         places=_find_places(luck),
         place_label=_name_places(luck),
-        value_label=words.replace(".", " ") + (f" [{unit.name}]" if unit.name else ""),
+        value_label=words.replace(".", " ") + (f" [{unit}]" if unit else ""),
         limits=limits,
         lines=lines,
-        recorded=_place_recorded(luck, unit),
-        recorded_name="this run"
-        if luck.recorded is None
-        else f"this run: {unit.write(luck.recorded)}",
+        recorded=_place_recorded(luck, factor),
+        recorded_name=_name_recorded(luck),
         plane=_build_plane(luck),
     )
 
@@ -191,18 +162,16 @@ def spread_labels(
     for row in order:
         groups.append([values[row]])
         while len(groups) > 1 and _bottom(groups[-1], height) < _top(groups[-2], height):
-            highest = groups.pop()
-            groups[-1] += highest
-    places = [
+            upper = groups.pop()
+            groups[-1] += upper
+    middles = [
         _bottom(group, height) + (number + 0.5) * height
         for group in groups
         for number in range(len(group))
     ]
-    for number in reversed(range(len(places))):
-        highest = limits[1] - (len(places) - 1 - number + 0.5) * height
-        places[number] = min(places[number], highest)
-    for number in range(len(places)):
-        places[number] = max(places[number], limits[0] + (number + 0.5) * height)
+    below_top = limits[1] - height * (np.arange(len(middles))[::-1] + 0.5)
+    above_bottom = limits[0] + height * (np.arange(len(middles)) + 0.5)
+    places = np.maximum(np.minimum(middles, below_top), above_bottom).tolist()
     found = dict(zip(order, places, strict=True))
     return [found[row] for row in range(len(values))]
 
@@ -215,11 +184,46 @@ def _top(group: Sequence[float], height: float) -> float:
     return sum(group) / len(group) + len(group) * height / 2.0
 
 
-def _choose_unit(luck: Luck) -> LuckUnit:
-    largest = max(float(np.nanmax(np.abs(curve.values), initial=0.0)) for curve in luck.curves)
-    if luck.unit == "m" and largest < 1.0:
-        return LuckUnit(factor=1e3, name="mm")
-    return LuckUnit(factor=1.0, name="" if luck.unit == "1" else luck.unit)
+def _choose_unit(columns: Sequence[Values], unit: str) -> tuple[float, str]:
+    """Return what values are multiplied by to be shown, and in which unit: mm below 1 m."""
+    largest = max(float(np.nanmax(np.abs(values), initial=0.0)) for values in columns)
+    return (1e3, "mm") if unit == "m" and largest < 1.0 else (1.0, "" if unit == "1" else unit)
+
+
+def _write_range(low: float, high: float, unit: str, *, told: float | None = None) -> str:
+    """Return two values in as many digits as tell them apart; one value where none do.
+
+    Args:
+        low: The least value.
+        high: The greatest.
+        unit: The metric's.
+        told: Write this one instead, in as many digits.
+    """
+    factor, name = _choose_unit([np.array([low, high])], unit)
+    for digits in range(_DIGITS, _MOST_DIGITS + 1):
+        least, most = _round(low * factor, digits), _round(high * factor, digits)
+        if least != most:
+            text = f"{least} to {most}" if told is None else _round(told * factor, digits)
+            return f"{text} {name}".strip()
+    return f"{_round((high if told is None else told) * factor, _DIGITS)} {name}".strip()
+
+
+def _write_bound(most: float, unit: str) -> str:
+    """Return a value in two digits, rounded up."""
+    factor, name = _choose_unit([np.array([most])], unit)
+    step = 10.0 ** -_count_decimals(most * factor, _DIGITS)
+    return f"{_round(math.ceil(most * factor / step - 1e-9) * step, _DIGITS)} {name}".strip()
+
+
+def _round(value: float, digits: int) -> str:
+    """Return a value in so many digits, and at least whole."""
+    return (
+        f"{value:.0f}" if value == round(value) else f"{value:.{_count_decimals(value, digits)}f}"
+    )
+
+
+def _count_decimals(value: float, digits: int) -> int:
+    return max(digits - 1 - math.floor(math.log10(abs(value))), 0) if value else 0
 
 
 def _order(luck: Luck) -> NDArray[np.intp]:
@@ -241,24 +245,28 @@ def _name_places(luck: Luck) -> str:
     return f"start heading, from the recorded one [deg] (one sample turns {turn_deg:.3g} deg)"
 
 
-def _list_recorded(luck: Luck, unit: LuckUnit) -> list[float]:
-    return [] if luck.recorded is None else [luck.recorded * unit.factor]
-
-
-def _place_recorded(luck: Luck, unit: LuckUnit) -> tuple[float, float] | None:
+def _place_recorded(luck: Luck, factor: float) -> tuple[float, float] | None:
     if luck.recorded is None:
         return None
-    value = luck.recorded * unit.factor
     if luck.varied == "start":
-        return 0.0, value
-    return float((luck.curves[0].values <= luck.recorded).sum()) + 0.5, value
+        return 0.0, luck.recorded * factor
+    below = int((luck.curves[0].values <= luck.recorded).sum())
+    return below + 0.5, luck.recorded * factor
 
 
-def _find_limits(columns: Sequence[Values]) -> tuple[float, float]:
+def _name_recorded(luck: Luck) -> str:
+    if luck.recorded is None:
+        return "this run: no value"
+    values = luck.curves[0].values
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return f"this run: {_write_range(low, high, luck.unit, told=luck.recorded)}"
+
+
+def _find_limits(columns: Sequence[Values], *, is_error: bool) -> tuple[float, float]:
     values = np.concatenate(columns)
     values = values[np.isfinite(values)]
     low, high = float(values.min()), float(values.max())
-    if 0.0 <= low <= _FROM_ZERO * high:
+    if 0.0 <= low <= (1.0 if is_error else _FROM_ZERO) * high:
         low = 0.0
     room = _ROOM * ((high - low) or abs(high) or 1.0)
     return (0.0 if low == 0.0 else low - room), high + room
@@ -311,46 +319,43 @@ def _find_pieces(values: Values, height: float, *, is_joined: bool) -> tuple[tup
     )
 
 
-def _write_sentences(luck: Luck, unit: LuckUnit) -> tuple[str, ...]:
+def _write_sentences(luck: Luck) -> tuple[str, ...]:
     """Return the values, and whether they depend on luck."""
     whole, rest = luck.curves[0], luck.curves[-1]
-    first = f"{luck.metric}: {_write_values(luck, whole, unit)} {WITH_ALL}"
+    first = f"{luck.metric}: {_write_values(luck, whole)} {WITH_ALL}"
     if len(luck.curves) == 1:
         has = "no effect changes it" if luck.causes else "no effect is in this run"
         return f"{first}; {has}.", _write_dependence(luck)
-    low, most = (float(np.nanmin(whole.values)), float(np.nanmax(rest.values, initial=-math.inf)))
-    is_bounded = bool((rest.values >= 0.0).all()) and most < low
-    size = _write_values(luck, rest, unit)
-    if is_bounded:
-        size = f"at most {unit.write(most, is_bound=True)}"
+    most = float(np.nanmax(rest.values, initial=-math.inf))
+    is_small = bool((rest.values >= 0.0).all()) and most < _SMALL * np.nanmin(whole.values)
+    size = f"at most {_write_bound(most, luck.unit)}" if is_small else _write_values(luck, rest)
     return f"{first}, {size} {_name_curve(rest)}.", _write_dependence(luck)
 
 
-def _write_values(luck: Luck, curve: LuckCurve, unit: LuckUnit) -> str:
+def _write_values(luck: Luck, curve: LuckCurve) -> str:
     values = curve.values[np.isfinite(curve.values)]
     if not len(values):
         return "no value"
-    text = unit.write_range(float(values.min()), float(values.max()))
+    text = _write_range(float(values.min()), float(values.max()), luck.unit)
     missing = len(curve.values) - len(values)
-    return f"{text} (no value from {missing} {luck.varied}s)" if missing else text
+    of = f"{'from' if luck.varied == 'start' else 'with'} {missing} {luck.varied}s"
+    return f"{text} (no value {of})" if missing else text
 
 
 def _write_dependence(luck: Luck) -> str:
     values = luck.curves[0].values
     if np.ptp(values) == 0.0:
-        return f"The same {_from_each(luck)}."
+        way = "from" if luck.varied == "start" else "with"
+        return f"It is the same {way} all {len(values)} {luck.varied}s."
     if luck.varied == "seed":
         return "Each seed gives another value."
     if luck.dependence == "wide":
         return "It depends on single samples."
-    if luck.dependence == "follows":
-        return "It follows the start, with the effects as without."
-    return "It depends little on the start."
-
-
-def _from_each(luck: Luck) -> str:
-    count = len(luck.curves[0].values)
-    return f"from all {count} starts" if luck.varied == "start" else f"with all {count} seeds"
+    if luck.dependence == "steady":
+        return "It depends little on the start."
+    if len(luck.curves) == 1:
+        return "It depends on the start."
+    return "It depends on the start; what the effects add depends little on it."
 
 
 def _build_plane(luck: Luck) -> LuckPlane | None:
@@ -385,7 +390,6 @@ def _build_plane(luck: Luck) -> LuckPlane | None:
 def _write_note(rest: LuckCurve, ghosts_m: Values) -> str:
     if not len(ghosts_m):
         return ""
-    furthest_m, count = float(np.hypot(*ghosts_m.T).max()), len(rest.values)
-    unit = LuckUnit(factor=1e3, name="mm") if furthest_m < 1.0 else LuckUnit(factor=1.0, name="m")
+    count, furthest_m = len(rest.values), float(np.hypot(*ghosts_m.T).max())
     which = f"all {count}" if len(ghosts_m) == count else f"{len(ghosts_m)} of {count}"
-    return f"{_name_curve(rest)}:\n{which} within {unit.write(furthest_m, is_bound=True)}"
+    return f"{_name_curve(rest)}:\n{which} within {_write_bound(furthest_m, 'm')}"

@@ -92,9 +92,11 @@ def _bind_attribution(
 def _bind_luck(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]") -> "FigureKind":
     """Simulate the run from other starts; it may take seconds."""
     from turtlelog.draw.figures.luck_figure import draw_luck, measure_luck_for_figure
+    from turtlelog.explain import Work
 
     with show_progress("simulated", 100.0, "%") as progress:
-        luck = measure_luck_for_figure(runs, metric=asked.metric, report=progress.count)
+        work = Work(jobs=None, report=progress.count)
+        luck = measure_luck_for_figure(runs, metric=asked.metric, work=work)
     return replace(kind, draw=partial(draw_luck, luck=luck))
 
 

@@ -71,9 +71,9 @@ class Luck:
         recorded: The value of the run itself; None where it has none.
         recorded_end_xy_m: Its last pose in the world frame [m].
         goal_xy_m: Its goal [m]; None without one.
-        dependence: `wide` where the value depends on single samples, or on the seed: see
-            `StartRange`; `follows` where it ranges as far, and as far without the effects; else
-            `steady`.
+        dependence: `wide` where the value depends on single samples, or on the seed: where it
+            ranges far and what the effects add does, as in `StartRange`, or where some starts have
+            no value; `follows` where it ranges far and what they add does not; else `steady`.
     """
 
     metric: str
@@ -114,14 +114,14 @@ def measure_luck(
         identified: What `identify_run` found, where that is known already.
         found: What `attribute_run` found of this metric, where that is known already.
         trust_law: Run the law that the recording names, where it is not built in: its code.
-        work: How to simulate; None: in as many processes as are quicker.
+        work: How to simulate.
 
     Raises:
         ExplainError: Where no scenario stands for the run, where its re-simulation is not what the
             log has, where no start differs as the robot does not turn, or where none has a value.
         ScenarioError: Where the recorded law is neither built in nor trusted, or not there.
     """
-    work = work or Work(jobs=None)
+    work = work or Work()
     if found is None:
         metric = metric or choose_metric(run.declaration)
         identified = identified or identify_run(run, trust_law=trust_law)
@@ -230,6 +230,8 @@ def _judge(curves: Sequence[LuckCurve], found: Attribution) -> Literal["wide", "
     )
     added = (found.resimulated or 0.0) - (found.without_all or 0.0)
     span = find_steady_span(added, found.resolution.size)
+    if 0 < values.count(None) < len(values):
+        return "wide"
     if not ranges_over(values, span):
         return "steady"
     return "wide" if ranges_over(subtract_values(values, without), span) else "follows"

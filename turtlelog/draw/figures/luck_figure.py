@@ -1,7 +1,7 @@
 """The luck of one run: where its starts end, and the value from each, with and without effects."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -60,14 +60,14 @@ def measure_luck_for_figure(
     runs: Sequence[Run],
     *,
     metric: str | None = None,
-    report: Callable[[int, int], None] | None = None,
+    work: Work | None = None,
 ) -> Luck:
     """Measure the luck of one run.
 
     Args:
         runs: One.
         metric: Its id; the same as `explain` chooses unless given.
-        report: Called with the simulations that are done, and how many there are.
+        work: How to simulate.
 
     Raises:
         ShowError: Where there is not one run, or it has no luck to show; the line says why.
@@ -78,7 +78,7 @@ def measure_luck_for_figure(
     chosen = metric or choose_metric(run.declaration)
     require_mechanisms(run, chosen, None)
     try:
-        return measure_luck(run, metric=chosen, work=Work(jobs=None, report=report))
+        return measure_luck(run, metric=chosen, work=work)
     except ExplainError as err:
         raise ShowError(f"figure luck: {run.name} cannot be varied: {err}") from err
 
@@ -93,7 +93,7 @@ def draw_luck(figure: Figure, runs: Sequence[Run], *, luck: Luck | None = None) 
     """
     shown = build_luck_picture(luck or measure_luck_for_figure(runs))
     width = float(figure.get_figwidth())
-    title = _wrap(" ".join(shown.sentences), 25.4 * (width - 0.1))
+    title = _wrap(shown.sentences, 25.4 * (0.98 * width - 0.1))
     head = (len(title.split("\n")) + 0.5) * _LINE_INCH
     high = max(0.36 * width, _PANEL_INCH) + _AXIS_INCH
     figure.suptitle(title, x=0.05 / width, ha="left", fontsize=_TITLE_POINTS)
@@ -113,8 +113,14 @@ def draw_luck(figure: Figure, runs: Sequence[Run], *, luck: Luck | None = None) 
     _draw_curves(curves, shown, high - _AXIS_INCH)
 
 
-def _wrap(text: str, width_mm: float) -> str:
-    """Return words in lines that are no wider."""
+def _wrap(sentences: Sequence[str], width_mm: float) -> str:
+    """Return sentences in one line, otherwise each in lines of its own."""
+    whole = _break_lines(" ".join(sentences), width_mm)
+    parts = [line for text in sentences for line in _break_lines(text, width_mm)]
+    return "\n".join(whole if len(whole) == 1 else parts)
+
+
+def _break_lines(text: str, width_mm: float) -> list[str]:
     lines = [""]
     for word in re.sub(r"-(?=\d)", _MINUS, text).split():
         longer = f"{lines[-1]} {word}".strip()
@@ -122,7 +128,7 @@ def _wrap(text: str, width_mm: float) -> str:
             lines.append(word)
         else:
             lines[-1] = longer
-    return "\n".join(lines)
+    return lines
 
 
 def _draw_curves(axes: Axes, shown: LuckPicture, height_inch: float) -> None:
