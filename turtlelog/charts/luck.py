@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import choose_rings, format_length
 from turtlelog.charts.palette import Color, choose_cause_colors
-from turtlelog.display import join_words
+from turtlelog.display import describe_count, join_words
 from turtlelog.explain import Luck, LuckCurve
 
 Values = NDArray[np.float64]
@@ -338,8 +338,8 @@ def _write_values(luck: Luck, curve: LuckCurve) -> str:
         return "no value"
     text = _write_range(float(values.min()), float(values.max()), luck.unit)
     missing = len(curve.values) - len(values)
-    of = f"{'from' if luck.varied == 'start' else 'with'} {missing} {luck.varied}s"
-    return f"{text} (no value {of})" if missing else text
+    way = "from" if luck.varied == "start" else "with"
+    return f"{text} (no value {way} {describe_count(missing, luck.varied)})" if missing else text
 
 
 def _write_dependence(luck: Luck) -> str:
