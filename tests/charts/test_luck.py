@@ -32,7 +32,7 @@ def test_the_sentences_tell_the_values_and_whether_luck_decides(kp10: LuckPictur
         " pause.",
         "It depends on single samples.",
     )
-    assert kp10.recorded == (0.0, pytest.approx(106.728, abs=1e-3))
+    assert known(kp10.recorded) == pytest.approx((0.0, 106.728), abs=1e-3)
     assert kp10.recorded_name == "this run: 107 mm"
     assert kp10.value_label == "final position error [mm]"
     assert kp10.place_label.endswith("[deg] (one sample turns 0.917 deg)")

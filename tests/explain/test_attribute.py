@@ -20,7 +20,7 @@ from turtlelog.explain import (
 )
 from turtlelog.explain.attribution import find_resolution
 from turtlelog.explain.mechanisms import FINER, is_present, list_effects
-from turtlelog.explain.starts import vary_start
+from turtlelog.explain.starts import find_steady_span, vary_start
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, find_dead_time, measure_run
@@ -289,6 +289,13 @@ def test_a_lucky_start_depends_on_samples_if_others_range_over_the_resolution(
     starts = vary_start(KP10, "final.position_error", **options)
     assert starts is not None
     assert starts.is_wide == is_wide
+
+
+def test_a_small_range_of_what_effects_hardly_change_is_steady() -> None:
+    assert find_steady_span([1.0, None, -4.0], 0.1, 0.1) == 2.0
+    assert find_steady_span([1.0, None, -4.0], 0.11, 0.1) == 0.055
+    assert find_steady_span([1.0, None, -4.0], 0.0, 2.1) == 2.1
+    assert find_steady_span([None], 0.0, 0.1) == 0.1
 
 
 def test_a_value_that_only_follows_the_start_is_steady() -> None:

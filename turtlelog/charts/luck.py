@@ -118,6 +118,13 @@ class LuckPicture:
     recorded_name: str
     plane: LuckPlane | None
 
+    def find_end(self, line: LuckLine) -> tuple[float, float]:
+        """Return where a curve ends; at the foot of the axis where it has no value."""
+        if not line.pieces:
+            return float(self.places[-1]), self.limits[0]
+        last = line.pieces[-1][1]
+        return float(self.places[last]), float(line.values[last])
+
 
 def build_luck_picture(luck: Luck) -> LuckPicture:
     """Return what is shown of the luck of a run."""

@@ -229,7 +229,7 @@ def _judge(curves: Sequence[LuckCurve], found: Attribution) -> Literal["wide", "
         for curve in (curves[0], curves[-1])
     )
     added = (found.resimulated or 0.0) - (found.without_all or 0.0)
-    span = find_steady_span(added, found.resolution.size)
+    span = find_steady_span(values, added, found.resolution.size)
     if 0 < values.count(None) < len(values):
         return "wide"
     if not ranges_over(values, span):

@@ -19,7 +19,8 @@ _COUNT: Final = 17
 another point of a sample's way."""
 
 _WIDE: Final = 0.5
-"""Of what the effects add: over a wider range their parts change places from start to start."""
+"""Of what the effects add: over a wider range their parts change places from start to start. Of a
+start to which they add little, by luck, it is taken of the greatest value."""
 
 _MOST_TICKS: Final = 200_000
 """Simulated to divide the value again at every start: two to three seconds."""
@@ -49,9 +50,18 @@ def turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
     return replace(scenario, start=replace(scenario.start, heading_rad=heading_rad))
 
 
-def find_steady_span(added: float, resolution: float) -> float:
-    """Return how far a value may range that is steady, beside what the effects add to it."""
-    return _WIDE * abs(added) if abs(added) > resolution else resolution
+def find_steady_span(values: Sequence[float | None], added: float, resolution: float) -> float:
+    """Return over how much values may range that are steady.
+
+    Args:
+        values: From each start.
+        added: What the mechanisms add to the scenario's own.
+        resolution: The largest change that is negligible.
+    """
+    if abs(added) > resolution:
+        return _WIDE * abs(added)
+    greatest = max((abs(value) for value in values if value is not None), default=0.0)
+    return max(resolution, _WIDE * greatest)
 
 
 def ranges_over(values: Sequence[float | None], span: float) -> bool:
@@ -93,7 +103,7 @@ def vary_start(
     games = [Game(turn_start(scenario, offset_rad), metric) for offset_rad in offsets_rad]
     found = [game.take_out().value for game in games]
     values = [value for value in found if value is not None]
-    span = find_steady_span(added, resolution)
+    span = find_steady_span(values, added, resolution)
     is_far = ranges_over(values, span)
     without = [game.take_out(acting).value for game in games] if is_far else []
     is_wide = is_far and ranges_over(subtract_values(found, without), span)

@@ -80,7 +80,7 @@ def measure_luck_for_figure(
     try:
         return measure_luck(run, metric=chosen, work=work)
     except ExplainError as err:
-        raise ShowError(f"figure luck: {run.name} cannot be varied: {err}") from err
+        raise ShowError(f"figure luck of {run.name}: {err}") from err
 
 
 def draw_luck(figure: Figure, runs: Sequence[Run], *, luck: Luck | None = None) -> None:
@@ -143,7 +143,7 @@ def _draw_curves(axes: Axes, shown: LuckPicture, height_inch: float) -> None:
             marker = "o" if line.kind == "run" or first == last else ""
             size = 2.4 if line.kind == "run" else 1.6
             axes.plot(shown.places[rows], line.values[rows], marker=marker, ms=size, **looks)
-        ends.append(_find_end(shown, line))
+        ends.append(shown.find_end(line))
     if shown.recorded is not None:
         _mark_recorded(axes, shown, shown.recorded)
     right = float(shown.places[-1])
@@ -160,14 +160,6 @@ def _draw_curves(axes: Axes, shown: LuckPicture, height_inch: float) -> None:
         axes.text(
             right + 2.4 * gap, place, line.name, color=words, fontsize=_POINTS, va="center_baseline"
         )
-
-
-def _find_end(shown: LuckPicture, line: LuckLine) -> tuple[float, float]:
-    """Return where a curve ends; at the foot of the axis where it has no value."""
-    if not line.pieces:
-        return float(shown.places[-1]), shown.limits[0]
-    last = line.pieces[-1][1]
-    return float(shown.places[last]), float(line.values[last])
 
 
 def _mark_recorded(axes: Axes, shown: LuckPicture, recorded: tuple[float, float]) -> None:

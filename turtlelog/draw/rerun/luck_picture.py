@@ -68,7 +68,7 @@ def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:
         return np.stack([across, up], axis=1)
 
     height = LINE * (high - low) / (_FOOT - top)
-    ends = [_find_end(shown, line) for line in shown.lines]
+    ends = [shown.find_end(line) for line in shown.lines]
     names = spread_labels([end[1] for end in ends], height, shown.limits)
     for number, (line, end, name) in enumerate(zip(shown.lines, ends, names, strict=True)):
         _draw_line(stream, f"{len(shown.lines) - number}", shown, line, place)
@@ -113,14 +113,6 @@ def count_ends(shown: LuckPicture, close_up: CloseUp | None) -> str:
 
 def _place_prose(line: str) -> float:
     return (PROSE_LETTER * len(line) + PADDING) / 2.0
-
-
-def _find_end(shown: LuckPicture, line: LuckLine) -> tuple[float, float]:
-    """Return where a curve ends; at the foot of the axis where it has no value."""
-    if not line.pieces:
-        return float(shown.places[-1]), shown.limits[0]
-    last = line.pieces[-1][1]
-    return float(shown.places[last]), float(line.values[last])
 
 
 def _draw_line(
