@@ -113,6 +113,7 @@ def test_explain_draws_the_run_beside_its_what_ifs(call: Call, tmp_path: Path, k
     prefixes = ["/runs/recorded", *(f"/ghosts/{ghost}" for ghost in ghosts)]
     assert {f"{prefix}/plane/path" for prefix in prefixes} < entities
     assert {"/attribution/bar_3", "/attribution/words", "/plane/gap"} < entities
+    assert {"/luck/words", "/plane/close_up/luck"} < entities
 
 
 def test_the_answer_begins_with_the_value_and_its_causes(call: Call, kp10: Path) -> None:

@@ -256,6 +256,20 @@ def test_the_attribution_is_that_of_explain(
     assert any(f"{-share:.3f} deg".replace("-", "\N{MINUS SIGN}") in text for text in texts)
 
 
+@pytest.mark.thorough
+def test_the_luck_of_a_metric_is_drawn_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Take two to three seconds: a run is explained, and 65 starts of it are simulated."""
+    kp10, target = str(RECORDING.with_name("kp10.mcap")), tmp_path / "luck.svg"
+    words = [kp10, "-o", str(target), "--only", "luck", "--metric", "final.heading_error"]
+    code, out, err = run_plot(capsys, *words, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["figures"][0]["figure"] == "luck"
+    texts = re.findall("<!-- (.*?) -->", target.read_text("utf-8"))
+    assert any(text.startswith("final.heading_error: 0.39 to 4.8 deg with all") for text in texts)
+
+
 def test_a_violation_has_the_moments_of_check(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -275,7 +289,7 @@ def test_a_violation_has_the_moments_of_check(
 @pytest.mark.parametrize(
     ("words", "match"),
     [
-        (["--metric", "overshoot"], "--metric: expected --only attribution, gains or strips"),
+        (["--metric", "overshoot"], "--metric: expected --only attribution, gains, luck or strips"),
         (["--only", "plane", "--metric", "a"], "beside it, found --only plane"),
         (["--only", "plane", "--expect", "speed < 1"], "--expect: expected --only violation"),
         (["--only", "violation"], "--only violation: expected --expect FORMULA beside it"),
@@ -283,6 +297,7 @@ def test_a_violation_has_the_moments_of_check(
         (["--only", "gains", "--metric", "overshot"], "overshot"),
         (["--only", "gains", "--metric", "a,"], "--metric: expected names separated by commas"),
         (["--only", "attribution", "--metric", "final.speed"], "final.speed"),
+        (["--only", "luck", "--metric", "final.speed"], "final.speed"),
     ],
 )
 def test_figures_that_are_asked_in_vain_are_one_line(

@@ -20,7 +20,7 @@ from turtlelog.explain import (
 )
 from turtlelog.explain.attribution import find_resolution
 from turtlelog.explain.mechanisms import FINER, is_present, list_effects
-from turtlelog.explain.shapley import vary_start
+from turtlelog.explain.starts import find_steady_span, vary_start
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, find_dead_time, measure_run
@@ -270,15 +270,32 @@ def test_a_value_depends_on_samples_from_half_of_what_is_added_on(
 ) -> None:
     found = attribute_scenario(KP10).starts
     assert found is not None
-    options: dict[str, Any] = {
-        "resolution": 0.0,
-        "mechanisms": ["queue", "pause"],
-        "acting": ["queue"],
-    }
-    width = found.high - found.low
-    starts = vary_start(KP10, "final.position_error", added=width / part, **options)
+    width, acting = found.high - found.low, ["queue", "pause"]
+    starts = vary_start(
+        KP10, "final.position_error", added=width / part, resolution=0.0, acting=acting
+    )
     assert starts is not None
     assert starts.is_wide == is_wide
+
+
+@pytest.mark.parametrize(("part", "is_wide"), [(0.99, True), (1.01, False)])
+def test_a_lucky_start_depends_on_samples_if_others_range_over_the_resolution(
+    part: float, *, is_wide: bool
+) -> None:
+    found = attribute_scenario(KP10).starts
+    assert found is not None
+    resolution = part * (found.high - found.low)
+    options: dict[str, Any] = {"added": 0.0, "resolution": resolution, "acting": ["queue", "pause"]}
+    starts = vary_start(KP10, "final.position_error", **options)
+    assert starts is not None
+    assert starts.is_wide == is_wide
+
+
+def test_a_small_range_of_what_effects_hardly_change_is_steady() -> None:
+    assert find_steady_span([1.0, None, -4.0], 0.1, 0.1) == 2.0
+    assert find_steady_span([1.0, None, -4.0], 0.11, 0.1) == 0.055
+    assert find_steady_span([1.0, None, -4.0], 0.0, 2.1) == 2.1
+    assert find_steady_span([None], 0.0, 0.1) == 0.1
 
 
 def test_a_value_that_only_follows_the_start_is_steady() -> None:

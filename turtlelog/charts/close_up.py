@@ -138,17 +138,21 @@ def find_close_up(runs: Sequence[Run]) -> CloseUp | None:
     if not arrived_m:
         return None
     tolerance_m = max((find_tolerance(run) or 0.0) for run in runs)
-    half_m, step_m = _round_up(
-        max(_ROOM * max(arrived_m), _TOLERANCES * tolerance_m, _LEAST_HALF_M)
-    )
+    half_m, rings_m = choose_rings(max(*arrived_m, _TOLERANCES / _ROOM * tolerance_m))
     ends = [end for end in found if np.abs(np.subtract(end.xy_m, goal)).max() <= half_m]
     return CloseUp(
         goal_xy_m=goal,
         half_m=half_m,
-        rings_m=tuple(float(ring) for ring in np.arange(1, half_m / step_m - 1e-9) * step_m),
+        rings_m=rings_m,
         ends=tuple(sorted(ends, key=lambda end: end.miss_m)),
         outside=len(found) - len(ends),
     )
+
+
+def choose_rings(furthest_m: float) -> tuple[float, tuple[float, ...]]:
+    """Return the round half-width that shows what lies so far away, and its rings [m]."""
+    half_m, step_m = _round_up(max(_ROOM * furthest_m, _LEAST_HALF_M))
+    return half_m, tuple(float(ring) for ring in np.arange(1, half_m / step_m - 1e-9) * step_m)
 
 
 def name_ends(close_up: CloseUp, names: Sequence[str]) -> CloseUp:

@@ -25,18 +25,18 @@ _DRAWABLE: Final = (
 )
 """What the figure violation can draw."""
 
-_OF_METRICS: Final = ("attribution", "gains", "strips")
+_OF_METRICS: Final = ("attribution", "gains", "luck", "strips")
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AskedOptions:
-    """What the figures attribution, gains, strips and violation show.
+    """What the figures attribution, gains, luck, strips and violation show.
 
     Attributes:
-        metric: The metric that attribution explains, by its id (turtlelog list metrics); or those
-            that gains and strips show: ids, patterns, or names of metrics of any loop (overshoot),
-            separated by commas. Of a table the metrics to show; otherwise up to four.
+        metric: The metric that attribution and luck are of, by its id (turtlelog list metrics); or
+            those that gains and strips show: ids, patterns, or names of metrics of any loop
+            (overshoot), separated by commas. Of a table the metrics to show; otherwise up to four.
         expect: The formula whose signal violation shows, as in "always(abs(cross_track) <= 0.05)".
     """
 
@@ -50,7 +50,7 @@ class AskedOptions:
             UsageError: Where one has no figure, or a figure lacks its option.
         """
         if self.metric is not None and not {*names} & {*_OF_METRICS}:
-            expected = "--only attribution, gains or strips"
+            expected = "--only attribution, gains, luck or strips"
             raise UsageError(f"--metric: expected {expected} beside it, found {_tell(names)}")
         if self.expect is not None and "violation" not in names:
             raise UsageError(f"--expect: expected --only violation beside it, found {_tell(names)}")
@@ -89,6 +89,17 @@ def _bind_attribution(
     return replace(kind, draw=partial(draw_attribution, explained=explained))
 
 
+def _bind_luck(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]") -> "FigureKind":
+    """Simulate the run from other starts; it may take seconds."""
+    from turtlelog.draw.figures.luck_figure import draw_luck, measure_luck_for_figure
+    from turtlelog.explain import Work
+
+    with show_progress("simulated", 100.0, "%") as progress:
+        work = Work(jobs=None, report=progress.count)
+        luck = measure_luck_for_figure(runs, metric=asked.metric, work=work)
+    return replace(kind, draw=partial(draw_luck, luck=luck))
+
+
 def _bind_gains(asked: AskedOptions, kind: "FigureKind", _: "Sequence[Run]") -> "FigureKind":
     from turtlelog.draw.figures.gain_figure import draw_gains
 
@@ -120,6 +131,7 @@ def _bind_violation(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run
 _BINDERS: Final = {
     "attribution": _bind_attribution,
     "gains": _bind_gains,
+    "luck": _bind_luck,
     "strips": _bind_strips,
     "violation": _bind_violation,
 }

@@ -27,7 +27,7 @@ from turtlelog.errors import ExplainError
 
 if TYPE_CHECKING:
     from turtlelog import Run
-    from turtlelog.explain import Attribution, Identification
+    from turtlelog.explain import Attribution, Identification, Luck
 
 _NOTHING: Final = "no scenario fits this log"
 _DETAILS: Final = "Every cause, setting and its evidence: --details"
@@ -138,7 +138,7 @@ def explain(
         print_text(format_answer(answer, found))
         print_text(f"\n{format_details(answer, found)}" if options.details else _DETAILS)
     if options.rrd is not None:
-        _draw(run, found, attribution, options.rrd)
+        _draw(run, found, attribution, options.rrd, require_jobs(options.jobs))
 
 
 def _draw(
@@ -146,13 +146,27 @@ def _draw(
     found: "Identification",
     attribution: "Attribution | None",
     path: Path,
+    jobs: int | None,
 ) -> None:
     if attribution is None:
         raise ExplainError(f"{path}: there is nothing to draw, because {_NOTHING}")
     with show_progress("simulating without", 100.0, "%") as progress:
         without = tl.explain.simulate_what_ifs(found, attribution, report=progress.count)
-    tl.draw.write_explanation_rrd(run, attribution, without, path)
+    luck = _measure_luck(run, found, attribution, jobs)
+    tl.draw.write_explanation_rrd(run, attribution, without, path, luck=luck)
     print_note(f"wrote {path}")
+
+
+def _measure_luck(
+    run: "Run", found: "Identification", attribution: "Attribution", jobs: int | None
+) -> "Luck | None":
+    """Return the value from other starts; None where there is none to show, as the text says."""
+    with show_progress("simulated", 100.0, "%") as progress:
+        work = tl.explain.Work(jobs=jobs, report=progress.count)
+        try:
+            return tl.explain.measure_luck(run, identified=found, found=attribution, work=work)
+        except ExplainError:
+            return None
 
 
 def _write_scenario(found: "Identification", path: Path) -> None:

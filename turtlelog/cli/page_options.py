@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 TIMELESS: Final = frozenset(
     {
         *("plant", "step-responses", "root-locus", "bode", "nyquist", "step"),
-        *("gains", "strips"),
+        *("gains", "luck", "strips"),
     }
 )
 """Figures that times cannot cut: no axis shows runs over time, nor a path driven in it."""

@@ -57,9 +57,9 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     """Plot recordings as the paper's figures and tables, and the table of a sweep as maps.
 
     Into a folder: every figure that the recordings hold the data for; attribution, bode, gains,
-    nyquist, rates, step, strips and violation only where --only names them. Only what they hold
-    is drawn; what is left out, and why, is said on stderr. Without recordings: the figures of the
-    ideal loop.
+    luck, nyquist, rates, step, strips and violation only where --only names them. Only what they
+    hold is drawn; what is left out, and why, is said on stderr. Without recordings: the figures of
+    the ideal loop.
     A name that ends in .pdf, .png or .svg is one figure: that of --only, otherwise an overview.
     Figures and tables that are there already are replaced.
 
@@ -76,6 +76,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     Example: turtlelog plot paper-kp10 -o bode.png --only bode
 
     Example: turtlelog plot kp10.mcap -o why.png --only attribution
+
+    Example: turtlelog plot kp10.mcap -o luck.png --only luck
 
     Example: turtlelog plot runs/*.mcap -o gains.png --only gains --metric overshoot
 

@@ -31,6 +31,11 @@ from .identify import (
 from .law_identification import (
     describe_loop_name as describe_loop_name,
 )
+from .luck import (
+    Luck as Luck,
+    LuckCurve as LuckCurve,
+    measure_luck as measure_luck,
+)
 from .mechanisms import (
     find_mechanisms as find_mechanisms,
     simulate_without as simulate_without,

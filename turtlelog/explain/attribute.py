@@ -31,8 +31,8 @@ from turtlelog.explain.shapley import (
     compute_contributions,
     compute_dividends,
     find_smallest,
-    vary_start,
 )
+from turtlelog.explain.starts import vary_start
 from turtlelog.laws import LAWS, find_law, list_mechanisms
 from turtlelog.loops import Declaration, Mechanism
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
@@ -259,7 +259,6 @@ def _divide(found: Attribution, game: Game, scenario: Scenario, worth: Worth) ->
         found.metric,
         added=worth[frozenset(found.causes)] - worth[frozenset()],
         resolution=found.resolution.size,
-        mechanisms=found.causes,
         acting=found.acting,
     )
     return replace(found, starts=starts)

@@ -198,11 +198,12 @@ class StartRange:
         low: The smallest value, in the metric's unit.
         high: The largest value.
         without_value: How many starts have none.
-        is_wide: Whether the value depends on single samples: where the effects add more than the
-            resolution, whether both its range and that of what they add exceed half of it.
+        is_wide: Whether the value depends on single samples: whether both its range and that of
+            what the effects add exceed half of what they add to the scenario's own. Where they add
+            no more than the resolution to it, both exceed that, and half of the largest value.
         parts: Where it is wide, the part of each cause that changes the value. Empty where they do
             not all add to it at every start, or where it takes too many simulations.
-        without_all: Where it is wide, the smallest and largest value without all that take part.
+        without_all: Where it is wide, the smallest and largest value without all that act.
     """
 
     count: int

@@ -80,11 +80,13 @@ class Outcome:
         value: Of the metric, None where it has none; of several their mean.
         reason: Why it has none, else empty.
         ended: Names of the phases that came to their end, in order.
+        end_xy_m: The last pose [m]; None of several, and where the law failed.
     """
 
     value: float | None
     reason: str
     ended: tuple[str, ...]
+    end_xy_m: tuple[float, float] | None = None
 
 
 class Game:
@@ -120,7 +122,7 @@ class Game:
         """Return the outcomes without these mechanisms, by seed; one where nothing is random."""
         out = frozenset(names).intersection(self.present)
         self.prepare([out])
-        return [self._outcomes[out, seed] for seed in self._list_seeds(out)]
+        return [self._outcomes[out, seed] for seed in self.list_seeds(out)]
 
     def play_as_recorded(self, names: Iterable[str] = ()) -> Outcome:
         """Return the outcome without these mechanisms, with the scenario's own seed."""
@@ -131,7 +133,7 @@ class Game:
     def prepare(self, sets: Iterable[Iterable[str]]) -> None:
         """Simulate without each of these sets of mechanisms."""
         outs = dict.fromkeys(frozenset(names).intersection(self.present) for names in sets)
-        self._simulate([(out, seed) for out in outs for seed in self._list_seeds(out)])
+        self._simulate([(out, seed) for out in outs for seed in self.list_seeds(out)])
 
     def describe_ending(self, name: str) -> str:
         """Return what differs in kind without a mechanism, in one clause; empty: nothing does."""
@@ -153,67 +155,78 @@ class Game:
             self._without[out] = take_out(self._scenario, mechanisms)
         return self._without[out]
 
-    def _list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
+    def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
+        """Return the seeds to simulate with; None alone where what is left draws nothing."""
         return SEEDS if self.is_random and draws_random(self._take_out(out)) else (None,)
 
     def _simulate(self, wanted: Sequence[_Play]) -> None:
         missing = [one for one in wanted if one not in self._outcomes]
         total = len(self._outcomes) + len(missing)
-        for one, outcome in zip(missing, self._iterate(missing), strict=True):
+        plays = [self.build_play(out, seed) for out, seed in missing]
+        outcomes = iterate_outcomes(self._metric, plays, self._work.jobs)
+        for one, outcome in zip(missing, outcomes, strict=True):
             self._outcomes[one] = outcome
             if self._work.report is not None:
                 self._work.report(len(self._outcomes), total)
 
-    def _iterate(self, missing: Sequence[_Play]) -> Iterator[Outcome]:
-        plays = [self._build_play(one) for one in missing]
-        outcomes = _simulate_each(self._metric, plays)
-        jobs = self._work.jobs if self._scenario.law.kind in LAWS else 1
-        if jobs is None:
-            # With the first a compiled loop may be loaded; the second tells what one takes.
-            yield from islice(outcomes, 1)
-            began_s = time.perf_counter()
-            yield from islice(outcomes, 1)
-            plays = plays[2:]
-            is_long = len(plays) * (time.perf_counter() - began_s) > _LONG_S
-            jobs = count_cores() if is_long else 1
-        if jobs == 1 or len(plays) <= _FEW:
-            yield from outcomes
-            return
-        blocks = [plays[first : first + _BLOCK] for first in range(0, len(plays), _BLOCK)]
-        simulate = partial(_simulate_block, self._metric)
-        yield from chain.from_iterable(
-            map_in_processes(simulate, blocks, jobs, name=lambda _: "simulations")
-        )
-
-    def _build_play(self, one: _Play) -> "_Simulation":
-        out, seed = one
+    def build_play(self, out: Coalition, seed: int | None = None) -> "Play":
+        """Return what is simulated without these mechanisms, with this seed or its own."""
         scenario = self._take_out(out)
         if seed is not None:
             scenario = replace(scenario, seed=seed)
-        return _Simulation(scenario, is_finer=SAMPLING in out, is_seeded=seed is not None)
+        return Play(scenario, is_finer=SAMPLING in out, may_fail=seed is not None)
 
 
 @dataclass(frozen=True, slots=True)
-class _Simulation:
-    """A scenario to simulate, on a finer clock or its own; with another seed or its own."""
+class Play:
+    """A scenario to simulate.
+
+    Attributes:
+        scenario: Without those that are out.
+        is_finer: Whether its clock is finer.
+        may_fail: Whether a law that fails gives no value; otherwise it ends the work.
+    """
 
     scenario: Scenario
     is_finer: bool
-    is_seeded: bool
+    may_fail: bool
 
 
-def _simulate_block(metric: str, plays: Sequence[_Simulation]) -> list[Outcome]:
+def iterate_outcomes(metric: str, plays: Sequence[Play], jobs: int | None) -> Iterator[Outcome]:
+    """Yield the outcome of each, simulated in as many processes as `Work` says."""
+    outcomes = _simulate_each(metric, plays)
+    if any(play.scenario.law.kind not in LAWS for play in plays):
+        jobs = 1
+    if jobs is None:
+        # With the first a compiled loop may be loaded; the second tells what one takes.
+        yield from islice(outcomes, 1)
+        began_s = time.perf_counter()
+        yield from islice(outcomes, 1)
+        plays = plays[2:]
+        is_long = len(plays) * (time.perf_counter() - began_s) > _LONG_S
+        jobs = count_cores() if is_long else 1
+    if jobs == 1 or len(plays) <= _FEW:
+        yield from outcomes
+        return
+    blocks = [plays[first : first + _BLOCK] for first in range(0, len(plays), _BLOCK)]
+    simulate = partial(_simulate_block, metric)
+    yield from chain.from_iterable(
+        map_in_processes(simulate, blocks, jobs, name=lambda _: "simulations")
+    )
+
+
+def _simulate_block(metric: str, plays: Sequence[Play]) -> list[Outcome]:
     return list(_simulate_each(metric, plays))
 
 
-def _simulate_each(metric: str, plays: Sequence[_Simulation]) -> Iterator[Outcome]:
+def _simulate_each(metric: str, plays: Sequence[Play]) -> Iterator[Outcome]:
     """Yield the outcome of each, with one run at a time in memory."""
     runs = simulate_many([play.scenario for play in plays if not play.is_finer], threads=1)
     for play in plays:
         run = _simulate_finer(play.scenario) if play.is_finer else next(runs)
         if isinstance(run, Run):
             yield _measure(metric, run, is_finer=play.is_finer)
-        elif play.is_seeded:
+        elif play.may_fail:
             yield Outcome(value=None, reason=str(run), ended=())
         else:
             raise run
@@ -231,7 +244,8 @@ def _measure(metric: str, run: Run, *, is_finer: bool) -> Outcome:
     value, reason = found.value, found.reason
     if is_finer and metric.endswith(_OF_DEAD_TIME):
         value, reason = None, "dead times are not measured on a finer clock"
-    return Outcome(value=value, reason=reason, ended=_find_ended(run))
+    end_xy_m = (float(run.poses.xy_m[-1, 0]), float(run.poses.xy_m[-1, 1]))
+    return Outcome(value=value, reason=reason, ended=_find_ended(run), end_xy_m=end_xy_m)
 
 
 def _find_ended(run: Run) -> tuple[str, ...]:

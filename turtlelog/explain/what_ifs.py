@@ -41,7 +41,7 @@ def simulate_what_ifs(
     """
     if found.withheld and not found.without_value:
         return {}
-    names = _list_deciding(found) if found.without_value else found.acting
+    names = list_deciding(found)
     chosen: list[tuple[str, ...]] = [(name,) for name in names]
     if len(names) > 1:
         chosen.append(tuple(names))
@@ -54,8 +54,10 @@ def simulate_what_ifs(
     return runs
 
 
-def _list_deciding(found: Attribution) -> tuple[str, ...]:
-    """Return the mechanisms with which there is no value, or with which alone there is one."""
+def list_deciding(found: Attribution) -> tuple[str, ...]:
+    """Return the mechanisms that change the value, or decide whether there is one."""
+    if not found.without_value:
+        return found.acting
     cases = (*found.without_value, *found.with_value)
     named = {name for case in cases for name in case.causes}
     return tuple(name for name in found.causes if name in named) or found.causes

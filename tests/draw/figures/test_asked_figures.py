@@ -412,7 +412,7 @@ def test_without_commands_there_are_no_rates(robot: tl.Run) -> None:
 
 
 def test_they_come_only_where_they_are_asked_for() -> None:
-    asked = {"attribution", "gains", "rates", "strips", "violation"}
+    asked = {"attribution", "gains", "luck", "rates", "strips", "violation"}
     assert asked <= {*tl.draw.FIGURES}
     assert not asked & {*list_usual_figures()}
 

@@ -193,7 +193,7 @@ def test_a_plane_that_stands_alone_takes_one_column() -> None:
     assert height > width
 
 
-OF_ONE = ("attribution", "rates")
+OF_ONE = ("attribution", "luck", "rates")
 """Figures of one run."""
 
 

@@ -21,6 +21,7 @@ from turtlelog.draw.figures.figure_curves import (
     draw_step_responses,
 )
 from turtlelog.draw.figures.gain_figure import draw_gains
+from turtlelog.draw.figures.luck_figure import draw_luck
 from turtlelog.draw.figures.needs import (
     OF_THEORY,
     find_lack_of_gain,
@@ -358,6 +359,14 @@ _NAMED: Final[Mapping[str, FigureKind]] = MappingProxyType(
             title="What caused a metric of one run: the contributions, the run and its ghost",
             paper="",
             draw=draw_attribution,
+            needs="samples",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "luck": FigureKind(
+            title="What a metric of one run would be from other starts within one sample's turn",
+            paper="",
+            draw=draw_luck,
             needs="samples",
             is_usual=False,
             is_extra=True,

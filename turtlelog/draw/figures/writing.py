@@ -57,7 +57,10 @@ _LEAST_INCH: Final = 3.0
 _MOST_COLUMNS: Final = 4
 """More runs than these stand as rows."""
 _WIDE: Final = frozenset(
-    {"plant", "plane", "panel", "bode", "nyquist", "step", "attribution", "rates", "violation"}
+    {
+        *("plant", "plane", "panel", "bode", "nyquist", "step"),
+        *("attribution", "luck", "rates", "violation"),
+    }
 )
 _WIDE_OF_RUNS: Final = frozenset({"root-locus"})
 """Of theory alone these have one panel."""

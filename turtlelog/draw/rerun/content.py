@@ -47,6 +47,8 @@ class Content:
         legends: Plots that have a legend; None: those of several curves.
         highest_speed_m_s: What the brightest colour of the trace by speed means; None without one.
         steps_title: Title of the attribution, None without one.
+        luck_title: Title of the value from other starts, None without one.
+        starts: What else ends in the close-up of the goal, to end its title with.
         has_dead_time: Whether the first run's dead times are drawn.
         legend_names: Names of the runs where they need a view of their own, else none.
         with_phases: How many runs have samples.
@@ -84,6 +86,8 @@ class Content:
     legends: frozenset[str] | None = None
     highest_speed_m_s: float | None = None
     steps_title: str | None = None
+    luck_title: str | None = None
+    starts: str = ""
     has_dead_time: bool = False
     legend_names: tuple[str, ...]
     with_phases: int

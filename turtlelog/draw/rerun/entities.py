@@ -74,6 +74,8 @@ GHOSTS: Final = "ghosts"
 
 LEGEND: Final = "legend"
 STEPS: Final = "attribution"
+LUCK: Final = "luck"
+LUCK_ENDS: Final = "plane/close_up/luck"
 GAP: Final = "plane/gap"
 GAP_NAME: Final = "plane/names/gap"
 KEY: Final = "plane/names/key"

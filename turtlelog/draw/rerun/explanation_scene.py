@@ -14,6 +14,7 @@ from turtlelog.charts.attribution_steps import (
     list_attribution_steps,
 )
 from turtlelog.charts.close_up import Lettering, name_ends
+from turtlelog.charts.luck import build_luck_picture
 from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.compare import Column, Table
 from turtlelog.draw.rerun import entities, plane
@@ -28,6 +29,7 @@ from turtlelog.draw.rerun.ghosts import (
     list_gaps,
 )
 from turtlelog.draw.rerun.layout import build_explanation_layout
+from turtlelog.draw.rerun.luck_picture import count_ends, draw_luck_ends, draw_luck_picture
 from turtlelog.draw.rerun.marks import (
     draw_dead_times,
     draw_events,
@@ -57,7 +59,7 @@ from turtlelog.draw.rerun.world import draw_close_up, draw_world, draw_worst_pla
 from turtlelog.draw.table_formats import format_markdown
 from turtlelog.errors import ShowError
 from turtlelog.escapes import escape_markdown
-from turtlelog.explain import Attribution, write_sentences
+from turtlelog.explain import Attribution, Luck, write_sentences
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
 
@@ -81,6 +83,7 @@ def write_explanation_rrd(
     what_ifs: Mapping[str, Run],
     path: str | Path,
     *,
+    luck: Luck | None = None,
     documents: Mapping[str, str] | None = None,
 ) -> None:
     """Write a recording of a run beside its what-ifs as ghosts, with the attribution as steps.
@@ -93,6 +96,8 @@ def write_explanation_rrd(
         found: What caused a value of it.
         what_ifs: What would have happened, by what it lacks, as `simulate_what_ifs` returns it.
         path: The .rrd file; replaced when the new one is complete.
+        luck: The value from other starts, as `measure_luck` returns it: a picture beside the steps,
+            and the ends in the close-up of the goal.
         documents: Markdown texts by title, shown as tabs after the table of shares.
 
     Raises:
@@ -109,11 +114,15 @@ def write_explanation_rrd(
         "pause": (palette.PAUSED, list_pause_times(recorded)),
         "dead_time": (palette.DEAD_TIME, [end_ns for _, end_ns in dead_times]),
     }
+    picture = None if luck is None else build_luck_picture(luck)
     lines = {name: marked for name, marked in lines.items() if marked[1]}
+    content = scene.describe(texts)
     content = replace(
-        scene.describe(texts),
+        content,
         lines=tuple(join_path(scene.prefixes[0], entities.LINES, name) for name in lines),
         steps_title=_name_steps(found),
+        luck_title=None if picture is None else f"With other {picture.varied}s",
+        starts="" if picture is None else count_ends(picture, content.goal),
         has_dead_time=bool(dead_times),
     )
     name = f"{recorded.name}, explained"
@@ -125,6 +134,9 @@ def write_explanation_rrd(
             steps, scale = list_attribution_steps(found), choose_step_scale(found)
             ghosts = dict(zip(what_ifs, metrics[1:], strict=False))
             draw_waterfall(stream, steps, scale, _explain_bars(found, ghosts))
+        if picture is not None:
+            draw_luck_picture(stream, picture)
+            draw_luck_ends(stream, picture, content.goal)
         for line, (color, times_ns) in lines.items():
             entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
             draw_lines(run_stream, entity, label, color, times_ns, largest=find_largest(content))

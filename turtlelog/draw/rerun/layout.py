@@ -22,7 +22,7 @@ from turtlelog.draw.rerun.views import (
     view_speed,
     view_worst,
 )
-from turtlelog.draw.rerun.waterfall import view_waterfall
+from turtlelog.draw.rerun.waterfall import view_picture, view_waterfall
 
 Corners = Mapping[str, rrb.Corner2D]
 
@@ -168,7 +168,9 @@ def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprin
 def build_explanation_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a run beside its ghosts: the planes, the attribution, a few plots."""
     left = _list_planes_of(content)
-    tabs = [view_waterfall(content.steps_title or ""), *map(view_document, content.documents)]
+    tabs = [view_waterfall(content.steps_title or "")]
+    tabs += [] if content.luck_title is None else [view_picture(content.luck_title, entities.LUCK)]
+    tabs += map(view_document, content.documents)
     right: list[rrb.View | rrb.Container] = [
         rrb.Tabs(*tabs, *([view_events(content)] if content.has_events else []), active_tab=0)
     ]

@@ -54,7 +54,7 @@ def view_speed(content: Content, highest_m_s: float) -> rrb.View:
 def view_goal(content: Content, close_up: CloseUp) -> rrb.View:
     """Show how close they end; arrows and names would cover it."""
     bounds = Bounds(center_xy_m=close_up.goal_xy_m, half_size_m=close_up.half_m)
-    return _view_close_up(content, f"At the goal, {close_up.describe()}", bounds)
+    return _view_close_up(content, f"At the goal, {close_up.describe()}{content.starts}", bounds)
 
 
 def view_worst(content: Content, worst: WorstPlace) -> rrb.View:

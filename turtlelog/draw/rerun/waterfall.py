@@ -14,19 +14,19 @@ from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 
-_WIDTH: Final = 100.0
+WIDTH: Final = 100.0
 """Of the picture; all else is in its units, of which one is 7 pixels in a window of 1200 x 860."""
 
-_HEIGHT: Final = 36.0
+HEIGHT: Final = 36.0
 _FOOT: Final = 2.0
 """Below it: in a small window words keep their height, and stand lower."""
 _LETTER: Final = 0.95
 _SMALL_LETTER: Final = 2.3
 """Width of a letter in a window of 700 x 450, where a unit is 3 pixels."""
-_PADDING: Final = 2.4  # around words
+PADDING: Final = 2.4  # around words
 _ABOVE: Final = 1.9  # The viewer writes words below their point.
 _GAP: Final = 0.6
-_LINE: Final = 3.6
+LINE: Final = 3.6
 _TICK: Final = 0.7
 _MOST_TICKS: Final = 3
 """Steps of the axis: its values have room also in a window of 700 x 450."""
@@ -35,10 +35,10 @@ _HIGHEST_BAR: Final = 5.5
 _LEAST_SCALE: Final = 25.0
 """Longest bar at least, however long its words are."""
 
-_PROSE_LETTER: Final = 0.84
+PROSE_LETTER: Final = 0.84
 """Of long lines, in which narrow letters and wide ones make up for each other."""
 
-_LETTERS: Final = 100
+LETTERS: Final = 100
 """Of a line of text."""
 
 
@@ -56,13 +56,13 @@ def draw_waterfall(
         scale: The unit of the axis.
         notes: Lines below the axis.
     """
-    names_end = max(_measure(step.name) for step in steps)
+    names_end = max(measure_words(step.name) for step in steps)
     low, width = min(0.0, *_list_ends(steps)), _find_scale(steps, names_end)
 
     def place(value: float) -> float:
         return names_end + _GAP + (value - low) * width
 
-    pitch = _HEIGHT / (len(steps) + 1 + len(notes))
+    pitch = HEIGHT / (len(steps) + 1 + len(notes))
     axis_y = len(steps) * pitch
     half = min(_BAR_SHARE * pitch, _HIGHEST_BAR) / 2.0
     middles = (np.arange(len(steps)) + 0.5) * pitch
@@ -71,7 +71,7 @@ def draw_waterfall(
     for number, (step, y) in enumerate(zip(steps, middles.tolist(), strict=True)):
         left, right = sorted((place(step.start), place(step.end)))
         _draw_bar(stream, number, (left, y - half), (right, y + half), step.color)
-        words.append((names_end - _measure(step.name) / 2.0, y, step.name, palette.GOAL))
+        words.append((names_end - measure_words(step.name) / 2.0, y, step.name, palette.GOAL))
         words.append((_place_words(step, names_end, right), y, step.text, palette.GOAL))
         if number + 1 < len(steps):
             x = place(step.end)
@@ -83,38 +83,43 @@ def draw_waterfall(
         words.append((place(tick), axis_y + 0.5 * pitch, write_tick(tick, scale), palette.START))
     for number, note in enumerate(notes):
         y = axis_y + (number + 1.5) * pitch
-        words.append((_WIDTH / 2.0, y, note, palette.START))
+        words.append((WIDTH / 2.0, y, note, palette.START))
     lines = rr.LineStrips2D(joints, radii=rr.Radius.ui_points(0.5), colors=[palette.REFERENCE])
     stream.log(join_path(entities.STEPS, "joints"), lines, static=True)
-    _write(stream, words)
+    write_words(stream, entities.STEPS, words)
 
 
 def draw_reason(stream: rr.RecordingStream, sentences: Sequence[str]) -> None:
     """Write in place of the steps why there are none."""
-    lines = [line for sentence in sentences for line in wrap(sentence, _LETTERS)]
-    most = int(_HEIGHT // _LINE)
+    lines = [line for sentence in sentences for line in wrap(sentence, LETTERS)]
+    most = int(HEIGHT // LINE)
     if len(lines) > most:
         lines = [*lines[: most - 1], "..."]
     words = [
         (
-            (_PROSE_LETTER * len(line) + _PADDING) / 2.0,
-            (number + 0.5) * _LINE,
+            (PROSE_LETTER * len(line) + PADDING) / 2.0,
+            (number + 0.5) * LINE,
             line,
             palette.GOAL,
         )
         for number, line in enumerate(lines)
     ]
-    _write(stream, words)
+    write_words(stream, entities.STEPS, words)
 
 
 def view_waterfall(title: str) -> rrb.View:
     """Return the view of the steps, or of the reason why there are none."""
+    return view_picture(title, entities.STEPS)
+
+
+def view_picture(title: str, entity: str) -> rrb.View:
+    """Return the view of a picture in the units of this one."""
     return rrb.Spatial2DView(
         origin="/",
-        contents=f"{join_path(entities.STEPS)}/**",
+        contents=f"{join_path(entity)}/**",
         name=title,
         background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, _WIDTH), y_range=(0.0, _HEIGHT + _FOOT)),
+        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, WIDTH), y_range=(0.0, HEIGHT + _FOOT)),
     )
 
 
@@ -139,9 +144,9 @@ def _place_words(step: AttributionStep, names_end: float, bar_end: float) -> flo
 
     Words keep their size where the window is small, and stand around their middle.
     """
-    half = _measure(step.text) / 2.0
+    half = measure_words(step.text) / 2.0
     clear = names_end + _SMALL_LETTER * len(step.text) / 2.0
-    return max(bar_end + _GAP + half, min(clear, _WIDTH - half))
+    return max(bar_end + _GAP + half, min(clear, WIDTH - half))
 
 
 def _list_ends(steps: Sequence[AttributionStep]) -> list[float]:
@@ -154,17 +159,18 @@ def _find_scale(steps: Sequence[AttributionStep], names_end: float) -> float:
     span = max(_list_ends(steps)) - low
     if not span > 0.0:
         return 1.0
-    room = _WIDTH - names_end - 2.0 * _GAP
+    room = WIDTH - names_end - 2.0 * _GAP
     scales = [
-        (room - _measure(step.text)) / (max(step.start, step.end) - low)
+        (room - measure_words(step.text)) / (max(step.start, step.end) - low)
         for step in steps
         if max(step.start, step.end) > low
     ]
     return max(min([room / span, *scales]), _LEAST_SCALE / span)
 
 
-def _measure(text: str) -> float:
-    return _LETTER * len(text) + _PADDING
+def measure_words(text: str) -> float:
+    """Return how wide words are in the units of the picture, with room around them."""
+    return _LETTER * len(text) + PADDING
 
 
 def _draw_bar(
@@ -185,7 +191,10 @@ def _draw_bar(
     stream.log(entity, image, static=True)
 
 
-def _write(stream: rr.RecordingStream, words: Sequence[tuple[float, float, str, Color]]) -> None:
+def write_words(
+    stream: rr.RecordingStream, entity: str, words: Sequence[tuple[float, float, str, Color]]
+) -> None:
+    """Write words around their middles."""
     points = rr.Points2D(
         [(x, y - _ABOVE) for x, y, _, _ in words],
         radii=rr.Radius.ui_points(0.0),
@@ -193,4 +202,4 @@ def _write(stream: rr.RecordingStream, words: Sequence[tuple[float, float, str, 
         labels=[text for _, _, text, _ in words],
         show_labels=True,
     )
-    stream.log(join_path(entities.STEPS, "words"), points, static=True)
+    stream.log(join_path(entity, "words"), points, static=True)

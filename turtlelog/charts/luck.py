@@ -1,0 +1,402 @@
+"""The luck of a run: its value from every start or with every seed, and where those runs end."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.charts import palette
+from turtlelog.charts.close_up import choose_rings, format_length
+from turtlelog.charts.palette import Color, choose_cause_colors
+from turtlelog.display import describe_count, join_words
+from turtlelog.explain import Luck, LuckCurve
+
+Values = NDArray[np.float64]
+
+_DIGITS: Final = 2
+"""Of a value in words: neighbouring starts differ in the third."""
+
+_MOST_DIGITS: Final = 5
+"""Of two values that fewer digits do not tell apart."""
+
+_SMALL: Final = 0.5
+"""Of the least value with all effects: values that stay below it are told by their bound."""
+
+_JUMP: Final = 0.02
+"""Of the height of the picture: a smaller step between neighbours is no break to the eye."""
+
+_SMOOTH: Final = 6.0
+"""Times the step of a quarter of the neighbours: a larger one is no slope."""
+
+_FROM_ZERO: Final = 0.5
+"""The axis begins at 0 where the least value is below this part of the greatest; and of errors."""
+
+_ROOM: Final = 0.06
+"""Above and below the curves, of the height of the axis."""
+
+_AROUND: Final = 1.12
+"""Half of the plane, of the way to the furthest end."""
+
+WITH_ALL: Final = "with all effects"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LuckLine:
+    """A curve over the starts.
+
+    Attributes:
+        name: To stand at its right end, short: the sentences have the whole one.
+        color: That of the run, of its cause, or of the ghost without all.
+        kind: `run` with all effects, `cause` without one, `ghost` without all.
+        values: In the unit of the picture, shape (n,); NaN where there is none.
+        pieces: First and last row of each part without a jump.
+        is_joined: Whether neighbours are joined by lines: those of seeds have nothing in common.
+    """
+
+    name: str
+    color: Color
+    kind: str
+    values: Values
+    pieces: tuple[tuple[int, int], ...]
+    is_joined: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LuckPlane:
+    """Where the runs end, as seen from the goal.
+
+    Attributes:
+        title: What it shows.
+        half_m: Half of its width and height [m].
+        rings_m: Radii of its rings, round lengths, rising [m].
+        names: Of the rings.
+        ends_m: Ends with all effects, from the goal [m], shape (n, 2).
+        ghosts_m: Ends without all that acts; empty where nothing does, shape (n, 2).
+        recorded_m: Where the run itself ends [m], shape (2,).
+        note: How close the ghosts end, in two lines; empty without any.
+    """
+
+    title: str
+    half_m: float
+    rings_m: tuple[float, ...]
+    names: tuple[str, ...]
+    ends_m: Values
+    ghosts_m: Values
+    recorded_m: Values
+    note: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LuckPicture:
+    """What is shown of the luck of a run.
+
+    Attributes:
+        varied: Start headings or seeds: `start` or `seed`.
+        sentences: The result in words, to stand above.
+        places: Where each start stands on the axis [deg], or each seed, from 1.
+        place_label: Of that axis.
+        value_label: Of the other.
+        limits: Of the axis of values.
+        lines: The curves, the one with all effects first.
+        recorded: Place and value of the run itself; None where it has no value.
+        recorded_name: What to write beside it.
+        plane: Where the runs end; None without a goal.
+    """
+
+    varied: str
+    sentences: tuple[str, ...]
+    places: Values
+    place_label: str
+    value_label: str
+    limits: tuple[float, float]
+    lines: tuple[LuckLine, ...]
+    recorded: tuple[float, float] | None
+    recorded_name: str
+    plane: LuckPlane | None
+
+    def find_end(self, line: LuckLine) -> tuple[float, float]:
+        """Return where a curve ends; at the foot of the axis where it has no value."""
+        if not line.pieces:
+            return float(self.places[-1]), self.limits[0]
+        last = line.pieces[-1][1]
+        return float(self.places[last]), float(line.values[last])
+
+
+def build_luck_picture(luck: Luck) -> LuckPicture:
+    """Return what is shown of the luck of a run."""
+    factor, unit = _choose_unit([curve.values for curve in luck.curves], luck.unit)
+    order = _order(luck)
+    columns = [curve.values[order] * factor for curve in luck.curves]
+    recorded = np.array([math.nan if luck.recorded is None else luck.recorded]) * factor
+    limits = _find_limits([*columns, recorded], is_error=luck.metric.endswith("error"))
+    colors = choose_cause_colors(luck.causes)
+    lines = tuple(
+        _build_line(luck, curve, values, colors, limits)
+        for curve, values in zip(luck.curves, columns, strict=True)
+    )
+    words = luck.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
+    return LuckPicture(
+        varied=luck.varied,
+        sentences=_write_sentences(luck),
+        places=_find_places(luck),
+        place_label=_name_places(luck),
+        value_label=words.replace(".", " ") + (f" [{unit}]" if unit else ""),
+        limits=limits,
+        lines=lines,
+        recorded=_place_recorded(luck, factor),
+        recorded_name=_name_recorded(luck),
+        plane=_build_plane(luck),
+    )
+
+
+def spread_labels(
+    values: Sequence[float], height: float, limits: tuple[float, float]
+) -> list[float]:
+    """Return where labels stand beside their values, none on another, in the values' order.
+
+    Args:
+        values: Where they would stand.
+        height: Of a label.
+        limits: That they stay within, as far as there is room.
+    """
+    order = sorted(range(len(values)), key=lambda row: values[row])
+    # Groups of labels that touch stand around the mean of their values.
+    groups: list[list[float]] = []
+    for row in order:
+        groups.append([values[row]])
+        while len(groups) > 1 and _bottom(groups[-1], height) < _top(groups[-2], height):
+            upper = groups.pop()
+            groups[-1] += upper
+    middles = [
+        _bottom(group, height) + (number + 0.5) * height
+        for group in groups
+        for number in range(len(group))
+    ]
+    below_top = limits[1] - height * (np.arange(len(middles))[::-1] + 0.5)
+    above_bottom = limits[0] + height * (np.arange(len(middles)) + 0.5)
+    places = np.maximum(np.minimum(middles, below_top), above_bottom).tolist()
+    found = dict(zip(order, places, strict=True))
+    return [found[row] for row in range(len(values))]
+
+
+def _bottom(group: Sequence[float], height: float) -> float:
+    return sum(group) / len(group) - len(group) * height / 2.0
+
+
+def _top(group: Sequence[float], height: float) -> float:
+    return sum(group) / len(group) + len(group) * height / 2.0
+
+
+def _choose_unit(columns: Sequence[Values], unit: str) -> tuple[float, str]:
+    """Return what values are multiplied by to be shown, and in which unit: mm below 1 m."""
+    largest = max(float(np.nanmax(np.abs(values), initial=0.0)) for values in columns)
+    return (1e3, "mm") if unit == "m" and largest < 1.0 else (1.0, "" if unit == "1" else unit)
+
+
+def _write_range(low: float, high: float, unit: str, *, told: float | None = None) -> str:
+    """Return two values in as many digits as tell them apart; one value where none do.
+
+    Args:
+        low: The least value.
+        high: The greatest.
+        unit: The metric's.
+        told: Write this one instead, in as many digits.
+    """
+    factor, name = _choose_unit([np.array([low, high])], unit)
+    for digits in range(_DIGITS, _MOST_DIGITS + 1):
+        least, most = _round(low * factor, digits), _round(high * factor, digits)
+        if least != most:
+            text = f"{least} to {most}" if told is None else _round(told * factor, digits)
+            return f"{text} {name}".strip()
+    return f"{_round((high if told is None else told) * factor, _DIGITS)} {name}".strip()
+
+
+def _write_bound(most: float, unit: str) -> str:
+    """Return a value in two digits, rounded up."""
+    factor, name = _choose_unit([np.array([most])], unit)
+    step = 10.0 ** -_count_decimals(most * factor, _DIGITS)
+    return f"{_round(math.ceil(most * factor / step - 1e-9) * step, _DIGITS)} {name}".strip()
+
+
+def _round(value: float, digits: int) -> str:
+    """Return a value in so many digits, and at least whole."""
+    return (
+        f"{value:.0f}" if value == round(value) else f"{value:.{_count_decimals(value, digits)}f}"
+    )
+
+
+def _count_decimals(value: float, digits: int) -> int:
+    return max(digits - 1 - math.floor(math.log10(abs(value))), 0) if value else 0
+
+
+def _order(luck: Luck) -> NDArray[np.intp]:
+    """Return starts as they are; seeds by the value with all effects, as they have no order."""
+    values = luck.curves[0].values
+    return np.argsort(values, kind="stable") if luck.varied == "seed" else np.arange(len(values))
+
+
+def _find_places(luck: Luck) -> Values:
+    if luck.varied == "seed":
+        return np.arange(1.0, len(luck.seeds) + 1.0)
+    return np.degrees(luck.starts_rad)
+
+
+def _name_places(luck: Luck) -> str:
+    if luck.varied == "seed":
+        return f"{len(luck.seeds)} seeds, by the value {WITH_ALL}"
+    turn_deg = math.degrees(float(luck.starts_rad[-1] - luck.starts_rad[0]))
+    return f"start heading, from the recorded one [deg] (one sample turns {turn_deg:.3g} deg)"
+
+
+def _place_recorded(luck: Luck, factor: float) -> tuple[float, float] | None:
+    if luck.recorded is None:
+        return None
+    if luck.varied == "start":
+        return 0.0, luck.recorded * factor
+    below = int((luck.curves[0].values <= luck.recorded).sum())
+    return below + 0.5, luck.recorded * factor
+
+
+def _name_recorded(luck: Luck) -> str:
+    if luck.recorded is None:
+        return "this run: no value"
+    values = luck.curves[0].values
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return f"this run: {_write_range(low, high, luck.unit, told=luck.recorded)}"
+
+
+def _find_limits(columns: Sequence[Values], *, is_error: bool) -> tuple[float, float]:
+    values = np.concatenate(columns)
+    values = values[np.isfinite(values)]
+    low, high = float(values.min()), float(values.max())
+    if 0.0 <= low <= (1.0 if is_error else _FROM_ZERO) * high:
+        low = 0.0
+    room = _ROOM * ((high - low) or abs(high) or 1.0)
+    return (0.0 if low == 0.0 else low - room), high + room
+
+
+def _build_line(
+    luck: Luck,
+    curve: LuckCurve,
+    values: Values,
+    colors: dict[str, Color],
+    limits: tuple[float, float],
+) -> LuckLine:
+    kind = "run" if not curve.without else "ghost" if curve is luck.curves[-1] else "cause"
+    is_constant = bool(np.ptp(values) == 0.0)
+    is_joined = luck.varied == "start" or is_constant
+    own = {"run": palette.MAIN, "ghost": palette.GHOST}
+    return LuckLine(
+        name=_name_briefly(curve) + ("" if np.isfinite(values).any() else ": no value"),
+        color=own.get(kind) or colors[curve.without[0]],
+        kind=kind,
+        values=values,
+        pieces=_find_pieces(values, limits[1] - limits[0], is_joined=is_joined),
+        is_joined=is_joined,
+    )
+
+
+def _name_curve(curve: LuckCurve) -> str:
+    return f"without {join_words(curve.without)}" if curve.without else WITH_ALL
+
+
+def _name_briefly(curve: LuckCurve) -> str:
+    if len(curve.without) < 2:
+        return _name_curve(curve)
+    return "without both" if len(curve.without) == 2 else f"without all {len(curve.without)}"
+
+
+def _find_pieces(values: Values, height: float, *, is_joined: bool) -> tuple[tuple[int, int], ...]:
+    """Return the parts of a curve in which each neighbour follows from the one before."""
+    rows = np.flatnonzero(np.isfinite(values)).tolist()
+    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    least = max(_JUMP * height, _SMOOTH * float(np.quantile(steps, 0.25)) if len(steps) else 0.0)
+    cuts = [
+        number
+        for number, (row, following) in enumerate(pairwise(rows), start=1)
+        if not is_joined or following > row + 1 or abs(values[following] - values[row]) > least
+    ]
+    bounds = [0, *cuts, len(rows)]
+    return tuple(
+        (rows[first], rows[after - 1]) for first, after in pairwise(bounds) if after > first
+    )
+
+
+def _write_sentences(luck: Luck) -> tuple[str, ...]:
+    """Return the values, and whether they depend on luck."""
+    whole, rest = luck.curves[0], luck.curves[-1]
+    first = f"{luck.metric}: {_write_values(luck, whole)} {WITH_ALL}"
+    if len(luck.curves) == 1:
+        has = "no effect changes it" if luck.causes else "no effect is in this run"
+        return f"{first}; {has}.", _write_dependence(luck)
+    most = float(np.nanmax(rest.values, initial=-math.inf))
+    is_small = bool((rest.values >= 0.0).all()) and most < _SMALL * np.nanmin(whole.values)
+    size = f"at most {_write_bound(most, luck.unit)}" if is_small else _write_values(luck, rest)
+    return f"{first}, {size} {_name_curve(rest)}.", _write_dependence(luck)
+
+
+def _write_values(luck: Luck, curve: LuckCurve) -> str:
+    values = curve.values[np.isfinite(curve.values)]
+    if not len(values):
+        return "no value"
+    text = _write_range(float(values.min()), float(values.max()), luck.unit)
+    missing = len(curve.values) - len(values)
+    way = "from" if luck.varied == "start" else "with"
+    return f"{text} (no value {way} {describe_count(missing, luck.varied)})" if missing else text
+
+
+def _write_dependence(luck: Luck) -> str:
+    values = luck.curves[0].values
+    if np.ptp(values) == 0.0:
+        way = "from" if luck.varied == "start" else "with"
+        return f"It is the same {way} all {len(values)} {luck.varied}s."
+    if luck.varied == "seed":
+        return "Each seed gives another value."
+    if luck.dependence == "wide":
+        return "It depends on single samples."
+    if luck.dependence == "steady":
+        return "It depends little on the start."
+    if len(luck.curves) == 1:
+        return "It depends on the start."
+    return "It depends on the start; what the effects add depends little on it."
+
+
+def _build_plane(luck: Luck) -> LuckPlane | None:
+    if luck.goal_xy_m is None:
+        return None
+    goal_m = np.array(luck.goal_xy_m)
+    whole, rest = luck.curves[0], luck.curves[-1]
+    ends_m, ghosts_m = (
+        curve.ends_xy_m[np.isfinite(curve.ends_xy_m).all(axis=1)] - goal_m
+        for curve in (whole, rest)
+    )
+    recorded_m = np.array(luck.recorded_end_xy_m) - goal_m
+    if len(luck.curves) == 1:
+        ghosts_m = np.zeros((0, 2))
+    shown_m = np.concatenate([ends_m, ghosts_m, recorded_m[np.newaxis]])
+    furthest_m = float(np.hypot(*shown_m.T).max())
+    half_m, rings_m = choose_rings(furthest_m)
+    half_m = min(half_m, _AROUND * max(furthest_m, *rings_m))
+    count = len(whole.values)
+    return LuckPlane(
+        title=f"where {count} {luck.varied}s end",
+        half_m=half_m,
+        rings_m=rings_m,
+        names=tuple(format_length(ring_m) for ring_m in rings_m),
+        ends_m=ends_m,
+        ghosts_m=ghosts_m,
+        recorded_m=recorded_m,
+        note=_write_note(rest, ghosts_m),
+    )
+
+
+def _write_note(rest: LuckCurve, ghosts_m: Values) -> str:
+    if not len(ghosts_m):
+        return ""
+    count, furthest_m = len(rest.values), float(np.hypot(*ghosts_m.T).max())
+    which = f"all {count}" if len(ghosts_m) == count else f"{len(ghosts_m)} of {count}"
+    return f"{_name_curve(rest)}:\n{which} within {_write_bound(furthest_m, 'm')}"

@@ -1,0 +1,237 @@
+"""What luck does to a value: with and without each effect, from every start, or with every seed.
+
+A controller that samples meets its tolerance at some point of one sample's turn, and at which one
+is chance. The starts are those that `starts` spreads for the range of an attribution, four times
+as close. Of a run with random effects the seeds are varied instead: those of its contributions.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import ExplainError
+from turtlelog.explain.attribute import attribute_run, choose_metric
+from turtlelog.explain.attribution import Attribution
+from turtlelog.explain.game import SEEDS, Game, Outcome, Play, Work, iterate_outcomes
+from turtlelog.explain.identification import Identification
+from turtlelog.explain.identify import identify_run
+from turtlelog.explain.starts import (
+    find_steady_span,
+    ranges_over,
+    spread_starts,
+    subtract_values,
+    turn_start,
+)
+from turtlelog.explain.what_ifs import list_deciding
+from turtlelog.run import Run
+from turtlelog.scenario import resolve_scenario
+from turtlelog.simulate import simulate_run
+
+Values = NDArray[np.float64]
+
+_COUNT: Final = 65
+"""Starts: every fourth is one of the range of an attribution."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LuckCurve:
+    """A value from each start, or with each seed, without some causes.
+
+    Attributes:
+        without: The causes that are taken out; empty with all effects.
+        values: Of the metric, in its unit, shape (n,); NaN where it has none.
+        reasons: Why it has none, n of them; empty where it has.
+        ends_xy_m: The last pose in the world frame [m], shape (n, 2); NaN where the law failed.
+    """
+
+    without: tuple[str, ...]
+    values: Values
+    reasons: tuple[str, ...]
+    ends_xy_m: Values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Luck:
+    """What a value of a run would have been with other luck.
+
+    Attributes:
+        metric: Its id.
+        unit: Its unit.
+        varied: What is varied: start headings, or of a run with random effects the seed.
+        starts_rad: How far each start is turned from the recorded one [rad], shape (n,); of seeds
+            empty.
+        seeds: The seeds; of starts empty.
+        causes: Those that take part, in the order of the attribution.
+        curves: With all effects; without each cause alone that changes anything; and last, where
+            these are several, without all of them.
+        recorded: The value of the run itself; None where it has none.
+        recorded_end_xy_m: Its last pose in the world frame [m].
+        goal_xy_m: Its goal [m]; None without one.
+        dependence: `wide` where the value depends on single samples, or on the seed: where it
+            ranges far and what the effects add does, as in `StartRange`, or where some starts have
+            no value; `follows` where it ranges far and what they add does not; else `steady`.
+    """
+
+    metric: str
+    unit: str
+    varied: Literal["start", "seed"]
+    starts_rad: Values
+    seeds: tuple[int, ...]
+    causes: tuple[str, ...]
+    curves: tuple[LuckCurve, ...]
+    recorded: float | None
+    recorded_end_xy_m: tuple[float, float]
+    goal_xy_m: tuple[float, float] | None
+    dependence: Literal["wide", "follows", "steady"]
+
+    @property
+    def acting(self) -> tuple[str, ...]:
+        """The causes that change anything; the last curve is without them."""
+        return self.curves[-1].without
+
+    def __repr__(self) -> str:
+        return f"<Luck of {self.metric}: {len(self.curves[0].values)} {self.varied}s>"
+
+
+def measure_luck(
+    run: Run,
+    *,
+    metric: str | None = None,
+    identified: Identification | None = None,
+    found: Attribution | None = None,
+    trust_law: bool = False,
+    work: Work | None = None,
+) -> Luck:
+    """Measure what a value of a run would have been from other starts, or with other seeds.
+
+    Args:
+        run: Whose value it is.
+        metric: Its id; None for that which `choose_metric` finds.
+        identified: What `identify_run` found, where that is known already.
+        found: What `attribute_run` found of this metric, where that is known already.
+        trust_law: Run the law that the recording names, where it is not built in: its code.
+        work: How to simulate.
+
+    Raises:
+        ExplainError: Where no scenario stands for the run, where its re-simulation is not what the
+            log has, where no start differs as the robot does not turn, or where none has a value.
+        ScenarioError: Where the recorded law is neither built in nor trusted, or not there.
+    """
+    work = work or Work()
+    if found is None:
+        metric = metric or choose_metric(run.declaration)
+        identified = identified or identify_run(run, trust_law=trust_law)
+        if identified.scenario is None:
+            raise ExplainError(f"no scenario stands for it: {_find_reason(identified)}")
+        found = attribute_run(
+            run, metric=metric, identified=identified, trust_law=trust_law, work=work
+        )
+    identified = identified or identify_run(run, trust_law=trust_law)
+    if found.withheld and not found.without_value:
+        raise ExplainError(found.withheld)
+    scenario = resolve_scenario(identified.build_scenario())
+    game = Game(scenario, found.metric)
+    offsets_rad = np.zeros(0)
+    if not game.is_random:
+        offsets_rad = spread_starts(scenario, simulate_run(scenario), _COUNT)
+        if not len(offsets_rad):
+            raise ExplainError("the robot does not turn: no start meets its samples elsewhere")
+    table = _Table(game, found.metric, offsets_rad, work)
+    curves = _list_curves(table, found)
+    if np.isnan(curves[0].values).all():
+        raise ExplainError(f"{found.metric} has no value: {curves[0].reasons[0]}")
+    return Luck(
+        metric=found.metric,
+        unit=found.unit,
+        varied="seed" if game.is_random else "start",
+        starts_rad=offsets_rad,
+        seeds=SEEDS if game.is_random else (),
+        causes=found.causes,
+        curves=tuple(curves),
+        recorded=found.resimulated if found.as_logged is None else found.as_logged,
+        recorded_end_xy_m=(float(run.poses.xy_m[-1, 0]), float(run.poses.xy_m[-1, 1])),
+        goal_xy_m=run.goal_xy_m,
+        dependence=_judge(curves, found),
+    )
+
+
+def _find_reason(identified: Identification) -> str:
+    return next(iter(identified.notes), "too little is known").rstrip(".")
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """Simulates a game from every start, or with every seed."""
+
+    game: Game
+    metric: str
+    offsets_rad: Values
+    work: Work
+
+    def simulate(self, cases: Sequence[tuple[str, ...]]) -> list[LuckCurve]:
+        """Return a curve for each set of causes that is taken out."""
+        plays = [self._list_plays(case) for case in cases]
+        every = [play for row in plays for play in row]
+        outcomes: list[Outcome] = []
+        for outcome in iterate_outcomes(self.metric, every, self.work.jobs):
+            outcomes.append(outcome)
+            if self.work.report is not None:
+                self.work.report(len(outcomes), len(every))
+        count = len(self.offsets_rad) or len(SEEDS)
+        ends = np.cumsum([len(row) for row in plays]).tolist()
+        rows = [outcomes[end - len(row) : end] for row, end in zip(plays, ends, strict=True)]
+        # What draws no random numbers is simulated once for all seeds.
+        rows = [row * (count // len(row)) for row in rows]
+        return [_build_curve(case, row) for case, row in zip(cases, rows, strict=True)]
+
+    def _list_plays(self, case: tuple[str, ...]) -> list[Play]:
+        out = frozenset(case).intersection(self.game.present)
+        if not len(self.offsets_rad):
+            return [self.game.build_play(out, seed) for seed in self.game.list_seeds(out)]
+        play = self.game.build_play(out)
+        return [
+            replace(play, scenario=turn_start(play.scenario, offset_rad), may_fail=True)
+            for offset_rad in self.offsets_rad.tolist()
+        ]
+
+
+def _build_curve(case: tuple[str, ...], outcomes: Sequence[Outcome]) -> LuckCurve:
+    nowhere = (math.nan, math.nan)
+    return LuckCurve(
+        without=case,
+        values=np.array([math.nan if one.value is None else one.value for one in outcomes]),
+        reasons=tuple(one.reason for one in outcomes),
+        ends_xy_m=np.array([one.end_xy_m or nowhere for one in outcomes]),
+    )
+
+
+def _list_curves(table: _Table, found: Attribution) -> list[LuckCurve]:
+    """Return the curves of those causes that change the value of the run, or from some start."""
+    whole, *alone = table.simulate([(), *((name,) for name in found.causes)])
+    deciding = list_deciding(found)
+    kept = [one for one in alone if one.without[0] in deciding or _differ(one, whole)]
+    if len(kept) < 2:
+        return [whole, *kept]
+    return [whole, *kept, *table.simulate([tuple(one.without[0] for one in kept)])]
+
+
+def _differ(one: LuckCurve, other: LuckCurve) -> bool:
+    return not np.array_equal(one.values, other.values, equal_nan=True)
+
+
+def _judge(curves: Sequence[LuckCurve], found: Attribution) -> Literal["wide", "follows", "steady"]:
+    values, without = (
+        [None if math.isnan(value) else value for value in curve.values.tolist()]
+        for curve in (curves[0], curves[-1])
+    )
+    added = (found.resimulated or 0.0) - (found.without_all or 0.0)
+    span = find_steady_span(values, added, found.resolution.size)
+    if 0 < values.count(None) < len(values):
+        return "wide"
+    if not ranges_over(values, span):
+        return "steady"
+    return "wide" if ranges_over(subtract_values(values, without), span) else "follows"
