@@ -266,7 +266,7 @@ def test_the_luck_of_a_metric_is_drawn_by_name(
     code, out, err = run_plot(capsys, *words, "--json")
     assert (code, err) == (0, "")
     assert json.loads(out)["figures"][0]["figure"] == "luck"
-    texts = re.findall("<!-- (.*?) -->", target.read_text("utf-8"))
+    texts = re.findall(r">([^<]+)</text>", target.read_text("utf-8"))
     assert any(text.startswith("final.heading_error: 0.39 to 4.8 deg with all") for text in texts)
 
 
