@@ -68,16 +68,17 @@ def part_path(run: Run) -> Values:
 
 
 def part_curve(run: Run, curve: Curve) -> Curve:
-    """Return a curve with NaN before each break of the poses that lies in it; what holds, as is."""
+    """Return a curve with NaN before each break of the poses within which it has no row itself."""
     rows = find_break_rows(run)
-    if not len(rows) or curve.holds:
+    if not len(rows):
         return curve
-    after_ns = run.poses.time_ns[rows]
+    before_ns, after_ns = run.poses.time_ns[rows - 1], run.poses.time_ns[rows]
     places = np.searchsorted(curve.time_ns, after_ns)
     is_inside = (places > 0) & (places < len(curve.time_ns))
-    places, after_ns = places[is_inside], after_ns[is_inside]
-    time_ns = np.insert(curve.time_ns, places, after_ns)
-    return replace(curve, time_ns=time_ns, values=np.insert(curve.values, places, np.nan))
+    is_bare = np.searchsorted(curve.time_ns, before_ns, side="right") == places
+    kept = is_inside & is_bare
+    time_ns = np.insert(curve.time_ns, places[kept], after_ns[kept])
+    return replace(curve, time_ns=time_ns, values=np.insert(curve.values, places[kept], np.nan))
 
 
 def find_break_rows(run: Run) -> NDArray[np.int64]:

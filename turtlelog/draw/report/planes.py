@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.charts.close_up import CloseUp, format_length
-from turtlelog.charts.robot_curves import is_turtlesim
+from turtlelog.charts.robot_curves import find_break_rows, is_turtlesim, part_path
 from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin, to_hex
 from turtlelog.libraries import load_library
@@ -23,13 +23,15 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
     models = load_library("bokeh.models")
     poses_of: dict[str, list[Any]] = {key: [] for key in ("t", "x", "y", "h")}
     for one in drawn:
-        poses = one.run.poses
+        poses, breaks = one.run.poses, find_break_rows(one.run)
+        time_s = (poses.time_ns - one.run.start_ns) / 1e9
+        # Where a robot was while it sent no poses is not known: neither way nor turtle is drawn.
         columns = [
-            (poses.time_ns - one.run.start_ns) / 1e9,
-            *poses.xy_m.T,
-            np.unwrap(poses.heading_rad),
+            np.insert(time_s, breaks, time_s[breaks]),
+            *part_path(one.run).T,
+            np.insert(np.unwrap(poses.heading_rad), breaks, np.nan),
         ]
-        kept = np.column_stack([poses.xy_m, columns[3]])
+        kept = np.column_stack(columns[1:])
         for key, values in zip(poses_of, thin(plots, columns, kept), strict=True):
             poses_of[key].append(values)
     poses_of["color"] = [to_hex(one.color) for one in drawn]
