@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import align_rows, fill_lines, find_width
+from turtlelog.cli.output import align_rows, cut_rows, fill_lines, find_width
 from turtlelog.display import describe_count, format_number, format_short, join_words
 from turtlelog.escapes import escape_controls
 
@@ -87,7 +87,7 @@ def format_across(
             ),
             *_list_best(table),
             *([fill_lines(above, indent=2)] if above else []),
-            _format(table),
+            _format(cut_rows(table)),
             "",
             fill_lines(
                 [

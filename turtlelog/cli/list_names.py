@@ -1,7 +1,7 @@
 """`turtlelog list`: the names that commands, checks and scenarios take; completion offers them."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -16,11 +16,11 @@ Kind = Literal["metrics", "signals", "presets", "laws", "plants", "causes", "fig
 Entries = list[dict[str, Any]]
 
 _PRESETS: Final = {
-    "paper": "the paper's controller as built, with Kp = 1",
-    "textbook": "the loop of the equations: no pause, no backlog, the newest command wins",
+    "paper": "the paper's controller with all its effects, Kp = 1",
+    "textbook": "the loop of the equations: no pause, no initial queue, the newest command wins",
     "posture": "the law posture in the textbook's loop: to the goal and a heading of 90 deg",
     "track-square": "pure pursuit along a square of 5 m at 0.5 m/s",
-    "lagged": "the textbook's loop around a robot with a lag of 0.1 s and a dead time of 0.08 s",
+    "lagged": "the textbook's loop, robot model of time constant 0.1 s and dead time 0.08 s",
     "plant-impulse": "the turn rate's unit impulse, without limits: the heading stays at 1 rad",
     "plant-step": "the turn rate's unit step, without limits: the heading is t",
     "plant-ramp": "the turn rate's unit ramp, without limits: the heading is t^2 / 2, sampled",
@@ -29,7 +29,7 @@ _NOTES: Final[Mapping[str, str]] = {
     "metrics": "Of the law sequential-p. Another law has loops of other names:"
     " `turtlelog metrics FILE --all` shows the metrics of a recording.",
     "signals": "And the states of a law, by their names.",
-    "causes": "Of any loop, and of the law that is named.",
+    "causes": "Each is an effect of the implementation or a design parameter.",
     "laws": "And laws of your own: FILE.py:NAME.",
 }
 
@@ -57,9 +57,9 @@ def list_(kind: Kind, /, *, json: bool = False) -> None:
         return
     titles = [title for title in entries[0] if title not in _IN_JSON]
     table = tl.compare.Table(
-        title=kind.capitalize(),
+        title=f"{len(entries)} {kind}",
         columns=tuple(tl.compare.Column(title=title) for title in titles),
-        rows=tuple(tuple(_show(entry[title]) for title in titles) for entry in entries),
+        rows=tuple(row for entry in entries for row in _list_rows(entry, titles)),
         notes=(_NOTES[kind],) if kind in _NOTES else (),
     )
     print_text(format_table(table))
@@ -69,9 +69,18 @@ _IN_JSON: Final = frozenset({"scenario", "parameters"})
 """What a table has no room for."""
 
 
+def _list_rows(entry: Mapping[str, Any], titles: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Yield the row of an entry, and further ones for each further setting in its last column."""
+    *first, last = (entry[title] for title in titles)
+    if not isinstance(last, Mapping):
+        yield (*map(_show, first), _show(last))
+        return
+    settings = [f"{key} = {value}" for key, value in last.items()] or ["-"]
+    yield (*map(_show, first), settings[0])
+    yield from ((*("" for _ in first), setting) for setting in settings[1:])
+
+
 def _show(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} = {item}" for key, item in value.items()) or "-"
     return ", ".join(value) if isinstance(value, list) else str(value or "-")
 
 
@@ -94,7 +103,7 @@ def _list_presets() -> Entries:
     return [
         {
             "name": name,
-            "meaning": _PRESETS.get(name, "a run that the paper recorded, as built"),
+            "meaning": _PRESETS.get(name, "a run that the paper recorded, with all its effects"),
             "scenario": dict(tl.scenario.flatten_scenario(tl.load_scenario(name))),
         }
         for name in tl.PRESETS

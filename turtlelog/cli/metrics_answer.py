@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import (
+    cut_rows,
     fill_lines,
     find_width,
     print_tables,
@@ -371,7 +372,7 @@ def _format_runs(summaries: "Sequence[RunSummary]") -> str:
     return "\n".join(
         [
             fill_lines([f"{describe_count(len(summaries), 'run')}: {_describe_ends(summaries)}."]),
-            _format(table),
+            _format(cut_rows(table)),
             "",
             "Which is best? turtlelog compare, with the same files",
             f"All {count} metrics with their ids: --all, or --only IDS",

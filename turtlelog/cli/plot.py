@@ -12,6 +12,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog import show
 from turtlelog.cli.asked_figures import AskedOptions
+from turtlelog.cli.endings import describe_runs
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.map import ViewOptions, draw_table, find_table
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
@@ -111,7 +112,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     if output is None:
         runs = _collect_runs(_require_scenes(files, movie), topics)
         film_runs(runs, movie, timeline=timeline)
-        _tell(_build_answer(files or [], {}, [], (), movie), runs, json=json)
+        _tell(_build_answer(files or [], runs, {}, [], (), movie), runs, json=json)
         return
     names = None if only is None else split_names(only, "--only")
     is_file = output.suffix.lower() in PICTURES
@@ -145,7 +146,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         print_note(f"plot: {line}")
     _tell_whole(figures.values(), page)
     film_runs(runs, movie, timeline=timeline)
-    _tell(_build_answer(files or [], figures, tables, left_out, movie), runs, json=json)
+    answer = _build_answer(files or [], runs, figures, tables, left_out, movie)
+    _tell(answer, runs, json=json)
 
 
 def _require_no_figures(table: Path, given: Mapping[str, object]) -> None:
@@ -207,6 +209,7 @@ class PlotAnswer:
 
     Attributes:
         files: Of what, as they were given.
+        ending: How the runs ended, in words; None without runs.
         figures: The figures.
         tables: Files of tables.
         left_out: What was not drawn, and why.
@@ -214,6 +217,7 @@ class PlotAnswer:
     """
 
     files: list[str]
+    ending: str | None
     figures: list[FigureAnswer]
     tables: list[str]
     left_out: list[str]
@@ -222,6 +226,7 @@ class PlotAnswer:
 
 def _build_answer(
     files: Sequence[Path],
+    runs: "Sequence[Run]",
     figures: Mapping[Path, str],
     tables: Sequence[Path],
     left_out: Sequence[str],
@@ -229,6 +234,7 @@ def _build_answer(
 ) -> PlotAnswer:
     return PlotAnswer(
         files=[str(path) for path in files],
+        ending=describe_runs(runs) if runs else None,
         figures=[
             FigureAnswer(
                 file=str(path),
@@ -245,13 +251,14 @@ def _build_answer(
 
 
 def _tell(answer: PlotAnswer, runs: "Sequence[Run]", *, json: bool) -> None:
-    """Say what is shown, and what was written."""
+    """Say how the runs ended, what is shown, and what was written."""
     if json:
         print_json(answer)
         return
     written = [*(figure.file for figure in answer.figures), *answer.tables]
     written += [] if answer.movie is None else [answer.movie]
-    print_text("\n".join([fill_lines([_describe_shown(answer, runs)]), *list_written(written)]))
+    said = [*filter(None, [answer.ending]), _describe_shown(answer, runs)]
+    print_text("\n".join([fill_lines(said), *list_written(written)]))
 
 
 def _describe_shown(answer: PlotAnswer, runs: "Sequence[Run]") -> str:

@@ -273,7 +273,8 @@ def _answer(found: "SweepSummary", plan: "SweepPlan", elapsed_s: float, *, json:
         )
     keys = ", ".join(plan.keys)
     recorded = f" {found.recorded} runs are recorded." if found.recorded else ""
-    rows = f"{describe_count(found.rows, 'run')} over {keys}, {found.failed} failed"
+    failed = f", {found.failed} failed" if found.failed else ""
+    rows = f"{describe_count(found.rows, 'run')} over {keys}{failed}"
     print_text(
         fill_lines(
             [
@@ -301,7 +302,9 @@ def _describe_best(output: Path) -> str:
                 ends = np.nanmin(metric.values), np.nanmax(metric.values)
                 low, high = (format_short(float(end), metric.unit) for end in ends)
                 if low == high:
-                    return f"{metric.name} is {low} in every run that has a value"
+                    all_have = np.isfinite(metric.values).all()
+                    where = "every run" if all_have else "every run that has a value"
+                    return f"{metric.name} is {low} in {where}"
                 least = results.tell_row(int(np.nanargmin(metric.values)))
                 return f"{metric.name} is {low} to {high}, least with {least}"
     return "no metric has a value in any row"

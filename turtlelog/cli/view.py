@@ -8,17 +8,27 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.endings import describe_runs
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import Connect, Files, Place, ReadingOptions, read_runs, require_files
-from turtlelog.cli.output import outlive_reader, print_note, print_text
+from turtlelog.cli.output import (
+    fill_lines,
+    list_written,
+    outlive_reader,
+    print_note,
+    print_text,
+)
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import Run
 
 _LONGEST_S = 1e9
 _HOUR_S = 3600.0
@@ -102,23 +112,22 @@ def view(
             _follow(files[0], window.connect)
         return
     if movie.movie is not None:
-        _film(files, movie, picture.timeline, topics)
+        runs = _film(files, movie, picture.timeline, topics)
+        _tell([movie.movie], runs)
         if save is None and picture.snapshot is None and not window.web:
             return
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
-        rrds, span_s = _prepare_rrds(files, save, picture, Path(folder), topics)
-        if save is not None:
-            print_note(f"wrote {save}")
+        rrds, runs = _prepare_rrds(files, save, picture, Path(folder), topics)
         if picture.snapshot is not None:
             with show_progress("taking the picture"):
                 tl.show.write_snapshot(
                     rrds[0],
                     picture.snapshot,
-                    at_s=_choose_time(picture, span_s),
+                    at_s=_choose_time(picture, runs),
                     timeline=picture.timeline,
                     size=width_and_height,
                 )
-            print_note(f"wrote {picture.snapshot}")
+        _tell([path for path in (save, picture.snapshot) if path is not None], runs)
         with suppress(KeyboardInterrupt):  # a look ends so, too
             if window.web:
                 _serve(rrds)
@@ -126,14 +135,22 @@ def view(
                 tl.open_viewer(rrds)
 
 
+def _tell(written: Sequence[Path], runs: "Sequence[Run]") -> None:
+    """Say how the runs ended that a file shows, and what was written."""
+    if written:
+        ending = [fill_lines([describe_runs(runs)])] if runs else []
+        print_text("\n".join([*ending, *list_written(written)]))
+
+
 def _film(
     files: list[Path], movie: MovieOptions, timeline: str, topics: ReadingOptions | None
-) -> None:
+) -> "list[Run]":
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready:
         raise UsageError(f"--movie: expected recordings, found {ready[0]}, which is a view already")
-    film_runs(read_runs(files, topics), movie, timeline=timeline)
-    print_note(f"wrote {movie.movie}")
+    runs = read_runs(files, topics)
+    film_runs(runs, movie, timeline=timeline)
+    return runs
 
 
 def _require_picture(picture: PictureOptions, movie: MovieOptions) -> None:
@@ -199,15 +216,15 @@ def _prepare_rrds(
     picture: PictureOptions,
     folder: Path,
     topics: ReadingOptions | None,
-) -> tuple[list[Path], tuple[float, float] | None]:
-    """Return the views, and where the first pose and the longest run's end are [s], if known."""
+) -> tuple[list[Path], "list[Run]"]:
+    """Return the views, and their runs, if known."""
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready and (len(ready) < len(files) or save is not None):
         raise UsageError(f"FILE: expected recordings, found {ready[0]}, which is a view already")
     if len(ready) > 1 and picture.snapshot is not None:
         raise UsageError(f"--snapshot: expected one view, found {len(ready)}")
     if ready:
-        return ready, None
+        return ready, []
     runs = read_runs(files, topics)
     rrd = save or folder / "view.rrd"
     with show_progress("drawing"):
@@ -216,15 +233,15 @@ def _prepare_rrds(
             tl.write_run_rrd(runs[0], rrd, size=size)
         else:
             tl.write_comparison_rrd(runs, rrd, size=size)
-    start_ns = min(int(run.poses.time_ns[0]) - run.start_ns for run in runs)
-    return [rrd], (start_ns / 1e9, max(run.end_ns - run.start_ns for run in runs) / 1e9)
+    return [rrd], runs
 
 
-def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) -> float | None:
+def _choose_time(picture: PictureOptions, runs: "Sequence[Run]") -> float | None:
     """Return the time of the picture: a view is a little longer than its runs."""
-    if picture.timeline != "sim_time" or span_s is None:
+    if picture.timeline != "sim_time" or not runs:
         return picture.at
-    start_s, end_s = span_s
+    start_s = min(int(run.poses.time_ns[0]) - run.start_ns for run in runs) / 1e9
+    end_s = max(run.end_ns - run.start_ns for run in runs) / 1e9
     if picture.at is None:
         return end_s
     if picture.at > end_s + _ROUNDING_S:

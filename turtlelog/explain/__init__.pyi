@@ -1,7 +1,6 @@
 from .attribute import (
     attribute_run as attribute_run,
     attribute_scenario as attribute_scenario,
-    choose_metric as choose_metric,
     require_mechanisms as require_mechanisms,
 )
 from .attribution import (
@@ -13,6 +12,7 @@ from .attribution import (
     StartRange as StartRange,
     Together as Together,
     ValueSet as ValueSet,
+    choose_metric as choose_metric,
 )
 from .game import (
     Work as Work,

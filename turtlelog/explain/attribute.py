@@ -11,6 +11,7 @@ from turtlelog.explain.attribution import (
     Contribution,
     Together,
     ValueSet,
+    choose_metric,
     find_resolution,
 )
 from turtlelog.explain.game import Coalition, Game, Outcome, Work, list_coalitions
@@ -39,18 +40,6 @@ from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
-
-
-def choose_metric(declaration: Declaration) -> str:
-    """Return the metric to explain where none is named: what matters most to runs of a law.
-
-    The final position error; without a goal the rms error of the loop that is declared last, of a
-    law that tracks a path the cross-track error; without a loop the way.
-    """
-    if declaration.uses_goal:
-        return "final.position_error"
-    loops = [loop.name for loop in declaration.loops]
-    return f"{loops[-1]}.rms_error" if loops else "run.path_length"
 
 
 _MOST: Final = 6
