@@ -163,7 +163,7 @@ def compare(
         return compare_with_robot(files, plot=pictures.plot, rrd=rrd, topics=topics, kind=kind)
     if pictures.plot is not None:
         raise UsageError(
-            "--plot: expected the scenario of a robot (.toml) among the files, found none;"
+            "--plot: needs the scenario of a robot (.toml) among the files;"
             " turtlelog plot draws runs"
         )
     paths = [*([] if against.reference is None else [against.reference]), *files]
@@ -187,16 +187,16 @@ def compare(
 def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: ChoiceOptions) -> None:
     if against.tolerances is not None:
         raise UsageError(
-            "--tolerances: expected none, as verdicts are given by"
+            "--tolerances: leave it out; verdicts are given by"
             f" turtlelog check {against.tolerances} RUN --reference {against.reference or 'RUN'}"
         )
     if len(paths) < 2:
         raise UsageError(_describe_too_few(paths, against))
     if against.reference is None and against.align is not None:
-        raise UsageError("--align: expected --reference beside it, found none")
+        raise UsageError("--align: needs --reference FILE")
     for name in () if against.reference is None else ("only", "sort", "where", "varied"):
         if getattr(choice, name) is not None:
-            raise UsageError(f"--{name}: expected no --reference beside it, found one")
+            raise UsageError(f"--{name}: leave out --reference")
 
 
 def _describe_too_few(paths: Sequence[Path], against: ReferenceOptions) -> str:
@@ -215,8 +215,7 @@ def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> No
     for name, value in given.items():
         if value is not None:
             raise UsageError(
-                f"--{name}: expected none beside a scenario, which is what bags are compared with,"
-                f" found {value}"
+                f"--{name} {value}: leave it out, the scenario is what bags are compared with"
             )
 
 

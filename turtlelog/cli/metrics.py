@@ -153,7 +153,7 @@ def metrics(
     folders = folders or FolderOptions()
     if folders.output is not None:
         if kind not in {"txt", "json"}:
-            raise UsageError("--output: expected text or --json beside it, found another format")
+            raise UsageError("--output: takes --json, no other format")
         plan = tl.sweep.plan_metric_table(
             measuring.build_settings(), only=patterns, topics=topics.build_choice()
         )
@@ -298,4 +298,4 @@ def _parse_value(option: str, text: str) -> Value:
         return float(text)
     except ValueError as err:
         words = "reference, last, a number" if option == "--final" else "a number"
-        raise UsageError(f"{option}: expected {words} or LOOP=VALUE,..., found {text!r}") from err
+        raise UsageError(f"{option} {text}: must be {words} or LOOP=VALUE,...") from err

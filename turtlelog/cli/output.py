@@ -71,7 +71,7 @@ class FormatOptions:
         }
         chosen = [name for name, is_asked in asked.items() if is_asked]
         if len(chosen) > 1:
-            raise UsageError(f"{chosen[1]}: expected one format, found {chosen[0]} beside it")
+            raise UsageError(f"{chosen[0]} and {chosen[1]}: choose one format")
         kinds = {"--markdown": "md", "--csv": "csv", "--latex": "tex", "--json": "json"}
         return kinds[chosen[0]] if chosen else "txt"
 

@@ -32,6 +32,7 @@ from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import UsageError
 from turtlelog.remote.urls import RemotePath
+from turtlelog.text_files import describe_missing
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -186,10 +187,15 @@ def _tell_whole(names: Iterable[str], page: "Page") -> None:
 
 def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]:
     """Return the files of a movie without figures."""
+    for path in files or []:
+        if str(path) not in tl.PRESETS and not path.exists():
+            raise UsageError(f"{path}: {describe_missing(path, tl.PRESETS)}")
     if movie.movie is None:
         raise UsageError("plot needs a file or a folder to write: -o NAME.png or -o FOLDER")
     if not files:
-        raise UsageError("--movie: expected recordings to film, found none")
+        raise UsageError(
+            "--movie: no recordings to film; name them: turtlelog plot FILE... --movie NAME.mp4"
+        )
     return files
 
 
@@ -309,26 +315,30 @@ _OVERVIEWS: Final = ("panel", "plane", "step-responses")
 
 def _require_clock(movie: MovieOptions, timeline: str) -> None:
     if movie.movie is None and timeline != "sim_time":
-        raise UsageError(f"--timeline: expected together with --movie, found {timeline}")
+        raise UsageError("--timeline: needs --movie NAME.mp4")
 
 
 def _require_folder(output: Path) -> None:
     if output.suffix.lower() in _OTHER_PICTURES:
         raise UsageError(
-            f"{output}: expected a folder, or a file that ends in .pdf, .png or .svg, found"
+            f"{output}: figures are written as .pdf, .png or .svg, or to a folder, not as"
             f" {output.suffix}"
         )
     if isinstance(output, RemotePath):
-        raise UsageError(f"{output}: expected a local folder, or one file, found a URL of neither")
+        raise UsageError(f"{output}: a URL must end in .pdf, .png or .svg; folders are local")
     if output.exists() and not output.is_dir():
-        raise UsageError(f"{output}: expected a folder to write to, found a file")
+        raise UsageError(
+            f"{output}: is a file; name a folder, or a figure that ends in .pdf, .png or .svg"
+        )
 
 
 def _require_one(output: Path, names: list[str] | None, formats: str | None) -> None:
     if names is not None and len(names) != 1:
-        raise UsageError(f"--only: expected one figure for {output}, found {', '.join(names)}")
+        raise UsageError(
+            f"--only: {output} has room for one figure; write several to a folder: -o FOLDER"
+        )
     if formats is not None:
-        raise UsageError(f"--format: expected a folder to write to, found {output}")
+        raise UsageError(f"--format: leave it out, the name {output} says it")
 
 
 def _choose_overview(runs: "Sequence[Run]") -> str:

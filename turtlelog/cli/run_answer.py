@@ -16,7 +16,6 @@ _LONGEST: Final = 24
 """Of a name [characters]: of a longer one the changes have a line of their own."""
 
 
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunAnswer:
     """How a simulated run ended.

@@ -79,7 +79,7 @@ class PlanOptions:
         for name, is_given in (("--seed", self.seed is not None), ("--latin", self.latin)):
             if is_given:
                 more = "; --grid seed=0:9 varies that of the scenario" if name == "--seed" else ""
-                raise UsageError(f"{name}: expected --sample beside it, found none{more}")
+                raise UsageError(f"{name}: needs --sample COUNT{more}")
         return None
 
 
@@ -109,7 +109,7 @@ class TableOptions:
         """Return which runs are to be recorded, and where, as those at work find it."""
         if self.record is None:
             if self.record_where is not None:
-                raise UsageError("--record-where: expected --record beside it, found none")
+                raise UsageError("--record-where: needs --record DIR")
             return None
         (folder,) = work.name_files([self.record])
         return tl.sweep.RowRecords(folder=str(folder), where=self.record_where)
@@ -205,7 +205,7 @@ def _prepare(
     rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
     for key in list_given_keys(options):
         if key in rows.keys:
-            raise UsageError(f"--set: expected keys that are not varied, found {key}")
+            raise UsageError(f"--set: {key} is varied by --grid; leave one of them out")
     return tl.sweep.prepare_sweep(
         load_changed_scenario(base, options),
         rows,
@@ -223,12 +223,12 @@ def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:
     took = timedelta(seconds=max(1, round(found.seconds)))
     takes = f"{rows:,} rows: about {took}, and {found.bytes / 1e6:,.0f} MB in {output}"
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise UsageError(f"{takes}; expected --yes to go on, found no terminal to ask at")
+        raise UsageError(f"{takes}; add --yes to start it")
     print_note(takes)
     sys.stderr.write("Go on? [y/N] ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
-        raise UsageError("expected yes to go on, found another answer")
+        raise UsageError("stopped: the answer was not yes")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -148,11 +148,15 @@ def _name_option(text: str) -> str:
     name, colon, problem = text.partition(": ")
     if not colon or name not in _OPTIONS:
         return text
-    found = re.fullmatch(r"expected .* (> 0|from 0 to \S+), found (-?[\d.]+)", problem)
-    if found is None or (found[1] != "> 0" and not found[2].startswith("-")):
+    found = re.fullmatch(r"expected (.*?)((?:> 0|from 0 to \S+)?), found (\S+)", problem)
+    if found is None:
         return f"{_OPTIONS[name]}: {problem}"
-    bound = "greater than 0" if found[1] == "> 0" else "0 or greater"
-    return f"{_OPTIONS[name]} {found[2].removesuffix('.0')}: must be {bound}"
+    what, bound, value = found.groups()
+    if value.startswith("-") and bound:
+        must = "greater than 0" if bound == "> 0" else "0 or greater"
+    else:
+        must = f"{what}{bound}"
+    return f"{_OPTIONS[name]} {value.removesuffix('.0')}: must be {must}"
 
 
 _OPTIONS: Final = {
@@ -314,7 +318,7 @@ def _read_models(
     if is_recording(path):
         if changes.kp is not None or changes.assignments:
             option = "--set" if changes.kp is None else "--kp"
-            raise UsageError(f"{option}: expected a scenario beside it, found a recording, {path}")
+            raise UsageError(f"{option}: needs a scenario; {path} is a recording")
         (run,) = read_runs([path], topics)
         return run.name, "recording", tl.measure.model_run_loops(run, identified=_identify(run))
     options = LawOptions(kp=_parse_one_gain(changes.kp), assignments=changes.assignments)
@@ -340,7 +344,7 @@ def _parse_one_gain(text: str | None) -> float | None:
         return None
     gains = _parse_gains(text)
     if len(gains) != 1:
-        raise UsageError(f"--kp: expected one gain beside SCENARIO, found {len(gains)}")
+        raise UsageError(f"--kp: takes one gain with SCENARIO, not {len(gains)}")
     return gains[0]
 
 
@@ -348,7 +352,9 @@ def _parse_gains(text: str) -> list[float]:
     try:
         gains = [float(word) for word in text.split(",")]
     except ValueError as err:
-        raise UsageError(f"--kp: expected gains as in 1,2,4,10, found {text[:60]!r}") from err
+        raise UsageError(
+            f"--kp {text[:60]}: must be gains with commas between, as in 1,2,4,10"
+        ) from err
     if len(gains) > _MOST_GAINS:
-        raise UsageError(f"--kp: expected at most {_MOST_GAINS} gains, found {len(gains)}")
+        raise UsageError(f"--kp: takes at most {_MOST_GAINS} gains, not {len(gains)}")
     return gains

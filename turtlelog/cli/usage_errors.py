@@ -131,7 +131,8 @@ def _describe_missing(err: Any) -> str:
     if err.keyword:
         return f"{_name_command(err)}: {err.keyword} needs {_describe_value(argument)}"
     name = argument.name if argument.index is None else _name_place(argument)
-    return f"{_name_command(err)} needs {name}. {_show_usage(err)}"
+    choices = f": {_describe_value(argument)}" if argument.get_choices(force=True) else ""
+    return f"{_name_command(err)} needs {name}{choices}. {_show_usage(err)}"
 
 
 def _describe_count(err: Any) -> str:

@@ -147,7 +147,7 @@ def _film(
 ) -> "list[Run]":
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready:
-        raise UsageError(f"--movie: expected recordings, found {ready[0]}, which is a view already")
+        raise UsageError(f"--movie: {ready[0]} is a view already; name recordings")
     runs = read_runs(files, topics)
     film_runs(runs, movie, timeline=timeline)
     return runs
@@ -155,15 +155,14 @@ def _film(
 
 def _require_picture(picture: PictureOptions, movie: MovieOptions) -> None:
     if picture.at is not None and not abs(picture.at) < _LONGEST_S:
-        raise UsageError(f"--at: expected seconds, less than {_LONGEST_S:g}, found {picture.at:g}")
+        raise UsageError(f"--at {picture.at:g}: must be seconds below {_LONGEST_S:g}")
     if picture.at is not None and picture.snapshot is None:
-        raise UsageError(f"--at: expected together with --snapshot, found {picture.at:g}")
+        raise UsageError("--at: needs --snapshot NAME.png")
     if picture.size != _USUAL_SIZE and picture.snapshot is None:
-        raise UsageError(f"--size: expected together with --snapshot, found {picture.size}")
+        raise UsageError("--size: needs --snapshot NAME.png")
     is_timed = picture.snapshot is not None or movie.movie is not None
     if picture.timeline != "sim_time" and not is_timed:
-        expected = "expected together with --snapshot or --movie"
-        raise UsageError(f"--timeline: {expected}, found {picture.timeline}")
+        raise UsageError("--timeline: needs --snapshot NAME.png or --movie NAME.mp4")
 
 
 def _require_one_way(
@@ -171,13 +170,15 @@ def _require_one_way(
 ) -> None:
     writes = any(output is not None for output in outputs)
     if window.connect is not None and not window.follow:
-        raise UsageError(f"--connect: expected together with --follow, found {window.connect}")
+        raise UsageError("--connect: needs --follow")
     if window.follow and (window.web or writes):
-        raise UsageError("--follow: expected a window, found another option that opens none")
+        raise UsageError(
+            "--follow: leave out --save, --snapshot, --movie and --web, which open no window"
+        )
     if window.follow and (len(files) > 1 or files[0].suffix.lower() != ".mcap"):
         raise UsageError(
-            "--follow: expected one .mcap file that is being recorded,"
-            f" found {len(files) if len(files) > 1 else files[0]}"
+            "--follow: takes one .mcap file that is being recorded, not"
+            f" {len(files) if len(files) > 1 else files[0]}"
         )
 
 
@@ -200,13 +201,11 @@ def _serve(rrds: list[Path]) -> None:
 def _parse_size(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
     if found is None:
-        raise UsageError(f"--size: expected WIDTHxHEIGHT up to 9999, found {text!r}")
+        raise UsageError(f"--size {text}: must be WIDTHxHEIGHT, each up to 9999 pixels")
     width, height = int(found[1]), int(found[2])
     if width < _LEAST_SIZE[0] or height < _LEAST_SIZE[1]:
         least = "x".join(map(str, _LEAST_SIZE))
-        raise UsageError(
-            f"--size: expected at least {least}, as no curve shows below, found {text}"
-        )
+        raise UsageError(f"--size {text}: must be at least {least}, below which no curve shows")
     return width, height
 
 
@@ -220,9 +219,11 @@ def _prepare_rrds(
     """Return the views, and their runs, if known."""
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready and (len(ready) < len(files) or save is not None):
-        raise UsageError(f"FILE: expected recordings, found {ready[0]}, which is a view already")
+        raise UsageError(
+            f"{ready[0]}: is a view already; name recordings, or views alone without --save"
+        )
     if len(ready) > 1 and picture.snapshot is not None:
-        raise UsageError(f"--snapshot: expected one view, found {len(ready)}")
+        raise UsageError(f"--snapshot: takes one view, not {len(ready)}")
     if ready:
         return ready, []
     runs = read_runs(files, topics)
@@ -245,8 +246,8 @@ def _choose_time(picture: PictureOptions, runs: "Sequence[Run]") -> float | None
     if picture.at is None:
         return end_s
     if picture.at > end_s + _ROUNDING_S:
-        raise UsageError(f"--at: expected at most {end_s:.3f} s, where it ends, found {picture.at}")
+        raise UsageError(f"--at {picture.at}: must be at most {end_s:.3f} s, where it ends")
     if picture.at < start_s - _ROUNDING_S:
-        expected = f"expected at least {start_s:.3f} s, where it begins"
-        raise UsageError(f"--at: {expected}, found {picture.at}")
+        least = f"must be at least {start_s:.3f} s, where it begins"
+        raise UsageError(f"--at {picture.at}: {least}")
     return picture.at

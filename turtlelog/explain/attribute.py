@@ -41,7 +41,6 @@ from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 
-
 _MOST: Final = 6
 """Mechanisms that take part: 64 simulations, a second or two of the paper's runs, and with random
 effects 32 times as many; each more doubles them."""

@@ -55,7 +55,7 @@ def find_law(kind: str) -> AnyLaw:
     place, _, name = kind.rpartition(":")
     law = getattr(_load_module(place), name, None)
     if law is None:
-        raise LawError(f"expected a class {name} in {place}, found none")
+        raise LawError(f"{place} has no class {name}")
     if isinstance(law, LawPart):
         return law
     if inspect.isfunction(law):
@@ -106,7 +106,7 @@ def declare_law(
         raise LawError(f"{name_law(law)}.declare: expected a Declaration, found {found}")
     if declared != again or [*declared.phases] != [*again.phases]:
         expected = "the same Declaration for the same parameters"
-        raise LawError(f"{name_law(law)}.declare: expected {expected}, found another each time")
+        raise LawError(f"{name_law(law)}.declare: must return {expected}")
     _require_nameable(declared, f"{name_law(law)}.declare")
     return declared
 
@@ -205,7 +205,7 @@ def require_law_name(kind: str) -> None:
 
 def _load_module(place: str) -> ModuleType:
     if place.endswith(".py") and not Path(place).is_file():
-        raise LawError(f"expected a Python file at {place}, found none")
+        raise LawError(f"no Python file {place}")
     try:
         with print_to_stderr():
             if place.endswith(".py"):

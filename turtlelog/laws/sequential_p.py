@@ -64,7 +64,7 @@ def declare_loops(
     if reorient:
         if goal is None or goal.heading_rad is None:
             expected = "a goal with a heading to turn to (goal.heading_rad)"
-            raise LawError(f"law.reorient: expected {expected}, found none")
+            raise LawError(f"law.reorient: needs {expected}")
         loops.append(replace(loops[0], name=REORIENT, reference="goal_heading"))
         phases[REORIENT] = (REORIENT,)
     return replace(base, loops=tuple(loops), phases=phases)

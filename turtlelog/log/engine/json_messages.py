@@ -164,9 +164,7 @@ class _Schema:
         for part in parts:
             found = found.get(part) if isinstance(found, dict) else None
         if found is None or not reference.startswith("#"):
-            raise LogError(
-                f"schema {self._name}: expected what {reference[:60]!r} names, found nothing"
-            )
+            raise LogError(f"schema {self._name}: no definition at {reference[:60]!r}")
         return found
 
 

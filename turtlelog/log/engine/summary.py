@@ -135,8 +135,8 @@ def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
     footer, end = stream.read(_FOOTER.size), stream.read()
     if place < len(MCAP0_MAGIC) or end != MCAP0_MAGIC:
         raise UnfinishedError(
-            f"byte {size}: expected the end of an MCAP file, found none:"
-            " cut short, or never finished"
+            f"the file ends at byte {size} without the end of an MCAP file:"
+            " it is truncated or unfinished"
         )
     opcode, length, start, _, checksum = _FOOTER.unpack(footer)
     if opcode != Opcode.FOOTER or length != 20 or start > place:

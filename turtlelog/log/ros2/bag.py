@@ -61,7 +61,7 @@ def open_bag(path: str | Path) -> Bag:
     for file, info in infos.items():
         if not info.complete:
             raise LogError(
-                f"{file}: expected the end of an MCAP file, found none: cut short, or never"
-                f" finished: {info.notes['partial']}"
+                f"{file}: without the end of an MCAP file: it is truncated or unfinished:"
+                f" {info.notes['partial']}"
             )
     return Bag(path=path, infos=infos)
