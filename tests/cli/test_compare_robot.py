@@ -116,7 +116,7 @@ def test_what_is_no_comparison_with_a_robot_is_refused_in_one_line(
     assert "expected a bag or a recording to compare" in refuse(call, scenario)
     assert "expected one scenario to compare bags with" in refuse(call, scenario, turtle, bag)
     assert 'with plant.kind = "lagged", found turtlesim' in refuse(call, bag, turtle)
-    for option in ("--reference", "--align", "--only", "--sort", "--where"):
+    for option in ("--reference", "--align", "--metric", "--sort", "--where"):
         assert f"{option}: expected none beside a scenario" in refuse(
             call, bag, scenario, option, str(bag)
         )

@@ -30,7 +30,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_metrics_takes_the_recordings_below_a_folder(call: Call, folder: Path) -> None:
-    answer = call("metrics", "runs", "--recursive", "--json", "--only", "run.duration")
+    answer = call("metrics", "runs", "--recursive", "--json", "--metric", "run.duration")
     assert answer.code == 2
     assert [Path(one["file"]).name for one in answer.json] == ["a.mcap", "b.mcap", "c.mcap"]
     assert "cut.mcap: " in answer.err
@@ -46,7 +46,7 @@ def test_a_folder_without_recursive_names_the_option(call: Call, folder: Path) -
 
 
 def test_compare_takes_the_recordings_below_a_folder(call: Call, folder: Path) -> None:
-    answer = call("compare", "runs", "--recursive", "--json", "--only", "run.duration")
+    answer = call("compare", "runs", "--recursive", "--json", "--metric", "run.duration")
     assert answer.code == 2
     assert [Path(one["file"]).name for one in answer.json["runs"]] == ["a.mcap", "b.mcap", "c.mcap"]
     assert "cut.mcap: " in answer.err

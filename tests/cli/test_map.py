@@ -217,7 +217,7 @@ def test_the_measured_border_of_stability_is_theorys(
     """Gains in steps of 1 over dead times of 3 to 12 ticks; the metric knows nothing of theory."""
     monkeypatch.chdir(tmp_path)
     grid = ("--grid", "law.kp_linear=1:40:1", "--grid", "loop.transport_delay_ticks=3:12:3")
-    metrics = ("--metrics", "translate.stable,translate.overshoot", "-o", "border.parquet")
+    metrics = ("--metric", "translate.stable,translate.overshoot", "-o", "border.parquet")
     assert call("sweep", "textbook", *grid, *metrics).code == 0
     done = call("plot", "border.parquet")
     assert done.code == 0

@@ -55,7 +55,7 @@ def test_info_goes_on_after_a_bad_file(call: Call, kp4: Path, words: list[str]) 
 
 
 def test_metrics_puts_runs_side_by_side(call: Call, kp4: Path, kp10: Path) -> None:
-    answer = call("metrics", kp4, kp10, "--only", "rotate.*")
+    answer = call("metrics", kp4, kp10, "--metric", "rotate.*")
     assert answer.code == 0
     rows = [line.split() for line in answer.out.splitlines()]
     assert ["metric", "unit", "paper-kp4", "paper-kp10"] in rows

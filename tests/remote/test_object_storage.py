@@ -95,7 +95,7 @@ def test_an_object_that_is_replaced_while_it_is_read_is_one_line(
         tl.log.read_columns(path)
 
 
-SWEEP = ("sweep", "paper-kp4", "--grid", "law.kp_linear=1:6", "--metrics", "final.*")
+SWEEP = ("sweep", "paper-kp4", "--grid", "law.kp_linear=1:6", "--metric", "final.*")
 
 
 def _run(*words: str) -> int | str | None:

@@ -26,7 +26,7 @@ from turtlelog.sweep import (
 from turtlelog.sweep.kept_parts import KeptParts, name_partial
 
 GRID = ("law.kp_linear=0.5:4:0.5", "loop.transport_delay_ticks=0:4")
-SWEEP = ("sweep", "paper-kp4", "--grid", GRID[0], "--grid", GRID[1], "--metrics", "final.*")
+SWEEP = ("sweep", "paper-kp4", "--grid", GRID[0], "--grid", GRID[1], "--metric", "final.*")
 
 
 def prepare(*grid: str, metrics: str = "final.*", records: RowRecords | None = None) -> Sweep:

@@ -53,7 +53,7 @@ class AskedOptions:
             expected = "--only attribution, gains or strips"
             raise UsageError(f"--metric: needs {expected}")
         if self.expect is not None and "violation" not in names:
-            raise UsageError(f"--expect: needs --only violation")
+            raise UsageError("--expect: needs --only violation")
         if self.expect is None and "violation" in names:
             raise UsageError("--only violation: needs --expect FORMULA")
 

@@ -78,7 +78,7 @@ class ChoiceOptions:
     """Which rows and columns the table across runs has.
 
     Attributes:
-        only: Columns, separated by commas: metrics, patterns (translate.*), parameters.
+        metric: Columns, separated by commas: metrics, patterns (translate.*), parameters.
         sort: Metric or parameter to sort by, name, or Kp as the column is called. A minus before it
             sorts in falling order. Example: -run.duration. Default: rising gain.
         where: Condition for the runs. Example: "law.kp_linear >= 2 and run.duration < 20".
@@ -87,7 +87,7 @@ class ChoiceOptions:
             the best. Gains are always on purpose.
     """
 
-    only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
+    metric: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
     sort: Annotated[
         str | None,
         Parameter(allow_leading_hyphen=True, metavar="NAME", completer=complete_metrics),
@@ -101,7 +101,7 @@ class ChoiceOptions:
 
     def list_columns(self) -> list[str]:
         """Return the names and patterns that are asked for, none for the usual columns."""
-        return [] if self.only is None else split_names(self.only, "--only")
+        return [] if self.metric is None else split_names(self.metric, "--metric")
 
 
 @Parameter(name="*")
@@ -194,7 +194,7 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
         raise UsageError(_describe_too_few(paths, against))
     if against.reference is None and against.align is not None:
         raise UsageError("--align: needs --reference FILE")
-    for name in () if against.reference is None else ("only", "sort", "where", "varied"):
+    for name in () if against.reference is None else ("metric", "sort", "where", "varied"):
         if getattr(choice, name) is not None:
             raise UsageError(f"--{name}: leave out --reference")
 
@@ -210,7 +210,7 @@ def _describe_too_few(paths: Sequence[Path], against: ReferenceOptions) -> str:
 def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> None:
     given = {
         **{name: getattr(against, name) for name in ("reference", "align", "tolerances")},
-        **{name: getattr(choice, name) for name in ("only", "sort", "where", "varied")},
+        **{name: getattr(choice, name) for name in ("metric", "sort", "where", "varied")},
     }
     for name, value in given.items():
         if value is not None:
@@ -281,7 +281,7 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
         from turtlelog.compare.run_table import sort_by_column
 
         summaries = sort_by_column(summaries, choice.sort, source="--sort")
-    only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--only")
+    only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--metric")
     ranking = tl.compare.judge_runs(summaries, varied=choice.list_varied(), source="--varied")
     if kind == "json":
         print_json(_build_answer(summaries, only=only, notes=notes, ranking=ranking))

@@ -91,7 +91,7 @@ def format_across(
             "",
             fill_lines(
                 [
-                    *([f"More metrics (--only IDS): {', '.join(left_out)}."] if left_out else []),
+                    *([f"More metrics (--metric IDS): {', '.join(left_out)}."] if left_out else []),
                     *_list_next(summaries, names, table, ranking),
                 ]
             ),
@@ -225,7 +225,7 @@ def _list_next(
         option = "" if metric == "final.position_error" else f" --metric {metric}"
         file = escape_controls(shlex.quote(summaries[row].file))
         yield f"Why is {names[row]} worse? turtlelog explain {file}{option}"
-    yield "Other columns: --only IDS. Every metric: --json, or turtlelog metrics."
+    yield "Other columns: --metric IDS. Every metric: --json, or turtlelog metrics."
 
 
 def format_reference(

@@ -375,7 +375,7 @@ def _format_runs(summaries: "Sequence[RunSummary]") -> str:
             _format(cut_rows(table)),
             "",
             "Which is best? turtlelog compare, with the same files",
-            f"All {count} metrics with their ids: --all, or --only IDS",
+            f"All {count} metrics with their ids: --all, or --metric IDS",
         ]
     )
 

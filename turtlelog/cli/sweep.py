@@ -90,20 +90,20 @@ class TableOptions:
 
     Attributes:
         output: Write the table to this .parquet file, or behind a URL.
-        metrics: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics);
+        metric: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics);
             otherwise the essential ones of each row's law but dead_time.
         record: Write recordings of rows to this folder, or below a URL, as row-000123.mcap.
         record_where: Only of rows for which this holds, as in "translate.settling_time > 5".
     """
 
     output: Annotated[Place, Parameter(name=("--output", "-o"))]
-    metrics: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
+    metric: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
     record: Annotated[Place | None, Parameter(metavar="DIR")] = None
     record_where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
 
     def list_patterns(self) -> list[str] | None:
         """Return the metrics that are asked for, None where none are."""
-        return None if self.metrics is None else split_names(self.metrics, "--metrics")
+        return None if self.metric is None else split_names(self.metric, "--metric")
 
     def build_records(self, work: WorkOptions) -> "RowRecords | None":
         """Return which runs are to be recorded, and where, as those at work find it."""

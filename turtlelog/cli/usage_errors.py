@@ -33,8 +33,8 @@ _SHORT: Final = 40
 
 _OPTIONS: Final = MappingProxyType(
     {
-        "--metric": "--only", "--metrics": "--only", "--figures": "--only", "--figure": "--only",
-        "--columns": "--only", "--mechanisms": "--causes", "--effects": "--causes",
+        "--metrics": "--metric", "--only": "--metric", "--figures": "--only", "--figure": "--only",
+        "--columns": "--metric", "--mechanisms": "--causes", "--effects": "--causes",
         "--vary": "--grid", "--out": "--output", "--recover": "--partial",
         "--delay": "--dead-time-s", "--signals": "--details", "--verbose": "--details",
         "--format": "--json", "--force": "--yes", "--gain": "--kp", "--minimize": "--minimise",
