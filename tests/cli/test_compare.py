@@ -169,14 +169,14 @@ def test_compare_gives_no_verdict_and_says_who_does(call: Call, kp4: Path, kp10:
     ("words", "message"),
     [
         (["--tolerances", "t.toml"], "--tolerances: expected none, as verdicts are given by"),
-        (["--align", "sample"], "--align: expected --reference beside it, found none"),
+        (["--align", "sample"], "--align: needs --reference FILE"),
         (
             ["--reference", "KP4", "--sort", "name"],
             "--sort: expected no --reference beside it",
         ),
         (["--reference", "KP4", "--where", "1 < 2"], "--where: expected no --reference beside it"),
         (["--reference", "KP4", "--align", "samples"], "alignment: expected sample"),
-        (["--csv", "--json"], "--json: expected one format, found --csv beside it"),
+        (["--csv", "--json"], "--csv and --json: choose one format"),
         (
             ["--metric", "run.durtion"],
             '--metric: no metric or parameter "run.durtion"; did you mean run.duration',

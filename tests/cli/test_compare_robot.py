@@ -124,7 +124,7 @@ def test_what_is_no_comparison_with_a_robot_is_refused_in_one_line(
         call, bag, bag, "--plot", tmp_path / "a.png"
     )
     assert "the name must end in .pdf" in refuse(call, bag, scenario, "--plot", tmp_path / "a.gif")
-    assert "--rrd: expected one bag to draw, found 2" in refuse(
+    assert "--rrd: draws one bag, not 2" in refuse(
         call, bag, bag, scenario, "--rrd", tmp_path / "a.rrd"
     )
 

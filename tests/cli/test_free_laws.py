@@ -145,11 +145,11 @@ def test_law_gives_the_recorded_poses_the_recorded_commands(call: Call) -> None:
         ),
         (
             ["replay", "--plant", STEP, "--commands", STEP],
-            "--plant: expected the recorded commands as they are, found --commands",
+            "--plant: leave out --commands; the recorded commands are used as they are",
         ),
         (
             ["run", "textbook", "--commands", STEP, "--kp", "3"],
-            "--kp: expected a law that declares a gain, found none: --set does it",
+            "--kp: this law declares no gain; set its keys with --set",
         ),
         (
             ["run", "plant-step", "--set", "law.signal=prbs", "--set", "law.order=8"],

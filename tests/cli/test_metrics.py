@@ -301,8 +301,8 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
         (["--jobs", "0"], "jobs: expected at least 1 process, found 0"),
         (["--jobs", "1.5"], "--jobs 1.5: must be a whole number"),
         (["--dead-time", "1.5"], "--dead-time 1.5: must be a whole number"),
-        (["--csv", "--json"], "--json: expected one format, found --csv beside it"),
-        (["--markdown", "--latex"], "--latex: expected one format, found --markdown beside it"),
+        (["--csv", "--json"], "--csv and --json: choose one format"),
+        (["--markdown", "--latex"], "--markdown and --latex: choose one format"),
     ],
 )
 def test_bad_usage_is_one_line(call: Call, kp4: Path, words: list[str], line: str) -> None:

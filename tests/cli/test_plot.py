@@ -114,9 +114,9 @@ def test_what_was_asked_for_by_name_and_is_not_held_ends_with_an_error(
         (["--for", "slide", "--text-width", "150"], "--text-width: expected --for column or page"),
         (
             [str(RECORDING), "--only", "gains,plant", "--to", "3"],
-            "--to: expected a figure over time, found gains, plant",
+            "--to: needs a figure over time, not gains, plant",
         ),
-        (["--dpi", "200", "--format", "pdf,svg"], "--dpi: expected png files, found pdf, svg"),
+        (["--dpi", "200", "--format", "pdf,svg"], "--dpi: is for png files, not pdf, svg"),
         (["--dpi", "601", "--format", "png"], "dpi: expected 50 to 600, found 601"),
         (["--from", "nan"], "from: expected a time [s], found nan"),
         (["--to", "inf"], "to: expected a time [s], found inf"),
@@ -143,7 +143,7 @@ def test_a_file_in_place_of_the_folder_is_refused(
     (tmp_path / "file").touch()
     code, _, err = run_plot(capsys, "-o", str(tmp_path / "file"))
     assert code == 2
-    assert "file: expected a folder to write to, found a file" in err
+    assert "file: is a file; name a folder, or a figure that ends in .pdf, .png or .svg" in err
 
 
 def test_a_file_holds_one_figure_that_gives_an_overview(
@@ -304,7 +304,7 @@ def test_dots_are_for_files_that_have_some(
     assert int.from_bytes(picture.read_bytes()[16:20]) == 513
     words = ["-o", str(tmp_path / "all"), "--only", "plant", "--dpi"]
     refused = [
-        (["72"], "--dpi: expected png files, found pdf"),
+        (["72"], "--dpi: is for png files, not pdf"),
         (["49", "--format", "png"], "dpi: expected 50 to 600, found 49"),
     ]
     for more, line in refused:
@@ -341,5 +341,5 @@ def test_a_number_of_processes_below_one_is_refused_for_one_figure_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = [str(RECORDING), "-o", str(tmp_path / "one.png"), "--jobs", "0"]
-    line = "turtlelog: error: --jobs: expected at least 1 process, found 0\n"
+    line = "turtlelog: error: --jobs 0: must be at least 1\n"
     assert run_plot(capsys, *words) == (2, "", line)

@@ -120,7 +120,7 @@ def test_convert_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) ->
         (["convert", "good.mcap", "-o", "b.mcap", "--sort"], "good.mcap: expected a log in JSON"),
         (
             ["view", "good.mcap", "--at", "3"],
-            "--at: expected together with --snapshot, found 3",
+            "--at: needs --snapshot NAME.png",
         ),
         (["view", "a.rrd", "good.mcap"], "found a.rrd, which is a view already"),
         (["view", "good.mcap", "--snapshot", "a.png", "--at", "nan"], "--at: expected seconds"),

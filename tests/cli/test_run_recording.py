@@ -100,7 +100,7 @@ def test_a_stripped_view_is_called_by_its_file(call: Call, tmp_path: Path) -> No
         (["paper", "--strip-scenario"], "--strip-scenario: expected -o or --rrd beside it"),
         (
             ["paper", "--strip-scenario", "--realtime", "-o", "a.mcap"],
-            "--strip-scenario: expected a run written at its end, found --realtime",
+            "--strip-scenario: leave out --realtime, which writes the scenario first",
         ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

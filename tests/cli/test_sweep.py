@@ -87,8 +87,8 @@ def test_row_of_a_table_is_run(call: Call) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--from", "t.parquet"), "--from: expected --row beside it, found none"),
-        (("--row", "1"), "--row: expected --from beside it, found none"),
+        (("--from", "t.parquet"), "--from: needs --row NUMBER"),
+        (("--row", "1"), "--row: needs --from TABLE"),
         (("--from", "t.parquet", "--row", "2"), "t.parquet: expected a row from 0 to 1, found 2"),
         (("paper", "--from", "t.parquet", "--row", "0"), "expected no scenario beside it"),
         (("--from", "t.parquet", "--row", "0", "--watch"), "--watch: expected a scenario that can"),
@@ -109,7 +109,7 @@ def test_row_that_cannot_be_run_is_one_line(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "--grid: expected a key to vary, found none"),
+        ((), "--grid: name a key to vary, for example --grid law.kp_linear=1:12"),
         (("--grid", "law.kp_linear=2:1"), "expected at least one value, found none from 2 to 1"),
         (
             ("--grid", "law.kp=1:2"),
@@ -127,7 +127,7 @@ def test_row_that_cannot_be_run_is_one_line(
         ((*GRID, "--sample", "0"), "--sample: expected at least 1, found 0"),
         ((*GRID, "--record-where", "1 > 2"), "--record-where: expected --record beside it"),
         ((*GRID, "--set", "law.kp_linear=3"), "--set: expected keys that are not varied, found"),
-        ((*GRID, "--jobs", "0"), "--jobs: expected at least 1 process, found 0"),
+        ((*GRID, "--jobs", "0"), "--jobs 0: must be at least 1"),
         ((*GRID, "-o", "t.csv"), "t.csv: the name must end in .parquet"),
         ((*GRID, "-o", "none/t.parquet"), "expected a place that can be written, found no such"),
         (("--grid", "law.kp_linear=1:1000:0.0001"), "9,990,001 rows: about "),

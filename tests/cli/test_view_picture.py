@@ -37,7 +37,7 @@ def test_a_time_without_the_run_is_refused_and_without_one_the_picture_is_of_its
 @pytest.mark.parametrize(
     ("picture", "line"),
     [
-        (PictureOptions(at=3.0), "--at: expected together with --snapshot, found 3"),
+        (PictureOptions(at=3.0), "--at: needs --snapshot NAME.png"),
         (PictureOptions(size="800x600"), "--size: expected together with --snapshot, .* 800x600"),
         (PictureOptions(at=math.nan, snapshot=Path("x.png")), "--at: expected seconds, .* nan"),
         (PictureOptions(at=1e9, snapshot=Path("x.png")), "--at: expected seconds, .* 1e.09"),

@@ -190,7 +190,7 @@ def test_other(recording, simulate):
         [
             "law.wanted_turn_rate: expected as recorded",
             "*reason *recorded *, the law answers *",
-            "*matches: expected the recording that is driven, found another",
+            "*matches: must be the recording that is driven",
         ]
     )
 

@@ -191,7 +191,7 @@ def test_a_sweep_into_a_bucket_goes_on_where_it_was(
     [
         (
             (*SWEEP, "-o", "s3://no-such-bucket/t.parquet"),
-            "s3://no-such-bucket/t.parquet: expected an object or file, found none of this name",
+            "s3://no-such-bucket/t.parquet: no object or file of this name",
         ),
         (
             (*SWEEP, "-o", "s3://robots/day 1/kp4.mcap"),

@@ -136,7 +136,7 @@ def test_without_ranges_the_whole_is_read_and_said(kp4: bytes, large_mcap: bytes
     [
         ("http://127.0.0.1:1/x.mcap?sig=SECRET", "found none that answers at this address"),
         ("http://nowhere.invalid/x.mcap", "found none that answers at this address"),
-        ("memory://nothing/x.mcap", "expected an object or file, found none of this name"),
+        ("memory://nothing/x.mcap", "no object or file of this name"),
         ("rubbish://nothing/x.mcap", "expected a URL that fsspec reads"),
         ("gs://bucket/x.mcap", "pip install gcsfs"),
     ],

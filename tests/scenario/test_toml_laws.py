@@ -75,7 +75,7 @@ def test_unknown_law_is_named() -> None:
 
 
 def test_law_of_a_missing_file_is_named() -> None:
-    line = "run.toml: law.kind: expected a Python file at nowhere.py, found none"
+    line = "run.toml: law.kind: no Python file nowhere.py"
     with pytest.raises(ScenarioError, match=match_whole(line)):
         resolve_scenario(parse_scenario("law.kind = 'nowhere.py:Law'", source="run.toml"))
 

@@ -83,7 +83,7 @@ def test_last_key_of_a_grid_is_the_fastest_and_zipped_keys_come_last() -> None:
 @pytest.mark.parametrize(
     ("grid", "zipped", "message"),
     [
-        ([], [], "--grid: expected a key to vary, found none"),
+        ([], [], "--grid: name a key to vary, for example --grid law.kp_linear=1:12"),
         (["a=1:2", "a=3:4"], [], "a: expected each key once, found it twice"),
         (["a=1:2"], ["a=3:4"], "a: expected each key once, found it twice"),
         (

@@ -237,7 +237,7 @@ def test_json_without_a_schema_is_not_understood(tmp_path: Path) -> None:
         writer.start("", "test")
         writer.add_message(writer.register_channel("/a", "json", 0), 0, b"{}", 0)
         writer.finish()  # type: ignore[no-untyped-call]
-    assert read_info(path).not_understood == ("/a: a schema expected, found none",)
+    assert read_info(path).not_understood == ("/a: it has no schema",)
 
 
 def test_json_logs_of_another_program_are_read() -> None:
