@@ -160,7 +160,7 @@ def test_a_law_of_ones_own_shows_the_settings_of_its_causes(call: Call, turn: Pa
     assert lines[3] == "  delay  +5.4 rad/s  loop.transport_delay_ticks = 6"
 
 
-def test_more_mechanisms_take_part(call: Call, kp10: Path) -> None:
+def test_more_causes_take_part(call: Call, kp10: Path) -> None:
     words = ("--causes", "queue, pause,saturation", "--metric", "final.heading_error")
     found = call("explain", kp10, *words, "--json").json["attribution"]
     assert [one["cause"] for one in found["contributions"]] == ["queue", "pause", "saturation"]
@@ -262,7 +262,7 @@ def test_a_recording_with_samples_is_explained_by_them(call: Call, kp10: Path) -
         (["--metric", "luck"], 'no metric "luck"; list: turtlelog list metrics'),
         (["--metric", "final.postion_error"], "did you mean final.position_error"),
         (["--causes", "queue,luck"], 'no cause "luck"'),
-        (["--causes", "queue,queue"], "mechanisms: expected different ones"),
+        (["--causes", "queue,queue"], "causes: expected different ones"),
         (["--rrd", "why.txt"], "the name must end in .rrd"),
         (["--scenario", "found.txt"], "the name must end in .toml"),
         (["--scenario", "no/such/found.toml"], "found no such folder"),

@@ -115,9 +115,7 @@ def test_kind_of_another_form_is_refused(kind: str) -> None:
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "nowhere.py"
-    with pytest.raises(
-        LawError, match=match_whole(f"no Python file {path}")
-    ):
+    with pytest.raises(LawError, match=match_whole(f"no Python file {path}")):
         find_law(f"{path}:Steady")
 
 

@@ -169,7 +169,7 @@ def _describe_causes(
 
     scenario = found.build_scenario()
     values = flatten_scenario(scenario)
-    table = tl.explain.find_mechanisms(scenario)
+    table = tl.explain.find_causes(scenario)
     for one in attribution.contributions:
         neutral = table[one.cause].neutral
         settings = [

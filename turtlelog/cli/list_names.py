@@ -29,7 +29,7 @@ _NOTES: Final[Mapping[str, str]] = {
     "metrics": "Of the law sequential-p. Another law has loops of other names:"
     " `turtlelog metrics FILE --all` shows the metrics of a recording.",
     "signals": "And the states of a law, by their names.",
-    "causes": "Each is an effect of the implementation or a design parameter.",
+    "causes": "effect: of the implementation; design: a design parameter.",
     "laws": "And laws of your own: FILE.py:NAME.",
 }
 
@@ -137,13 +137,13 @@ def _list_plants() -> Entries:
 
 
 def _list_causes() -> Entries:
-    from turtlelog.explain.mechanisms import LOOP_MECHANISMS
-    from turtlelog.laws import LAWS, list_mechanisms
+    from turtlelog.explain.causes import LOOP_CAUSES
+    from turtlelog.laws import LAWS, list_causes
 
-    of_laws = [(name, one) for name, law in LAWS.items() for one in list_mechanisms(law)]
+    of_laws = [(name, one) for name, law in LAWS.items() for one in list_causes(law)]
     return [
         {"name": one.name, "kind": one.kind, "of": law, "without it": dict(one.neutral)}
-        for law, one in [*(("any loop", one) for one in LOOP_MECHANISMS), *of_laws]
+        for law, one in [*(("any loop", one) for one in LOOP_CAUSES), *of_laws]
     ]
 
 

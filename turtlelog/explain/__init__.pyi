@@ -1,7 +1,7 @@
 from .attribute import (
     attribute_run as attribute_run,
     attribute_scenario as attribute_scenario,
-    require_mechanisms as require_mechanisms,
+    require_causes as require_causes,
 )
 from .attribution import (
     Attribution as Attribution,
@@ -13,6 +13,10 @@ from .attribution import (
     Together as Together,
     ValueSet as ValueSet,
     choose_metric as choose_metric,
+)
+from .causes import (
+    find_causes as find_causes,
+    simulate_without as simulate_without,
 )
 from .game import (
     Work as Work,
@@ -30,10 +34,6 @@ from .identify import (
 )
 from .law_identification import (
     describe_loop_name as describe_loop_name,
-)
-from .mechanisms import (
-    find_mechanisms as find_mechanisms,
-    simulate_without as simulate_without,
 )
 from .motion_facts import (
     Delays as Delays,

@@ -1,7 +1,7 @@
 """The value of a game, divided in exact arithmetic among those that play it.
 
-A contribution is a Shapley value (Shapley, "A value for n-person games", 1953): what a mechanism
-adds to the value, averaged over all orders in which they can be put in. What a set of mechanisms
+A contribution is a Shapley value (Shapley, "A value for n-person games", 1953): what a cause
+adds to the value, averaged over all orders in which they can be put in. What a set of causes
 makes only together is its dividend (Harsanyi, 1963). How steady all of it is, the same scenario
 shows from starts that lie within one sample's turn.
 """
@@ -23,25 +23,25 @@ Worth = Mapping[Coalition, float]
 """The value of every coalition."""
 
 
-def compute_contributions(worth: Worth, mechanisms: Sequence[str]) -> dict[str, float]:
-    """Return the contribution of each mechanism.
+def compute_contributions(worth: Worth, causes: Sequence[str]) -> dict[str, float]:
+    """Return the contribution of each cause.
 
     `math.fsum` of them is the float `worth` of all less that of none, to the last bit, except where
     the contributions cancel: it then misses by at most one step of the floats of the smallest.
     """
-    exact = [_compute_share(worth, mechanism, mechanisms) for mechanism in mechanisms]
-    total = worth[frozenset(mechanisms)] - worth[frozenset()]
-    return dict(zip(mechanisms, _round_contributions(exact, total), strict=True))
+    exact = [_compute_share(worth, cause, causes) for cause in causes]
+    total = worth[frozenset(causes)] - worth[frozenset()]
+    return dict(zip(causes, _round_contributions(exact, total), strict=True))
 
 
-def compute_dividends(worth: Worth, mechanisms: Sequence[str]) -> dict[tuple[str, ...], float]:
-    """Return what each set of two mechanisms or more adds beyond all that its subsets add."""
+def compute_dividends(worth: Worth, causes: Sequence[str]) -> dict[tuple[str, ...], float]:
+    """Return what each set of two causes or more adds beyond all that its subsets add."""
     exact: dict[Coalition, Fraction] = {}
-    for inside in list_coalitions(mechanisms):
+    for inside in list_coalitions(causes):
         subsets = sum((exact[part] for part in exact if part < inside), Fraction())
         exact[inside] = Fraction(worth[inside]) - subsets
     return {
-        tuple(mechanism for mechanism in mechanisms if mechanism in inside): float(dividend)
+        tuple(cause for cause in causes if cause in inside): float(dividend)
         for inside, dividend in exact.items()
         if len(inside) > 1
     }
@@ -53,12 +53,12 @@ def find_smallest(coalitions: Iterable[Coalition]) -> list[Coalition]:
     return [inside for inside in found if not any(other < inside for other in found)]
 
 
-def _compute_share(worth: Worth, mechanism: str, mechanisms: Sequence[str]) -> Fraction:
-    count = len(mechanisms)
+def _compute_share(worth: Worth, cause: str, causes: Sequence[str]) -> Fraction:
+    count = len(causes)
     contribution = Fraction(0)
-    for others in list_coalitions([other for other in mechanisms if other != mechanism]):
+    for others in list_coalitions([other for other in causes if other != cause]):
         orders = math.factorial(len(others)) * math.factorial(count - len(others) - 1)
-        adds = Fraction(worth[others | {mechanism}]) - Fraction(worth[others])
+        adds = Fraction(worth[others | {cause}]) - Fraction(worth[others])
         contribution += Fraction(orders, math.factorial(count)) * adds
     return contribution
 
@@ -102,17 +102,17 @@ def vary_start(
     *,
     added: float,
     resolution: float,
-    mechanisms: Sequence[str],
+    causes: Sequence[str],
     acting: Sequence[str],
 ) -> StartRange | None:
     """Return the value over starts within one sample's turn, None where the robot does not turn.
 
     Args:
-        scenario: With all mechanisms in.
+        scenario: With all causes in.
         metric: Has a value.
-        added: What the mechanisms add together.
+        added: What the causes add together.
         resolution: The largest change that is negligible.
-        mechanisms: Among whom the value is divided.
+        causes: Among whom the value is divided.
         acting: Those of them that change it.
     """
     built = simulate_run(scenario)
@@ -127,7 +127,7 @@ def vary_start(
     found = [game.take_out().value for game in games]
     values = [value for value in found if value is not None]
     is_far = abs(added) > resolution and max(values) - min(values) > _WIDE * abs(added)
-    without = [game.take_out(mechanisms).value for game in games] if is_far else []
+    without = [game.take_out(causes).value for game in games] if is_far else []
     is_wide = is_far and _is_wide(found, without, added)
     rest = [value for value in without if value is not None]
     ticks = len(built.poses) * len(games) * 2 ** len(acting)
@@ -144,7 +144,7 @@ def vary_start(
 
 
 def _is_wide(values: Sequence[float | None], without: Sequence[float | None], added: float) -> bool:
-    """Return whether what the mechanisms add to the value ranges over too much.
+    """Return whether what the causes add to the value ranges over too much.
 
     A value that only follows the start, as a turn's length does, follows it without them as well.
     """
@@ -161,23 +161,21 @@ def _turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
     return replace(scenario, start=replace(scenario.start, heading_rad=heading_rad))
 
 
-def _divide_again(games: Sequence[Game], mechanisms: Sequence[str]) -> tuple[Part, ...]:
-    """Return the lowest and highest part of each mechanism; none unless all add alike."""
+def _divide_again(games: Sequence[Game], causes: Sequence[str]) -> tuple[Part, ...]:
+    """Return the lowest and highest part of each cause; none unless all add alike."""
     parts = []
     for game in games:
-        found = {
-            inside: game.play(inside, mechanisms).value for inside in list_coalitions(mechanisms)
-        }
+        found = {inside: game.play(inside, causes).value for inside in list_coalitions(causes)}
         worth = {inside: value for inside, value in found.items() if value is not None}
         if len(worth) < len(found):
             return ()
-        total = worth[frozenset(mechanisms)] - worth[frozenset()]
-        contributions = compute_contributions(worth, mechanisms)
+        total = worth[frozenset(causes)] - worth[frozenset()]
+        contributions = compute_contributions(worth, causes)
         if any(contribution * total <= 0.0 for contribution in contributions.values()):
             return ()
         parts.append([contribution / total for contribution in contributions.values()])
     lows, highs = np.min(parts, axis=0).tolist(), np.max(parts, axis=0).tolist()
     return tuple(
         Part(cause=name, low=low, high=high)
-        for name, low, high in zip(mechanisms, lows, highs, strict=True)
+        for name, low, high in zip(causes, lows, highs, strict=True)
     )

@@ -143,7 +143,7 @@ def build_class(part: LawPart) -> type[AskedLaw]:
         "_part": part,
         "Parameters": part.Parameters,
         "declare": staticmethod(part.declare),
-        "mechanisms": part.mechanisms,
+        "causes": part.causes,
         "counts_samples": part.counts_samples,
         "list_unused": staticmethod(part.list_unused),
     }

@@ -16,7 +16,7 @@ from turtlelog.display import NamedValues
 from turtlelog.errors import LawError, TurtlelogError, describe_error, describe_unknown
 from turtlelog.expressions.tokens import KEYWORDS
 from turtlelog.laws.base import AnyLaw, Goal, LawPart
-from turtlelog.loops import Declaration, Mechanism
+from turtlelog.loops import Cause, Declaration
 from turtlelog.parts import load_parts
 from turtlelog.paths import Path as TrackedPath
 
@@ -123,17 +123,17 @@ def _require_nameable(declared: Declaration, place: str) -> None:
             raise LawError(f"{place}: state: expected {expected}, found {state!r}")
 
 
-def list_mechanisms(law: AnyLaw) -> tuple[Mechanism, ...]:
+def list_causes(law: AnyLaw) -> tuple[Cause, ...]:
     """Return what a law adds to the ideal loop.
 
     Raises:
         LawError: Where it names something else.
     """
-    mechanisms = getattr(law, "mechanisms", ())
-    if isinstance(mechanisms, tuple) and all(isinstance(one, Mechanism) for one in mechanisms):
-        return mechanisms
-    expected = "a tuple of Mechanism"
-    raise LawError(f"{name_law(law)}.mechanisms: expected {expected}, found {mechanisms!r:.60}")
+    causes = getattr(law, "causes", ())
+    if isinstance(causes, tuple) and all(isinstance(one, Cause) for one in causes):
+        return causes
+    expected = "a tuple of Cause"
+    raise LawError(f"{name_law(law)}.causes: expected {expected}, found {causes!r:.60}")
 
 
 def list_sample_counters(law: AnyLaw) -> tuple[str, ...] | None:

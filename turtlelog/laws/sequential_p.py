@@ -12,7 +12,7 @@ from turtlelog.errors import LawError
 from turtlelog.laws.base import TOLERANCE, Goal, LawPart, Row
 from turtlelog.laws.schedule import DISTANCE, GainSchedule
 from turtlelog.laws.sequential import SCHEDULED, STOPS, SequentialNumbers, SequentialState, step
-from turtlelog.loops import PAUSE, ControlLoop, Declaration, Mechanism
+from turtlelog.loops import PAUSE, Cause, ControlLoop, Declaration
 from turtlelog.parts import ABSENT_BY_DEFAULT, MAY_BE_INFINITE
 from turtlelog.paths import Path
 
@@ -85,20 +85,20 @@ def _hide_gains(loop: ControlLoop, schedule: GainSchedule | None) -> ControlLoop
     )
 
 
-_MECHANISMS: Final = (
-    Mechanism(
+_CAUSES: Final = (
+    Cause(
         name="pause",
         kind="effect",
         neutral={"law.pause_ticks": 0},
         meaning="no pause after the rotation",
     ),
-    Mechanism(
+    Cause(
         name="projection",
-        kind="property",
+        kind="design",
         neutral={"law.projection": "heading"},
         meaning="projection on the current heading",
     ),
-    Mechanism(
+    Cause(
         name="wrap",
         kind="effect",
         neutral={"law.wrap_error": True},
@@ -216,7 +216,7 @@ PART: Final = LawPart(
     declare=declare,
     State=SequentialState,
     stops=STOPS,
-    mechanisms=_MECHANISMS,
+    causes=_CAUSES,
     counts_samples=("standstill_samples",),
     list_unused=list_unused,
     prepare=prepare,

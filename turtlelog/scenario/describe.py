@@ -26,7 +26,7 @@ def describe_type(hint: Any) -> str:
 
 
 def describe_value(value: Any, *, longest: int = 60) -> str:
-    """Return a value as a scenario file would have it, cut where it is long; `no value` for None."""
+    """Return a value as a scenario file has it, cut where it is long; `no value` for None."""
     if value is None:
         return "no value"
     try:
