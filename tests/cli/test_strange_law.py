@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
-from tests.cli.conftest import Call
+from tests.cli.conftest import Call, read_identified
 from tests.strange_law import KIND, simulate_strange
 
 RUN = simulate_strange()
@@ -174,8 +174,8 @@ def test_explain_names_the_effect_that_the_law_declares(call: Call, strange: Pat
     assert {one["cause"]: one["contribution"] for one in found} == {
         "hesitation": pytest.approx(0.16, abs=0.033)
     }
-    assert answer["identified"]["gains"] == {"angular": None, "linear": None}
-    assert answer["identified"]["heading_tolerance"] is None
+    assert read_identified(answer).get("law.kp_linear") is None
+    assert read_identified(answer).get("law.heading_tolerance_rad") is None
     out = call("explain", strange, TRUST, *metric).out
     assert "  hesitation  +0.144 s" in out
     assert "Kp" not in out

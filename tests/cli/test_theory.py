@@ -159,20 +159,21 @@ def test_a_scenario_is_answered_loop_by_loop(call: Call) -> None:
     assert (answer["name"], answer["source"]) == ("paper-kp10", "scenario")
     rotate, translate = answer["loops"]
     assert (rotate["loop"], rotate["signal"], rotate["status"]) == ("rotate", "heading", "ok")
-    assert (rotate["kp"], rotate["dead_time_s"]) == (10.0, 0.064)
+    assert (rotate["sampled"]["kp"], rotate["sampled"]["dead_time_s"]) == (10.0, 0.064)
     assert rotate["most_dead_time_s"] == pytest.approx(0.096)
     assert rotate["left_out"] == ["limits.turn_rate_rad_s = 1"]
     assert translate["left_out"] == ["limits.speed_m_s = 1"]
-    assert set(translate["from"].values()) == {"from the scenario"}
+    assert set(translate["sources"].values()) == {"from the scenario"}
 
 
 def test_a_recording_gives_its_own_dead_times_and_says_where_they_are_from(
     call: Call, kp10: Path
 ) -> None:
     rotate, translate = call("theory", kp10, "--json").json["loops"]
-    assert [rotate["dead_time_s"], translate["dead_time_s"]] == pytest.approx([0.064, 0.096])
-    assert rotate["from"]["dead_time_s"] == "measured in the recording, 4 ticks"
-    assert rotate["from"]["gains"] == "from the scenario"
+    dead_times_s = [loop["sampled"]["dead_time_s"] for loop in (rotate, translate)]
+    assert dead_times_s == pytest.approx([0.064, 0.096])
+    assert rotate["sources"]["dead_time_s"] == "measured in the recording, 4 ticks"
+    assert rotate["sources"]["gains"] == "from the scenario"
     lines = call("theory", kp10).out.splitlines()
     words = " ".join(lines)
     first = "kp10.mcap: recommended Kp for 5 % overshoot: 7.14 1/s (rotate), 4.95 1/s (translate)."
@@ -189,9 +190,9 @@ def test_a_recording_without_its_scenario_has_gains_identified(call: Call, tmp_p
     riddle = tmp_path / "riddle.mcap"
     call("run", "paper-kp4", "--strip-scenario", "-o", riddle)
     for loop in call("theory", riddle, "--json").json["loops"]:
-        assert loop["kp"] == pytest.approx(4.0)
-        assert loop["from"]["gains"] == "identified from the commands"
-        assert loop["from"]["plant"] == "assumed, as the recording names no plant"
+        assert loop["sampled"]["kp"] == pytest.approx(4.0)
+        assert loop["sources"]["gains"] == "identified from the commands"
+        assert loop["sources"]["plant"] == "assumed, as the recording names no plant"
 
 
 def test_a_law_that_theory_does_not_know_is_said_to_be_unknown(call: Call) -> None:
@@ -200,7 +201,7 @@ def test_a_law_that_theory_does_not_know_is_said_to_be_unknown(call: Call) -> No
     assert (answer.code, answer.out.count("is unknown: the law declares")) == (0, 2)
     loops = call("theory", "posture", "--json").json["loops"]
     assert [loop["status"] for loop in loops] == ["unknown", "unknown"]
-    assert "poles" not in loops[0]
+    assert loops[0]["sampled"] is None
     assert "no loop is declared" in call("theory", "plant-step").out
 
 
@@ -213,19 +214,19 @@ def test_a_lagged_robot_is_answered_from_its_file(call: Call, tmp_path: Path) ->
         "dead_zone_speed_m_s = 0.01\n"
     )
     rotate, translate = call("theory", path, "--json").json["loops"]
-    assert rotate["process"] == {
+    assert rotate["sampled"]["process"] == {
         "gain": 1.0,
         "lag_s": 0.1,
         "dead_time_s": pytest.approx(0.11),
         "low_pass_s": 0.05,
     }
-    assert translate["process"]["gain"] == 0.9
+    assert translate["sampled"]["process"]["gain"] == 0.9
     assert rotate["left_out"] == ["limits.turn_rate_rad_s = 1", "loop.jitter_s = 0.01"]
     assert "shaping.dead_zone_speed_m_s = 0.01" in translate["left_out"]
     gained = call("theory", path, "--kp", "40", "--json").json["loops"]
-    assert [loop["stable"] for loop in gained] == [False, False]
+    assert [loop["sampled"]["stable"] for loop in gained] == [False, False]
     slow = call("theory", path, "--set", "plant.turn_lag_s=0.5", "--json").json["loops"][0]
-    assert slow["process"]["lag_s"] == 0.5
+    assert slow["sampled"]["process"]["lag_s"] == 0.5
 
 
 def test_gains_of_a_scenario_belong_to_no_recording(call: Call, kp10: Path) -> None:

@@ -20,6 +20,7 @@ from turtlelog.cli.theory_gains import (
     build_recommended,
 )
 from turtlelog.cli.theory_loops import (
+    DeclaredLoopAnswer,
     LoopAnswer,
     PidAnswer,
     answer_models,
@@ -284,7 +285,7 @@ class _FileAnswer:
 
     name: str
     source: str
-    loops: list[dict[str, Any]]
+    loops: list[DeclaredLoopAnswer]
 
 
 class _Changes(NamedTuple):
@@ -303,7 +304,11 @@ def _answer_file(
     groups = wanted.recommend_for(models)
     if form.is_json:
         recommended = {loop: build_recommended(one) for one in groups for loop in one.loops}
-        loops = [build_declared_loop(one, recommended.get(one.title, [])) for one in answers]
+        loops = [
+            build_declared_loop(one.model, one.found, recommended.get(one.title, []))
+            for one in answers
+            if one.model is not None
+        ]
         print_json(_FileAnswer(name=name, source=source, loops=loops))
     else:
         label = tl.compare.name_file(word) if source == "recording" else name
