@@ -160,7 +160,7 @@ def test_compare_gives_no_verdict_and_says_who_does(call: Call, kp4: Path, kp10:
     assert (answer.code, answer.out) == (2, "")
     expected = f"turtlelog check t.toml RUN --reference {kp4}"
     assert answer.err == (
-        f"turtlelog: error: --tolerances: expected none, as verdicts are given by {expected}\n"
+        f"turtlelog: error: --tolerances: leave it out; verdicts are given by {expected}\n"
     )
     assert "--tolerances" not in call("compare", "--help").out
 
@@ -168,13 +168,13 @@ def test_compare_gives_no_verdict_and_says_who_does(call: Call, kp4: Path, kp10:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--tolerances", "t.toml"], "--tolerances: expected none, as verdicts are given by"),
+        (["--tolerances", "t.toml"], "--tolerances: leave it out; verdicts are given by"),
         (["--align", "sample"], "--align: needs --reference FILE"),
         (
             ["--reference", "KP4", "--sort", "name"],
-            "--sort: expected no --reference beside it",
+            "--sort: leave out --reference",
         ),
-        (["--reference", "KP4", "--where", "1 < 2"], "--where: expected no --reference beside it"),
+        (["--reference", "KP4", "--where", "1 < 2"], "--where: leave out --reference"),
         (["--reference", "KP4", "--align", "samples"], "alignment: expected sample"),
         (["--csv", "--json"], "--csv and --json: choose one format"),
         (
@@ -279,4 +279,4 @@ def test_names_are_separated_by_one_comma(call: Call, kp4: Path, command: str, o
     files = (kp4, kp4) if command == "compare" else (kp4,)
     answer = call(command, *files, option, "a,,b")
     assert answer.code == 2
-    assert f"{option}: expected names separated by commas, found 'a,,b'" in answer.err
+    assert f"{option} a,,b: must be names separated by commas" in answer.err

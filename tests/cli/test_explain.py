@@ -266,7 +266,7 @@ def test_a_recording_with_samples_is_explained_by_them(call: Call, kp10: Path) -
         (["--causes", "queue,queue"], "causes: expected different ones"),
         (["--rrd", "why.txt"], "the name must end in .rrd"),
         (["--scenario", "found.txt"], "the name must end in .toml"),
-        (["--scenario", "no/such/found.toml"], "found no such folder"),
+        (["--scenario", "no/such/found.toml"], "there is no such folder"),
     ],
     ids=str,
 )

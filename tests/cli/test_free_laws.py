@@ -141,7 +141,7 @@ def test_law_gives_the_recorded_poses_the_recorded_commands(call: Call) -> None:
     [
         (
             ["run", "--commands", "nowhere.mcap"],
-            "nowhere.mcap: no such file; did you mean kp4.mcap?",
+            "nowhere.mcap: no such file",
         ),
         (
             ["replay", "--plant", STEP, "--commands", STEP],

@@ -14,7 +14,7 @@ def test_list_answers_in_json_with_the_names_of_the_table(call: Call, kind: str)
     assert answer["kind"] == kind
     _, _, heads, _, *rows = call("list", kind).out.partition("\n\nAnd ")[0].splitlines()
     assert heads.split()[0] == "name"
-    shown = [row.split()[0] for row in rows if row]
+    shown = [row.split()[0] for row in rows if row and not row.startswith(" ")]
     assert shown[: len(answer["entries"])] == [entry["name"] for entry in answer["entries"]]
 
 

@@ -166,17 +166,17 @@ def test_a_value_is_held_where_at_says(call: Call, table: Path) -> None:
     [
         (["--at", "seed=3"], "--at: expected a key that varies"),
         (["--at", "law.kp_linear"], "--at: expected key=value"),
-        (["--metric", ","], "--metric: expected names separated by commas, found ','"),
+        (["--metric", ","], "--metric ,: must be names separated by commas"),
         (
             ["--metric", "rotate.*"],
             't.parquet: no metric "rotate.*"; there are translate.stable',
         ),
-        (["-o", "m.gif"], "--output m.gif: expected a name that ends in .pdf, .png, .svg"),
-        (["-o", "none/m.png"], "none/m.png: expected"),
+        (["-o", "m.gif"], "--output m.gif: must be a name that ends in .pdf, .png, .svg"),
+        (["-o", "none/m.png"], "none/m.png: there is no such folder"),
         (["--dpi", "100"], "--for, --text-width and --dpi need a figure to write: -o NAME.png"),
-        (["-o", "m.rrd", "--for", "slide"], "--for, --text-width, --dpi: expected a figure"),
+        (["-o", "m.rrd", "--for", "slide"], "--for, --text-width and --dpi need a figure"),
         (["-o", "m.svg", "--dpi", "100"], "--dpi: is for png files, not svg"),
-        (["-o", "m.html", "--kind", "tornado"], "--kind tornado: expected a figure to write"),
+        (["-o", "m.html", "--kind", "tornado"], "--kind tornado: m.html is no figure"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_line(
@@ -206,7 +206,11 @@ def test_what_is_no_table_of_a_sweep_is_one_line(kind: str, call: Call, table: P
     done = call("plot", other, "-o", "m.png")
     assert (done.code, done.out) == (2, "")
     (line,) = done.err.splitlines()
-    said = "no such file" if kind == "missing" else "expected "
+    said = {
+        "missing": "no such file",
+        "other": "no column for ",
+        "no rows": "the table has no rows",
+    }.get(kind, "expected ")
     assert line.startswith(f"turtlelog: error: {other}: {said}")
     assert not Path("m.png").exists()
 

@@ -95,7 +95,7 @@ def test_a_stripped_view_is_called_by_its_file(call: Call, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["riddle.mcap"], "riddle.mcap: expected a recording with its whole scenario, found none"),
+        (["riddle.mcap"], "riddle.mcap: is not a recording with its whole scenario"),
         (["none.mcap"], "none.mcap: no such file; did you mean riddle.mcap?"),
         (["paper", "--strip-scenario"], "--strip-scenario: expected -o or --rrd beside it"),
         (

@@ -45,7 +45,7 @@ def test_run_sets_a_parameter_without_a_default_and_shows_the_loops(
 def test_run_names_the_parameter_that_must_be_set(call: Call) -> None:
     answer = call("run", "textbook", "--set", f"law.kind={KIND}")
     assert answer.code == 2
-    assert "law.gain_a: expected a number, found none" in answer.err
+    assert "law.gain_a: expected a number, found no value" in answer.err
 
 
 def test_kp_sets_the_declared_gains(call: Call) -> None:
@@ -61,7 +61,7 @@ def test_kp_without_a_declared_gain_is_refused(call: Call, tmp_path: Path) -> No
     law.write_text(PLAIN)
     answer = call("run", "textbook", "--set", f"law.kind={law}:Plain", "--kp", "2")
     assert answer.code == 2
-    assert "--kp: expected a law that declares a gain, found none" in answer.err
+    assert "--kp: this law declares no gain" in answer.err
 
 
 def test_recording_gives_back_what_the_law_declared_and_recorded(strange: Path) -> None:

@@ -110,7 +110,7 @@ def test_row_that_cannot_be_run_is_one_line(
     ("words", "message"),
     [
         ((), "--grid: name a key to vary, for example --grid law.kp_linear=1:12"),
-        (("--grid", "law.kp_linear=2:1"), "expected at least one value, found none from 2 to 1"),
+        (("--grid", "law.kp_linear=2:1"), "no value from 2 to 1"),
         (
             ("--grid", "law.kp=1:2"),
             "grid: law.kp: unknown key; did you mean kp_angular",
@@ -121,9 +121,9 @@ def test_row_that_cannot_be_run_is_one_line(
             (*GRID, "--metric", "rotate.overshot"),
             'no metric "rotate.overshot"; did you mean rotate.overshoot',
         ),
-        ((*GRID, "--metric", "a,"), "--metric: expected names separated by commas, found 'a,'"),
-        ((*GRID, "--seed", "1"), "--seed: expected --sample beside it, found none"),
-        ((*GRID, "--latin"), "--latin: expected --sample beside it, found none"),
+        ((*GRID, "--metric", "a,"), "--metric a,: must be names separated by commas"),
+        ((*GRID, "--seed", "1"), "--seed: needs --sample COUNT"),
+        ((*GRID, "--latin"), "--latin: needs --sample COUNT"),
         ((*GRID, "--sample", "0"), "--sample: expected at least 1, found 0"),
         ((*GRID, "--record-where", "1 > 2"), "--record-where: expected --record beside it"),
         ((*GRID, "--set", "law.kp_linear=3"), "--set: expected keys that are not varied, found"),

@@ -54,7 +54,7 @@ def test_a_log_of_the_papers_is_imported() -> None:
             b"SQLite format 3\0" + bytes(100),
             "expected a SQLite file of pages of 65536 bytes, found 116 bytes: cut short",
         ),
-        ("a.mcap", bytes(100), "byte 0: expected an MCAP file"),
+        ("a.mcap", bytes(100), "byte 0: not an MCAP file"),
         (
             "a.db3",
             bytes(100),

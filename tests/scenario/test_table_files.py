@@ -207,7 +207,7 @@ def test_run_without_commands_is_refused() -> None:
         lateral_speed_m_s=none,
         turn_rate_rad_s=none,
     )
-    with pytest.raises(ScenarioError, match=r"\Atextbook: expected a run with commands, found no"):
+    with pytest.raises(ScenarioError, match=r"\Atextbook: the run has no"):
         replay_commands(load_scenario("textbook"), replace(run, commands=commands))
 
 

@@ -103,7 +103,9 @@ def test_wrong_parameter_of_a_law_of_a_file_is_named(
 
 
 def test_missing_parameter_of_a_law_of_a_file_is_named(law_kind: str) -> None:
-    with pytest.raises(ScenarioError, match=r"\Arun\.toml: law\.gain: expected .*, found none\Z"):
+    with pytest.raises(
+        ScenarioError, match=r"\Arun\.toml: law\.gain: expected .*, found no value\Z"
+    ):
         resolve(law_kind)
 
 
@@ -151,7 +153,7 @@ def write_parameters(folder: Path, body: str) -> str:
         (
             "x: Part | None = None",
             {"x": {"turns": 2}},
-            "law.x.side: expected a number, found none",
+            "law.x.side: expected a number, found no value",
         ),
         ("x: 'Nowhere' = None", {}, "law: NameError: name 'Nowhere' is not defined"),
         ("x: complex = 1j", {}, "law.x: expected a number, .*, found 1j"),

@@ -253,7 +253,7 @@ def test_two_sweeps_into_one_file_at_once_are_refused(tmp_path: Path) -> None:
     sweep = prepare("law.kp_linear=1:2")
     partial = KeptParts(output, sweep.list_facts(), simulate_rows.RowResults)
     try:
-        with pytest.raises(tl.SweepError, match="found another command at work on it"):
+        with pytest.raises(tl.SweepError, match="another command is writing it"):
             run_sweep(sweep, output)
     finally:
         partial.close()

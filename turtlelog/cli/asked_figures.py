@@ -113,7 +113,7 @@ def _bind_violation(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run
     (result,) = tl.check_runs(build_spec([asked.expect]), [(runs[0].name, runs[0])])
     found = find_judged_signal(runs[0], result)
     if found.signal is None:
-        raise ShowError(f"figure violation: no {_DRAWABLE}: {found.reason}")
+        raise ShowError(f"figure violation: needs {_DRAWABLE}: {found.reason}")
     return replace(kind, draw=partial(draw_violation, violated=found.signal))
 
 

@@ -1,4 +1,4 @@
-"""How runs ended, in a sentence: `run`, `info`, `plot`, `report` and `view` say it."""
+"""How runs ended, in a sentence: `run`, `plot`, `report` and `view` say it."""
 
 from collections.abc import Sequence
 from math import dist

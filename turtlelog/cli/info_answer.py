@@ -37,7 +37,6 @@ class InfoAnswer:
         name: Of the run.
         complete: Whether the file was finished.
         stop_reason: Why the run ended; None if it is not recorded.
-        ending: How the run ended, in words; None if it was not read.
         duration_s: First to last message of any topic [s].
         run_duration_s: The metric `run.duration` [s]; None if the poses were not read.
         scenario: The tables of the whole scenario; None if it is not known.
@@ -58,7 +57,6 @@ class InfoAnswer:
     name: str
     complete: bool
     stop_reason: str | None
-    ending: str | None
     duration_s: float | None
     run_duration_s: float | None
     scenario: Mapping[str, Any] | None
@@ -82,7 +80,6 @@ def build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> In
         name=recording.name,
         complete=recording.complete,
         stop_reason=recording.stop_reason,
-        ending=summary.ending,
         duration_s=recording.duration_s,
         run_duration_s=None if summary.run is None else summary.run.duration_s,
         scenario=recording.scenario,
@@ -169,14 +166,24 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     if run is not None:
         rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
         yield from ((key, text) for key, text in rows.items() if text)
-    if run is not None:
-        first = "sample" if run.has_samples else "pose"
-        last = "row" if run.has_samples else "pose or command"
-        yield "run.duration", f"{run.duration_s:.3f} s, from the first {first} to the last {last}"
+    yield from _describe_durations(answer)
     if answer.stop_reason and not answer.summary.endswith(NOTHING_LEFT):
-        ended = [answer.stop_reason.replace("_", " "), answer.ending]
-        yield "ended", ", ".join(filter(None, ended))
+        yield "ended", answer.stop_reason.replace("_", " ")
     yield from ((key.replace("_", " "), text) for key, text in answer.notes.items())
+
+
+def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    """Yield how long a file lasts and, where its poses were read, how long its run does."""
+    if answer.duration_s is None:
+        return
+    what = "message of any topic" if answer.topics else "row"
+    yield "duration", f"{answer.duration_s:.3f} s, from the first to the last {what}"
+    if answer.run is None:
+        return
+    first = "sample" if answer.run.has_samples else "pose"
+    last = "row" if answer.run.has_samples else "pose or command"
+    length = f"{answer.run.duration_s:.3f} s, from the first {first} to the last {last}"
+    yield "run.duration", length
 
 
 def _list_lacks(answer: InfoAnswer, *, topics: bool) -> Iterator[tuple[str, str]]:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.endings import describe_end
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
 from turtlelog.processes import count_bytes
@@ -25,6 +24,10 @@ LARGEST_BYTES: Final = 64 * 2**20
 
 _MOST_TRANSFORMS: Final = 20_000
 """Messages of transforms that are read unasked: each takes some 20 us, more than others do."""
+
+_OWN: Final = b"turtlelog"
+_HEAD_BYTES: Final = 64
+"""A recording names the library that wrote it in its first record."""
 
 _FEWEST_RATED: Final = 20
 """Fewer messages are counted, without a rate."""
@@ -84,7 +87,6 @@ class Summary:
 
     Attributes:
         text: One sentence without a full stop.
-        ending: How a run ended, in words; None where it was not read.
         run: Of the run in the file; None where it was not read.
         missing: What it lacks, each with what that would unlock.
         clock: What times its poses, as in JSON; None where there is one clock, or nobody looked.
@@ -92,7 +94,6 @@ class Summary:
     """
 
     text: str
-    ending: str | None = None
     run: ReadRun | None = None
     missing: tuple[str, ...] = ()
     clock: Mapping[str, Any] | None = None
@@ -112,9 +113,7 @@ def summarise(
     """
     is_lost = not info.complete and not any(topic.count for topic in info.topics)
     if info.format_version is not None:
-        text = _summarise_own(info, NOTHING_LEFT if is_lost else "")
-        can_read = info.complete and (is_asked or not _find_large(path, info))
-        return Summary(text=text, ending=_describe_end(path) if can_read else None)
+        return Summary(text=_summarise_own(info, NOTHING_LEFT if is_lost else ""))
     if not info.complete:
         text = NOTHING_LEFT if is_lost else _summarise_topics(info, "it is not complete")
         return Summary(text=text)
@@ -131,16 +130,14 @@ def summarise(
     return _summarise_run(run, info)
 
 
-def _describe_end(path: Path) -> str | None:
-    """Return how the run of a recording ended; None where it cannot be read."""
-    try:
-        return describe_end(tl.read_recording(path))
-    except TurtlelogError:
-        return None
-
-
 def count_read(path: Path, *, is_asked: bool) -> int:
-    """Return about how many bytes are read to describe a file: of a large one few."""
+    """Return about how many bytes are read to describe a file: of a recording of ours few."""
+    try:
+        with path.open("rb") as stream:
+            if _OWN in stream.read(_HEAD_BYTES):
+                return 0
+    except OSError:
+        pass  # a folder, or what cannot be read
     size = count_bytes(tl.log.split_topic(path)[0])
     return size if is_asked or size <= LARGEST_BYTES else 0
 

@@ -1,13 +1,14 @@
 """`turtlelog list`: the names that commands, checks and scenarios take; completion offers them."""
 
 import dataclasses
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import turtlelog as tl
-from turtlelog.cli.output import format_table, print_json, print_text
+from turtlelog.cli.output import fill_lines, find_width, print_json, print_text
 
 if TYPE_CHECKING:
     from cyclopts.completion import CompletionContext
@@ -56,13 +57,27 @@ def list_(kind: Kind, /, *, json: bool = False) -> None:
         print_json(ListAnswer(kind=kind, entries=entries))
         return
     titles = [title for title in entries[0] if title not in _IN_JSON]
-    table = tl.compare.Table(
-        title=f"{len(entries)} {kind}",
-        columns=tuple(tl.compare.Column(title=title) for title in titles),
-        rows=tuple(row for entry in entries for row in _list_rows(entry, titles)),
-        notes=(_NOTES[kind],) if kind in _NOTES else (),
-    )
-    print_text(format_table(table))
+    rows = [row for entry in entries for row in _list_rows(entry, titles)]
+    notes = ["", fill_lines([_NOTES[kind]])] if kind in _NOTES else []
+    print_text("\n".join([f"{len(entries)} {kind}", "", *_align([tuple(titles), *rows]), *notes]))
+
+
+def _align(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Yield lines of cells; names stay whole, and the last cell has as many lines as it needs."""
+    *widths, last = (max(map(len, column)) for column in zip(*rows, strict=True))
+    indent = sum(widths) + 2 * len(widths)
+    for number, (*first, text) in enumerate(rows):
+        head = "".join(f"{cell:<{width + 2}}" for cell, width in zip(first, widths, strict=True))
+        yield textwrap.fill(
+            text,
+            find_width(),
+            initial_indent=head,
+            subsequent_indent=" " * indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        if not number:
+            yield "-" * min(indent + last, find_width())
 
 
 _IN_JSON: Final = frozenset({"scenario", "parameters"})

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import (
-    cut_rows,
     fill_lines,
     find_width,
     print_tables,
@@ -372,10 +371,9 @@ def _format_runs(summaries: "Sequence[RunSummary]") -> str:
     return "\n".join(
         [
             fill_lines([f"{describe_count(len(summaries), 'run')}: {_describe_ends(summaries)}."]),
-            _format(cut_rows(table)),
+            _format(table),
             "",
-            "Which is best? turtlelog compare, with the same files",
-            f"All {count} metrics with their ids: --all, or --metric IDS",
+            f"Which is best? turtlelog compare      All {count} metrics: --all, or --metric IDS",
         ]
     )
 

@@ -20,7 +20,6 @@ from typing import IO, TYPE_CHECKING, Any, Final, TextIO
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.display import describe_count
 from turtlelog.errors import UsageError, format_line
 from turtlelog.escapes import escape_controls, guard_cell, hide_secrets
 
@@ -220,7 +219,7 @@ def cut_rows(table: "Table") -> "Table":
     more = len(table.rows) - _MOST_ROWS
     if more <= 0:
         return table
-    note = f"{describe_count(more, 'more run')}: --csv shows all."
+    note = f"Runs not shown: {more}. --csv shows all."
     return replace(table, rows=table.rows[:_MOST_ROWS], notes=(note, *table.notes))
 
 

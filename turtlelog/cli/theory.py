@@ -153,7 +153,10 @@ def _name_option(text: str) -> str:
     if found is None:
         return f"{_OPTIONS[name]}: {problem}"
     what, bound, value = found.groups()
-    if value.startswith("-") and bound:
+    is_number = re.fullmatch(r"-?[\d.]+", value) is not None
+    if is_number and not bound:
+        return f"{_OPTIONS[name]}: {problem}"
+    if is_number and (bound == "> 0" or value.startswith("-")):
         must = "greater than 0" if bound == "> 0" else "0 or greater"
     else:
         must = f"{what}{bound}"

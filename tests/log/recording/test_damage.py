@@ -148,7 +148,7 @@ def test_an_index_that_leaves_a_message_out_is_found(sound: bytes, tmp_path: Pat
 @pytest.mark.parametrize("data", [b"", b"\0" * 4000, b"time,x\n0,1\n" * 300, b"{}"])
 def test_other_files_are_no_recordings(data: bytes, tmp_path: Path) -> None:
     message = read_damaged(tmp_path / "run.mcap", data)
-    assert "byte 0: expected an MCAP file (0x894d434150300d0a), found" in message
+    assert "byte 0: not an MCAP file: " in message
 
 
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
@@ -180,7 +180,7 @@ def test_a_format_that_never_was_is_refused(version: str, tmp_path: Path) -> Non
 
 def test_an_mcap_without_our_record_is_no_recording(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "other.mcap", {})
-    with pytest.raises(LogError, match="expected a metadata record turtlelog, found none"):
+    with pytest.raises(LogError, match="it has no metadata record turtlelog"):
         read_recording(path)
 
 

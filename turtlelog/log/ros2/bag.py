@@ -61,7 +61,6 @@ def open_bag(path: str | Path) -> Bag:
     for file, info in infos.items():
         if not info.complete:
             raise LogError(
-                f"{file}: without the end of an MCAP file: it is truncated or unfinished:"
-                f" {info.notes['partial']}"
+                f"{file}: no end of an MCAP file: truncated or unfinished: {info.notes['partial']}"
             )
     return Bag(path=path, infos=infos)
