@@ -102,7 +102,7 @@ def test_what_is_no_text_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "t.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(CompareError, match="not TOML, not even text"):
         tl.check.load_tolerances(tmp_path / "t.toml")
-    with pytest.raises(CompareError, match=r"none\.toml: no such file; did you mean .*/t\.toml\?"):
+    with pytest.raises(CompareError, match=r"none\.toml: no such file"):
         tl.check.load_tolerances(tmp_path / "none.toml")
     with pytest.raises(
         CompareError, match="expected a specification or tolerance file, found: Is a directory"

@@ -222,8 +222,8 @@ def _require_phase(phase: str, place: str) -> None:
 
 def _choose_kind(entry: Mapping[str, Any], place: str) -> Literal["expect", "holds"]:
     if ("expect" in entry) == ("holds" in entry):
-        found = "both" if "expect" in entry else "none"
-        raise CheckError(f"{place}: expected either expect or holds, found {found}")
+        both = ", not both" if "expect" in entry else ""
+        raise CheckError(f"{place}: needs expect or holds{both}")
     return "expect" if "expect" in entry else "holds"
 
 

@@ -123,7 +123,7 @@ def view(
                 tl.show.write_snapshot(
                     rrds[0],
                     picture.snapshot,
-                    at_s=_choose_time(picture, runs),
+                    at_s=_choose_time(picture, _find_span(runs)),
                     timeline=picture.timeline,
                     size=width_and_height,
                 )
@@ -237,12 +237,19 @@ def _prepare_rrds(
     return [rrd], runs
 
 
-def _choose_time(picture: PictureOptions, runs: "Sequence[Run]") -> float | None:
+def _find_span(runs: "Sequence[Run]") -> tuple[float, float] | None:
+    """Return where the first pose and the longest run's end are [s]; None without runs."""
+    if not runs:
+        return None
+    start_ns = min(int(run.poses.time_ns[0]) - run.start_ns for run in runs)
+    return start_ns / 1e9, max(run.end_ns - run.start_ns for run in runs) / 1e9
+
+
+def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) -> float | None:
     """Return the time of the picture: a view is a little longer than its runs."""
-    if picture.timeline != "sim_time" or not runs:
+    if picture.timeline != "sim_time" or span_s is None:
         return picture.at
-    start_s = min(int(run.poses.time_ns[0]) - run.start_ns for run in runs) / 1e9
-    end_s = max(run.end_ns - run.start_ns for run in runs) / 1e9
+    start_s, end_s = span_s
     if picture.at is None:
         return end_s
     if picture.at > end_s + _ROUNDING_S:

@@ -86,7 +86,7 @@ def test_a_file_cut_short_is_one_line(length: int, sound: bytes, tmp_path: Path)
 def test_a_file_cut_short_anywhere_is_one_line(sound: bytes, tmp_path: Path) -> None:
     for length in Random(0).sample(range(len(sound)), 150):
         message = read_damaged(tmp_path / "run.mcap", sound[:length])
-        assert "expected" in message
+        assert "\n" not in message
         if length >= 8:
             advice = ADVICE if can_recover(tmp_path / "run.mcap") else NO_ADVICE
             assert message.endswith(f": {advice}")
@@ -224,5 +224,5 @@ def test_a_missing_or_wrong_entry_is_named(tmp_path: Path) -> None:
     ],
 )
 def test_other_peoples_recordings_are_no_runs(name: str) -> None:
-    with pytest.raises(LogError, match="not a recording by turtlelog"):
+    with pytest.raises(LogError, match="not a recording of turtlelog"):
         read_recording(find_shared("ros2", *name.split("/")))

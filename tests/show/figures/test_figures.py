@@ -269,7 +269,7 @@ def test_of_poses_and_applied_commands_that_is_drawn_and_nothing_else(tmp_path: 
     assert list_left_out([keep_poses(simulate(4))]) == (
         "left out plant, step-responses, root-locus, heading-error, world-velocity, error-log,"
         " wanted-speed, table1.tex: expected the controller's samples, found none",
-        "left out position-error: the law needs a goal: set goal.x_m and goal.y_m",
+        "left out position-error: expected a goal, found none",
     )
 
 

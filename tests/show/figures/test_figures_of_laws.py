@@ -219,7 +219,7 @@ def test_what_is_left_out_of_other_laws_is_told_with_the_reason() -> None:
     )
     assert list_left_out([simulate_law("OpenLoop")], ["heading-error", "position-error"]) == (
         "left out heading-error: expected a heading to aim at, found none",
-        "left out position-error: the law needs a goal: set goal.x_m and goal.y_m",
+        "left out position-error: expected a goal, found none",
     )
     lines = list_left_out([simulate_law("OpenLoop")])
     assert "left out table1.tex: expected a gain or a goal, found none" in lines

@@ -90,7 +90,7 @@ def test_what_only_a_controller_has_is_left_out_in_one_line() -> None:
     lines = list_left_out([make_robot()])
     assert [line.partition(": ")[2] for line in lines] == [
         "expected the controller's samples, found none",
-        "the law needs a goal: set goal.x_m and goal.y_m",
+        "expected a goal, found none",
     ]
 
 

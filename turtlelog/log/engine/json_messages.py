@@ -73,7 +73,7 @@ def read_json_schema(name: str, data: bytes) -> tuple[JsonField, ...]:
     fields: dict[str, JsonField] = {}
     for field in _Schema(name, schema).list_fields(schema, ()):
         if not field.path or field.name.startswith("#"):
-            found = repr(field.name[:40]) if field.path else "none"
+            found = repr(field.name[:40]) if field.path else "no field"
             raise LogError(f"schema {name}: expected an object with named fields, found {found}")
         if field.name in fields:
             raise LogError(f"schema {name}: expected names that differ, found {field.name} twice")

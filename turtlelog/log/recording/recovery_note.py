@@ -34,7 +34,7 @@ def describe_damages(damages: Sequence[Loss]) -> str:
     lost, places = sum(damage.end - damage.start for damage in damages), len(damages)
     times = "1 place" if places == 1 else f"{places} places"
     extent = f"{lost} bytes are lost in" if lost else "not whole in"
-    return f"{extent} {times}, at byte {damages[0].start}: {damages[0].reason}"
+    return f"{extent} {times}: byte {damages[0].start}: {damages[0].reason}"
 
 
 def format_recovery(

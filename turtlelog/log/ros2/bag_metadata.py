@@ -251,7 +251,7 @@ def _read_below(number: int, under: str, value: str) -> dict[str, str]:
 def _require_entries(values: Mapping[str, str], files: Sequence[str]) -> None:
     if not files:
         found = values.get(_FILES, "")[:60].replace("[]", "")
-        raise LogError(f"{_FILES}: expected a list of files, found {found or 'none'}")
+        raise LogError(f"{_FILES}: expected a list of files, found {found or 'no file'}")
     if "storage_identifier" not in values:
         raise LogError("storage_identifier: missing; it must be mcap or sqlite3")
 
