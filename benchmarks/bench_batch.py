@@ -36,7 +36,7 @@ SIDE = 100  # of the map
 ALONE = 20  # rows of each that the interpreted loop simulates
 
 
-SWEEP = (sys.executable, "-m", "turtlelog", "sweep", "paper", "--metrics", ",".join(METRICS))
+SWEEP = (sys.executable, "-m", "turtlelog", "sweep", "paper", "--metric", ",".join(METRICS))
 MAP_S = 3.0
 """Processor time of two cores that are busy for the 1.5 s that are wanted."""
 

@@ -39,7 +39,7 @@ def read_s():
     return used.ru_utime + used.ru_stime
 def sweep(count, output):
     # Noise of many seeds: no two rows are alike, and the work of a row is the same in each sweep.
-    words = ["sweep", "paper", "--metrics", arguments[0], "--jobs", "1", "-o", output]
+    words = ["sweep", "paper", "--metric", arguments[0], "--jobs", "1", "-o", output]
     words += ["--set", "sensing.noise_position_m=0.01", "--set", "sensing.noise_heading_rad=0.01"]
     words += ["--grid", f"seed=1:{count // 100}", "--grid", "law.kp_linear=0.1:10:0.1"]
     with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
@@ -150,7 +150,7 @@ def _sweep(output: Path, count: int, *words: str) -> float:
         " for name in ('ru_utime', 'ru_stime')]\n"
         "print('used', sum(used))\nsys.exit(code)\n"
     )
-    # Without --metrics every row has those of its law, which no compiled code measures.
+    # Without --metric every row has those of its law, which no compiled code measures.
     sweep = ["sweep", "paper", "--grid", f"seed=1:{count}", "-o", str(output)]
     command = [sys.executable, "-c", code, *sweep, *words]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -1,4 +1,4 @@
-"""Why did a run miss? What its log tells, and what each mechanism adds to its error.
+"""Why did a run miss? What its log tells, and what each cause adds to its error.
 
 Run: python examples/explain_run.py [RECORDING]
 """

@@ -9,7 +9,7 @@ from typing import Any, Final
 import turtlelog as tl
 from turtlelog.angles import subtract_headings
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.loops import ControlLoop, Declaration, Mechanism
+from turtlelog.loops import Cause, ControlLoop, Declaration
 from turtlelog.paths import Path as Track
 
 KIND: Final = f"{Path(__file__)}:StrangeLaw"
@@ -28,8 +28,8 @@ class StrangeLaw:
     """Turns along with a reference that sweeps to the goal's bearing, then drives there."""
 
     Parameters = StrangeParameters
-    mechanisms = (
-        Mechanism(
+    causes = (
+        Cause(
             name="hesitation",
             kind="effect",
             neutral={"law.hesitates_ticks": 0},

@@ -252,7 +252,7 @@ def test_who_says_nothing_is_no_scheduler(
     "words",
     [
         ["sweep", "paper-kp4", "--grid", "law.kp_linear=1:12", "--set", "max_duration_s=3"],
-        ["metrics", *FILES[:2], "--only", "final.*"],
+        ["metrics", *FILES[:2], "--metric", "final.*"],
         ["check", *FILES[:2], "--expect", "final.position_error < 0.005"],
     ],
     ids=lambda words: words[0],

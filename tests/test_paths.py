@@ -281,7 +281,7 @@ def test_bounds_hold_every_point() -> None:
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "kind": ({"kind": "spiral"}, "kind: expected one of line, polygon, waypoints, circle"),
-    "no points": ({"kind": "line"}, "points: expected one, for kind is line, found none"),
+    "no points": ({"kind": "line"}, "points: missing; a path of kind line needs it"),
     "one point": ({"points": ((1.0, 1.0),)}, "points: expected 2 to 3000 points, found 1"),
     "many": (
         {"points": tuple((float(n), 0.0) for n in range(MOST_POINTS + 1))},

@@ -186,7 +186,7 @@ def test_sample_of_a_pose_that_is_not_there_is_refused(row: int) -> None:
 
 
 def test_run_without_poses_is_refused() -> None:
-    with pytest.raises(RunError, match=match_whole("poses: expected at least one row, found none")):
+    with pytest.raises(RunError, match=match_whole("poses: must have at least one row")):
         make_run(poses=make_poses(rows=0), samples=make_samples(rows=0))
 
 

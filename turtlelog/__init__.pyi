@@ -106,9 +106,9 @@ from .log import (
     write_recording as write_recording,
 )
 from .loops import (
+    Cause as Cause,
     ControlLoop as ControlLoop,
     Declaration as Declaration,
-    Mechanism as Mechanism,
 )
 from .measure import (
     METRICS as METRICS,

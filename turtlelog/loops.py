@@ -1,4 +1,4 @@
-"""What a control law controls, as data: its loops, its phases, its states, its mechanisms."""
+"""What a control law controls, as data: its loops, its phases, its states, its causes."""
 
 import math
 import re
@@ -317,19 +317,19 @@ class Declaration:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Mechanism:
-    """What a law or its loop adds to the ideal loop, and how a scenario is without it.
+class Cause:
+    """An effect or a design parameter of a law or its loop, and how a scenario is without it.
 
     Attributes:
         name: In explanations: `pause`, `delay`, `saturation`.
-        kind: `effect`: it takes part where shares are divided; `property`: it belongs to any loop
-            of this kind, and stands beside them, taken out alone.
+        kind: `effect`, of the implementation: it gets a contribution. `design`, a design parameter:
+            it belongs to any loop of this kind, and is taken out alone.
         neutral: Values by scenario key without it: `{"law.pause_ticks": 0}`.
         meaning: What taking it out means, in one clause.
     """
 
     name: str
-    kind: Literal["effect", "property"]
+    kind: Literal["effect", "design"]
     neutral: Mapping[str, object]
     meaning: str
 

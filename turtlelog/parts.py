@@ -18,7 +18,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 
 ABSENT_BY_DEFAULT: Final[Mapping[str, bool]] = MappingProxyType({"absent_by_default": True})
 """Metadata of a key that a scenario's text leaves out while it has its default, so that adding it
@@ -142,7 +142,7 @@ class Effect:
             scenario.
         actions: By place.
         State: A dataclass with slots and defaults: what it remembers.
-        mechanisms: Of `explain`: what it adds to the ideal loop.
+        causes: Of `explain`: what it adds to the ideal loop.
         modelled: Keys whose part in the loop theory knows, or that have none.
         added: Keys that theory leaves out, and that make no unstable loop stable.
         judge: Yields the keys that contradict others of a scenario.
@@ -153,7 +153,7 @@ class Effect:
     tables: Mapping[str, type]
     actions: Mapping[Place, Action] = field(default_factory=dict)
     State: type | None = None
-    mechanisms: tuple[Mechanism, ...] = ()
+    causes: tuple[Cause, ...] = ()
     modelled: tuple[str, ...] = ()
     added: tuple[str, ...] = ()
     judge: Callable[[Any], Iterator[Complaint]] | None = None
@@ -162,7 +162,7 @@ class Effect:
     @property
     def neutral(self) -> Mapping[str, object]:
         """Values of its keys without it."""
-        return {key: value for one in self.mechanisms for key, value in one.neutral.items()}
+        return {key: value for one in self.causes for key, value in one.neutral.items()}
 
     def acts(self, scenario: Any) -> bool:
         """Whether a scenario has it: one of its keys is not neutral."""

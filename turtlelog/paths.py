@@ -136,7 +136,7 @@ class Path:
     def _require_keys(self, *names: str) -> None:
         for name in names:
             if getattr(self, name) is None:
-                raise PathError(f"{name}: expected one, for kind is {self.kind}, found none")
+                raise PathError(f"{name}: missing; a path of kind {self.kind} needs it")
 
     def _refuse_keys(self, *names: str) -> None:
         for name in names:

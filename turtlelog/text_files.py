@@ -245,7 +245,10 @@ def describe_missing(path: str | Path, others: Iterable[str] = ()) -> str:
     if isinstance(path, RemotePath) or not path.parent.is_dir():
         return "no such file"
     names = [one.name for one in path.parent.iterdir()]
-    near = [name for name in names if name.partition(".")[0] == path.name]
-    near = near[:3] or find_near(path.name, [*names, *others])
+    # Of names without their endings: one ending makes no two names alike.
+    stems: dict[str, list[str]] = {}
+    for name in [*names, *others]:
+        stems.setdefault(make_path(name).stem, []).append(name)
+    near = [name for stem in find_near(path.stem, stems) for name in stems[stem]][:3]
     shown = [str(path.with_name(name)) if name in names else name for name in near]
     return f"no such file; did you mean {join_names(shown)}?" if near else "no such file"

@@ -88,14 +88,14 @@ def test_a_run_alone_has_one_colour_on_screen_and_on_paper(tmp_path: Path) -> No
     assert [shown >> 24, shown >> 16 & 255, shown >> 8 & 255] == printed.tolist()
 
 
-def test_a_mechanism_has_no_colour_of_a_run_or_a_ghost() -> None:
+def test_a_cause_has_no_colour_of_a_run_or_a_ghost() -> None:
     colors = [*choose_cause_colors("abcdef").values()]
     others = [*choose_run_colors(7), MAIN, GHOST]
     pairs = [*product(colors, others), *combinations(colors, 2)]
     assert min(measure_difference(*pair) for pair in pairs) > LEAST_DIFFERENCE
 
 
-def test_bars_of_mechanisms_stand_out_on_both_grounds() -> None:
+def test_bars_of_causes_stand_out_on_both_grounds() -> None:
     for color in choose_cause_colors("abcdef").values():
         for ground in (GROUND, (255, 255, 255)):
             bright, dark = sorted(
@@ -104,7 +104,7 @@ def test_bars_of_mechanisms_stand_out_on_both_grounds() -> None:
             assert (bright + 0.05) / (dark + 0.05) > LEAST_BAR_CONTRAST, color
 
 
-def test_more_than_six_mechanisms_begin_again() -> None:
+def test_more_than_six_causes_begin_again() -> None:
     found = choose_cause_colors("abcdefg")
     assert found["g"] == found["a"]
 

@@ -39,8 +39,8 @@ TRUE: dict[str, Ask] = {
 }
 
 WRONG: dict[str, tuple[Ask, str]] = {
-    "truth": (bool, "expected a comparison with a limit, found none"),
-    "not": (lambda m: not m, "expected a comparison with a limit, found none"),
+    "truth": (bool, "compare it with a limit"),
+    "not": (lambda m: not m, "compare it with a limit"),
     "none": (lambda m: m != None, "a number after !=, found None"),  # noqa: E711
     "none left": (lambda m: None == m, "a number after ==, found None"),  # noqa: E711
     "text": (lambda m: m != "1", "a number after !=, found '1'"),

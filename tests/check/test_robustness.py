@@ -149,7 +149,7 @@ def test_errors_point_at_the_column_of_the_formula(text: str, problem: str) -> N
         ((np.array([0.0, 1.0]), np.zeros(2)), "expected times as int64 nanoseconds, found float64"),
         ((np.array([0], np.uint64), np.zeros(1)), "int64 nanoseconds, found uint64"),
         ((np.array([0, 1]), np.zeros(3)), r"expected as many times .* found \(2,\) and \(3,\)"),
-        ((np.array([], np.int64), np.zeros(0)), "expected at least one value, found none"),
+        ((np.array([], np.int64), np.zeros(0)), "must not be empty"),
         ((np.array([0, 2, 1]), np.zeros(3)), "do not decrease, found 1 after 2 at row 2"),
     ],
 )

@@ -37,11 +37,11 @@ def test_tables_of_checks_are_no_tolerances(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "format: expected 1, found none"),
+        ("", "the first line of a specification is missing: format = 1"),
         ("format = 2", "format: expected at most 1, found 2, of a newer turtlelog"),
         ("format = true", "format: expected 1, found true"),
         ("format = 0", "format: expected 1, found 0"),
-        ("format = 1", r"expected at least one table \[signals.NAME\] or \[metrics.ID\], found"),
+        ("format = 1", r"has no table \[signals.NAME\] or \[metrics.ID\]"),
         ("format = 1\n[signal.x]", "signal: unknown key; did you mean signals"),
         ("format = 1\nsignals = 3", "signals: expected a table, found 3"),
         ("format = 1\n[signals]\nx = 3", "signals.x: expected a table, found 3"),
@@ -61,12 +61,12 @@ def test_tables_of_checks_are_no_tolerances(tmp_path: Path) -> None:
         ),
         (
             "format = 1\n[metrics.rotate.overshoot]",
-            'metrics.rotate: expected quotes around the id, as in metrics."rotate.overshoot"',
+            'metrics.rotate: needs quotes around the id: metrics."rotate.overshoot"',
         ),
-        ("format = 1\n[signals.x]\nabs = 1", "signals.x.reason: expected a reason, found none"),
+        ("format = 1\n[signals.x]\nabs = 1", "signals.x.reason: expected a reason, found no value"),
         ("format = 1\n[signals.x]\nreason = ' '", "signals.x.reason: expected a reason, found ' '"),
         ("format = 1\n[signals.x]\nreason = 3", "signals.x.reason: expected a reason, found 3"),
-        ("format = 1\n[signals.x]\nreason = 'a'", "signals.x: expected abs or rel or time_s"),
+        ("format = 1\n[signals.x]\nreason = 'a'", "signals.x: needs abs or rel or time_s"),
         ("format = 1\n[signals.x]\nasb = 1", "signals.x.asb: unknown key; did you mean abs"),
         (
             "format = 1\n[metrics.'run.duration']\ntime_s = 1",
@@ -100,9 +100,9 @@ def test_a_share_above_one_is_most_likely_meant_in_per_cent() -> None:
 
 def test_what_is_no_text_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "t.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(CompareError, match="expected TOML, found bytes that are no text"):
+    with pytest.raises(CompareError, match="not TOML, not even text"):
         tl.check.load_tolerances(tmp_path / "t.toml")
-    with pytest.raises(CompareError, match=r"none\.toml: no such file; did you mean .*/t\.toml\?"):
+    with pytest.raises(CompareError, match=r"none\.toml: no such file"):
         tl.check.load_tolerances(tmp_path / "none.toml")
     with pytest.raises(
         CompareError, match="expected a specification or tolerance file, found: Is a directory"

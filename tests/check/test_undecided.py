@@ -150,12 +150,12 @@ def test_findings_stand_for_what_they_found() -> None:
 def test_half_a_question_is_no_answer(cut: Recording) -> None:
     halves = [cut.driven_by(), cut.phase("rotate"), tl.check.join_verdicts([FAILED])]
     for half in halves:
-        with pytest.raises(tl.CheckError, match="expected"):
+        with pytest.raises(tl.CheckError, match=r"assert|expected"):
             bool(half)
 
 
 def test_a_reference_that_nothing_is_held_to_is_no_answer(cut: Recording) -> None:
-    with pytest.raises(tl.CheckError, match="expected at least one signal or metric, found none"):
+    with pytest.raises(tl.CheckError, match="names no signal or metric"):
         cut.matches(cut.run, tolerance=tl.Tolerances())
 
 

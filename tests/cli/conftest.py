@@ -39,6 +39,11 @@ when = "law.kp_linear < 5"
 """One run of the paper passes it, another fails."""
 
 
+def read_identified(answer: dict[str, Any]) -> dict[str, Any]:
+    """Return the identified values of explain's JSON by their keys."""
+    return {one["key"]: one["value"] for one in answer["identified"]}
+
+
 @pytest.fixture
 def call(capsys: pytest.CaptureFixture[str]) -> Call:
     """Run a command as a shell would."""

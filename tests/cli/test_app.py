@@ -113,7 +113,7 @@ def test_the_demo_refuses_a_file_for_its_folder(call: Call, tmp_path: Path) -> N
     (tmp_path / "out").touch()
     answer = call("demo", "-o", tmp_path / "out")
     assert answer.code == 2
-    assert "expected a folder to write into: File exists" in answer.err
+    assert "cannot be a folder: File exists" in answer.err
 
 
 def test_a_full_standard_output_is_one_line() -> None:
@@ -126,7 +126,7 @@ def test_a_full_standard_output_is_one_line() -> None:
         )
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
-    assert "standard output: expected room to write" in done.stderr
+    assert "standard output: cannot be written" in done.stderr
 
 
 def test_names_beyond_ascii_are_printed_on_an_ascii_terminal(tmp_path: Path) -> None:

@@ -113,10 +113,10 @@ def test_what_is_no_comparison_with_a_robot_is_refused_in_one_line(
     call: Call, bag: Path, scenario: Path, tmp_path: Path
 ) -> None:
     turtle = write_scenario(tmp_path / "turtle.toml", {}, "textbook")
-    assert "expected a bag or a recording to compare" in refuse(call, scenario)
+    assert "needs a bag or a recording beside the scenario" in refuse(call, scenario)
     assert "expected one scenario to compare bags with" in refuse(call, scenario, turtle, bag)
     assert 'with plant.kind = "lagged", found turtlesim' in refuse(call, bag, turtle)
-    for option in ("--reference", "--align", "--only", "--sort", "--where"):
+    for option in ("--reference", "--align", "--metric", "--sort", "--where"):
         assert f"{option}: expected none beside a scenario" in refuse(
             call, bag, scenario, option, str(bag)
         )
@@ -124,7 +124,7 @@ def test_what_is_no_comparison_with_a_robot_is_refused_in_one_line(
         call, bag, bag, "--plot", tmp_path / "a.png"
     )
     assert "the name must end in .pdf" in refuse(call, bag, scenario, "--plot", tmp_path / "a.gif")
-    assert "--rrd: expected one bag to draw, found 2" in refuse(
+    assert "--rrd: draws one bag, not 2" in refuse(
         call, bag, bag, scenario, "--rrd", tmp_path / "a.rrd"
     )
 
@@ -133,7 +133,7 @@ def test_what_is_no_comparison_with_a_robot_is_refused_in_one_line(
     ("text", "told"),
     [
         ("speed_gain = nan", "plant.speed_gain"),
-        ("not toml", "expected TOML"),
+        ("not toml", "not TOML"),
         ("speed_gain = 'fast'", "plant.speed_gain"),
         ("gains = 1.0", "plant.gains"),
     ],
@@ -158,4 +158,4 @@ def test_a_bag_without_commands_has_nothing_to_drive_the_robot_with(
     rows = zip(run.poses.time_ns / 1e9, *run.poses.xy_m.T, run.poses.heading_rad, strict=True)
     lines = [",".join(f"{float(value)!r}" for value in row) for row in rows]
     silent.write_text("\n".join(["t,x,y,heading", *lines]) + "\n")
-    assert "expected commands to drive the simulated robot with" in refuse(call, silent, scenario)
+    assert "no commands to drive the simulated robot with" in refuse(call, silent, scenario)

@@ -144,11 +144,14 @@ def test_what_reads_back_differently_is_refused(
     ("words", "line"),
     [
         (["run.mcap"], "--output"),
-        (["run.mcap", "-o", "a", "--table", "poses"], "--table: expected an output of tables"),
-        (["run.mcap", "-o", "a.csv", "--format", "csv"], "--format: expected a folder to write"),
-        (["in.csv", "-o", "in.csv"], "expected another file to write to, found the input"),
-        (["run.mcap", "-o", "full"], "full: expected the name of a new folder, found a"),
-        (["run.mcap", "-o", "no/such/a.csv"], "expected a place that can be written"),
+        (["run.mcap", "-o", "a", "--table", "poses"], "--table: a is no table"),
+        (
+            ["run.mcap", "-o", "a.csv", "--format", "csv"],
+            "--format: leave it out, the name a.csv says it",
+        ),
+        (["in.csv", "-o", "in.csv"], "this is the input; name another file"),
+        (["run.mcap", "-o", "full"], "full: this folder has files; name a new"),
+        (["run.mcap", "-o", "no/such/a.csv"], "there is no such folder to write to"),
         (["run.mcap", "-o", "a.csv", "--table", "pose"], "pose"),
         (["none.mcap", "-o", "a.csv"], "none.mcap: no such file"),
         (["events.csv", "-o", "a.mcap"], "expected the poses of a run, found its events alone"),
@@ -197,7 +200,7 @@ def test_a_link_that_leads_in_a_circle_is_no_new_folder(
     circle.symlink_to(circle)
     answer = call("convert", kp4, "-o", circle)
     assert (answer.code, answer.out) == (2, "")
-    assert answer.err.endswith(": expected the name of a new folder, found a file\n")
+    assert answer.err.endswith(": this is a file; name a new folder\n")
 
 
 def test_a_trajectory_is_written_and_read_back(call: Call, kp4: Path, tmp_path: Path) -> None:
@@ -217,4 +220,4 @@ def test_a_trajectory_is_written_and_read_back(call: Call, kp4: Path, tmp_path: 
     for name in ("kp4", "kp4.csv"):
         answer = call("convert", kp4, "-o", tmp_path / name, "--to", "tum")
         assert answer.code == 2
-        assert "--to tum: expected a name that ends in .tum or .txt, found" in answer.err
+        assert "must be a name that ends in .tum or .txt" in answer.err

@@ -24,7 +24,7 @@ from turtlelog.errors import make_portable
 PACKAGE = Path(processes.__file__).parent
 ALL = ["kp4.mcap", "table.csv", "bag.mcap", "cut.mcap", "none.mcap"]
 """A file of every kind, of which some cannot be read."""
-BRIEF = ["--only", "final.*"]
+BRIEF = ["--metric", "final.*"]
 GRID = ["--grid", "law.kp_linear=-1,4", "--grid", "max_duration_s=2,3"]
 TUNE = ["--grid", "law.k=1:4", "--minimise", "run.path_length", "--evaluations", "8"]
 SHARERS = {

@@ -25,7 +25,7 @@ def bag(tmp_path: Path) -> Path:
 
 def measure_duration(call: Call, path: Path) -> float:
     ((metric,),) = [
-        one["metrics"] for one in call("metrics", path, "--only", "run.duration", "--json").json
+        one["metrics"] for one in call("metrics", path, "--metric", "run.duration", "--json").json
     ]
     return float(metric["value"])
 

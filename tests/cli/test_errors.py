@@ -74,8 +74,8 @@ NO_SPEC = (
             " metadata.yaml): name one of them: a.mcap, b.mcap; --recursive takes what is below it",
         ),
         (
-            ["metrics", "kp10.mcap", "--metric", "x"],
-            "turtlelog metrics has no option --metric; did you mean --only? All options: turtlelog"
+            ["metrics", "kp10.mcap", "--only", "x"],
+            "turtlelog metrics has no option --only; did you mean --metric? All options: turtlelog"
             " metrics --help-all",
         ),
         (

@@ -6,7 +6,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 import turtlelog as tl
-from tests.cli.conftest import Call
+from tests.cli.conftest import Call, read_identified
 from tests.explain.logs import add_noise
 from tests.log.ros2.bags import make_poses, make_stamped_pose, write_mcap
 from tests.log.runs import find_shared
@@ -14,12 +14,12 @@ from tests.log.runs import find_shared
 
 def test_explain_finds_what_was_built_in(call: Call, kp10: Path) -> None:
     answer = call("explain", kp10, "--json").json
-    identified = answer["identified"]
-    assert (identified["start_backlog"], identified["pause_ticks"]) == (5, 33)
-    assert identified["dead_time_ticks"] == {"rotate": 4, "translate": 6}
-    assert identified["gains"] == {"angular": 10.0, "linear": 10.0}
-    assert identified["limits"] == {"speed": 1.0, "turn_rate": 1.0}
-    assert (identified["projection"], identified["stop_reason"]) == ("bearing", "standstill")
+    identified = read_identified(answer)
+    assert (identified["loop.start_backlog"], identified["law.pause_ticks"]) == (5, 33)
+    assert (identified["dead_time.rotate"], identified["dead_time.translate"]) == (4, 6)
+    assert (identified["law.kp_angular"], identified["law.kp_linear"]) == (10.0, 10.0)
+    assert (identified["limits.speed_m_s"], identified["limits.turn_rate_rad_s"]) == (1.0, 1.0)
+    assert (identified["law.projection"], identified["stop_reason"]) == ("bearing", "standstill")
     assert identified["lost_commands"] == 4
     assert answer["resimulation"] == {
         "samples": 770,
@@ -92,8 +92,9 @@ def test_a_metric_without_a_value_is_explained_by_what_leaves_it_so(
 
 def test_what_is_not_identified_is_null_with_its_reason(call: Call, kp10: Path) -> None:
     answer = call("explain", kp10, "--json").json
-    assert answer["identified"]["wrap_error"] is None
-    assert answer["reasons"]["law.wrap_error"] == "the heading error stays within half a turn"
+    (wrap,) = (one for one in answer["identified"] if one["key"] == "law.wrap_error")
+    assert (wrap["value"], wrap["certainty"]) == (None, "unknown")
+    assert wrap["evidence"] == "the heading error stays within half a turn"
 
 
 def test_explain_writes_the_scenario(call: Call, tmp_path: Path, kp10: Path) -> None:
@@ -161,7 +162,7 @@ def test_a_law_of_ones_own_shows_the_settings_of_its_causes(call: Call, turn: Pa
     assert lines[3] == "  delay  +5.4 rad/s  loop.transport_delay_ticks = 6"
 
 
-def test_more_mechanisms_take_part(call: Call, kp10: Path) -> None:
+def test_more_causes_take_part(call: Call, kp10: Path) -> None:
     words = ("--causes", "queue, pause,saturation", "--metric", "final.heading_error")
     found = call("explain", kp10, *words, "--json").json["attribution"]
     assert [one["cause"] for one in found["contributions"]] == ["queue", "pause", "saturation"]
@@ -175,8 +176,8 @@ def test_explain_says_of_a_turtlesim_bag_what_its_plant_tells(call: Call) -> Non
     bag = find_shared("ros2", "turtlesim_jazzy")
     answer = call("explain", bag, "--json")
     assert answer.code == 0
-    assert answer.json["identified"]["start_backlog"] is None
-    assert answer.json["identified"]["lost_commands"] == 0
+    identified = read_identified(answer.json)
+    assert (identified["loop.start_backlog"], identified["lost_commands"]) == (None, 0)
     assert answer.json["attribution"] is None
     motion = answer.json["motion"]
     assert (motion["kind"], motion["poses"]["rows"], motion["commands"]["rows"]) == (
@@ -263,10 +264,10 @@ def test_a_recording_with_samples_is_explained_by_them(call: Call, kp10: Path) -
         (["--metric", "luck"], 'no metric "luck"; list: turtlelog list metrics'),
         (["--metric", "final.postion_error"], "did you mean final.position_error"),
         (["--causes", "queue,luck"], 'no cause "luck"'),
-        (["--causes", "queue,queue"], "mechanisms: expected different ones"),
+        (["--causes", "queue,queue"], "causes: expected different ones"),
         (["--rrd", "why.txt"], "the name must end in .rrd"),
         (["--scenario", "found.txt"], "the name must end in .toml"),
-        (["--scenario", "no/such/found.toml"], "found no such folder"),
+        (["--scenario", "no/such/found.toml"], "there is no such folder"),
     ],
     ids=str,
 )
@@ -309,10 +310,11 @@ def test_a_scenario_that_is_not_identified_is_not_written(
 @pytest.mark.thorough
 def test_nothing_is_said_of_a_law_that_is_another(call: Call, no_scenario: Path) -> None:
     answer = call("explain", no_scenario, "--json").json
-    assert answer["identified"]["gains"] == {"angular": None, "linear": None}
-    assert answer["identified"]["projection"] is None
-    assert answer["identified"]["dead_time_ticks"] == {"align": 6, "approach": 6}
-    assert answer["reasons"]["law.kp_linear"] == answer["notes"][0]
+    identified = read_identified(answer)
+    assert (identified["law.kp_angular"], identified["law.projection"]) == (None, None)
+    assert (identified["dead_time.align"], identified["dead_time.approach"]) == (6, 6)
+    (gain,) = (one for one in answer["identified"] if one["key"] == "law.kp_linear")
+    assert (gain["value"], gain["evidence"]) == (None, answer["notes"][0])
     assert "examples/turn_and_drive.py:TurnAndDrive" in answer["notes"][0]
     assert (answer["resimulation"], answer["attribution"]) == (None, None)
     text = call("explain", no_scenario).out
@@ -331,7 +333,7 @@ def test_another_law_is_explained_with_trust_only(call: Call, turn: Path) -> Non
     assert found["attribution"]["as_logged"] == pytest.approx(6.435, abs=1e-3)
     assert found["attribution"]["without_all"] == pytest.approx(1.034, abs=1e-3)
     assert [one["cause"] for one in found["attribution"]["contributions"]] == ["delay"]
-    assert found["identified"]["gains"] == {"angular": None, "linear": None}
+    assert read_identified(found).get("law.kp_linear") is None
     text = " ".join(call(*words, "--trust-law").out.split())
     other = ("Kp", "heading tolerance", "position tolerance", "projection")
     assert not [word for word in other if word in text]

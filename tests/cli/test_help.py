@@ -101,7 +101,7 @@ def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> N
         (["run", "--kp"], "turtlelog run: --kp needs a number"),
         (["run", "--kpp", "3"], "turtlelog run has no option --kpp; did you mean --kp?"),
         (["plot", "--metrics", "a"], "plot has no option --metrics; did you mean --metric?"),
-        (["sweep", "--metric", "a"], "sweep has no option --metric; did you mean --metrics?"),
+        (["metrics", "--only", "a"], "metrics has no option --only; did you mean --metric?"),
         (
             ["info", "-x"],
             "turtlelog info has no option -x; all options: turtlelog info --help-all",
@@ -150,9 +150,9 @@ def test_completion_is_written_where_asked(call: Call, tmp_path: Path, shell: st
         (["run", "--set", ""], "limits.speed_m_s="),
         (["scenario", "pap"], "textbook"),
         (["run", "--law", ""], "sequential-p"),
-        (["metrics", "a.mcap", "--only", ""], "rotate.overshoot"),
+        (["metrics", "a.mcap", "--metric", ""], "rotate.overshoot"),
         (
-            ["metrics", "--only", "final.position_error,rot"],
+            ["metrics", "--metric", "final.position_error,rot"],
             "final.position_error,rotate.peak",
         ),
         (["compare", "a.mcap", "b.mcap", "--sort", ""], "run.duration"),

@@ -165,9 +165,9 @@ def test_a_view_holds_command_motion_model_and_residual(
     ("words", "line"),
     [
         (["--plot", "robot.txt"], "the name must end in .pdf, .png or .svg"),
-        (["again.mcap", "--rrd", "robot.rrd"], "--rrd: expected one file to draw, found 2"),
+        (["again.mcap", "--rrd", "robot.rrd"], "--rrd: draws one file, not 2"),
         (["--rrd", "robot.svg"], "the name must end in .rrd"),
-        (["again.mcap", "--plot", "robot.svg"], "--plot: expected one file to draw, found 2"),
+        (["again.mcap", "--plot", "robot.svg"], "--plot: draws one file, not 2"),
     ],
     ids=["suffix", "two files in a view", "suffix of a view", "two files"],
 )

@@ -78,7 +78,7 @@ def test_what_is_no_robot_is_one_line_and_no_file(call: Call, tmp_path: Path) ->
     ("name", "expected"),
     [
         ("robot.txt", "the name must end in .toml"),
-        ("missing/robot.toml", "expected a place that can be written, found no such folder"),
+        ("missing/robot.toml", "there is no such folder to write to"),
     ],
 )
 def test_a_target_that_cannot_be_written_is_refused(

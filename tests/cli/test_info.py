@@ -248,11 +248,11 @@ def test_columns_and_topics_that_are_asked_for_are_looked_at(call: Call, tmp_pat
 def test_what_a_table_is_taken_for_is_said(call: Call, tmp_path: Path) -> None:
     table = tmp_path / "drive.csv"
     table.write_text("t,x,y,yaw\n0,0,0,0\n1,1,0,90\n")
-    answer = call("metrics", table, "--only", "run.path_length")
+    answer = call("metrics", table, "--metric", "run.path_length")
     assert "heading from yaw [rad, assumed]; --column heading='yaw [UNIT]'" in answer.err
     bag = write_mcap(tmp_path / "bag.mcap", make_drive())
     answer = call(
-        "metrics", bag, table, "--only", "run.path_length", "--column", "heading=yaw [deg]"
+        "metrics", bag, table, "--metric", "run.path_length", "--column", "heading=yaw [deg]"
     )
     assert answer.code == 0
     assert "heading from yaw [deg]" in answer.err

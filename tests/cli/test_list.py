@@ -2,7 +2,7 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
-from turtlelog.laws import LAWS, list_mechanisms
+from turtlelog.laws import LAWS, list_causes
 
 KINDS = ["metrics", "signals", "presets", "laws", "causes", "figures"]
 
@@ -14,7 +14,7 @@ def test_list_answers_in_json_with_the_names_of_the_table(call: Call, kind: str)
     assert answer["kind"] == kind
     _, _, heads, _, *rows = call("list", kind).out.partition("\n\nAnd ")[0].splitlines()
     assert heads.split()[0] == "name"
-    shown = [row.split()[0] for row in rows if row]
+    shown = [row.split()[0] for row in rows if row and not row.startswith(" ")]
     assert shown[: len(answer["entries"])] == [entry["name"] for entry in answer["entries"]]
 
 
@@ -30,11 +30,11 @@ def test_every_name_is_listed(call: Call) -> None:
     assert found["laws"] == [*LAWS]
     assert found["figures"] == [*tl.draw.FIGURES]
     scenario = tl.load_scenario("paper")
-    from turtlelog.explain.mechanisms import find_mechanisms
+    from turtlelog.explain.causes import find_causes
 
     # Those of other laws follow, each under its law.
-    ours = find_mechanisms(scenario)
-    others = [one.name for kind in [*LAWS][1:] for one in list_mechanisms(LAWS[kind])]
+    ours = find_causes(scenario)
+    others = [one.name for kind in [*LAWS][1:] for one in list_causes(LAWS[kind])]
     assert found["causes"] == [*ours, *others]
 
 

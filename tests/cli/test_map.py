@@ -143,14 +143,14 @@ def test_a_table_of_failures_is_one_line(call: Call, table: Path) -> None:
     write_result_table(replace(stored, columns=columns), table)
     done = call("plot", table.name)
     assert (done.code, done.out) == (2, "")
-    assert "t.parquet: expected a row with a run, found that all of them failed" in done.err
+    assert "t.parquet: all rows failed" in done.err
 
 
 def test_a_tornado_needs_a_key_that_varies(call: Call, table: Path) -> None:
     write_table(table, ["law.kp_linear=3"], {"run.duration": lambda _: 2.0})
     done = call("plot", table.name, "--kind", "tornado", "-o", "t.png")
     assert (done.code, done.out) == (2, "")
-    assert "--kind tornado: expected a key that varies, found none in t.parquet" in done.err
+    assert "--kind tornado: no key varies in t.parquet" in done.err
     assert call("plot", table.name).code == 0
 
 
@@ -166,17 +166,17 @@ def test_a_value_is_held_where_at_says(call: Call, table: Path) -> None:
     [
         (["--at", "seed=3"], "--at: expected a key that varies"),
         (["--at", "law.kp_linear"], "--at: expected key=value"),
-        (["--metric", ","], "--metric: expected names separated by commas, found ','"),
+        (["--metric", ","], "--metric ,: must be names separated by commas"),
         (
             ["--metric", "rotate.*"],
             't.parquet: no metric "rotate.*"; there are translate.stable',
         ),
-        (["-o", "m.gif"], "--output m.gif: expected a name that ends in .pdf, .png, .svg"),
-        (["-o", "none/m.png"], "none/m.png: expected"),
-        (["--dpi", "100"], "--for, --text-width, --dpi: expected a figure to write, found none"),
-        (["-o", "m.rrd", "--for", "slide"], "--for, --text-width, --dpi: expected a figure"),
-        (["-o", "m.svg", "--dpi", "100"], "--dpi: expected png files, found svg"),
-        (["-o", "m.html", "--kind", "tornado"], "--kind tornado: expected a figure to write"),
+        (["-o", "m.gif"], "--output m.gif: must be a name that ends in .pdf, .png, .svg"),
+        (["-o", "none/m.png"], "none/m.png: there is no such folder"),
+        (["--dpi", "100"], "--for, --text-width and --dpi need a figure to write: -o NAME.png"),
+        (["-o", "m.rrd", "--for", "slide"], "--for, --text-width and --dpi need a figure"),
+        (["-o", "m.svg", "--dpi", "100"], "--dpi: is for png files, not svg"),
+        (["-o", "m.html", "--kind", "tornado"], "--kind tornado: m.html is no figure"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_line(
@@ -206,7 +206,11 @@ def test_what_is_no_table_of_a_sweep_is_one_line(kind: str, call: Call, table: P
     done = call("plot", other, "-o", "m.png")
     assert (done.code, done.out) == (2, "")
     (line,) = done.err.splitlines()
-    said = "no such file" if kind == "missing" else "expected "
+    said = {
+        "missing": "no such file",
+        "other": "no column for ",
+        "no rows": "the table has no rows",
+    }.get(kind, "expected ")
     assert line.startswith(f"turtlelog: error: {other}: {said}")
     assert not Path("m.png").exists()
 
@@ -217,7 +221,7 @@ def test_the_measured_border_of_stability_is_theorys(
     """Gains in steps of 1 over dead times of 3 to 12 ticks; the metric knows nothing of theory."""
     monkeypatch.chdir(tmp_path)
     grid = ("--grid", "law.kp_linear=1:40:1", "--grid", "loop.transport_delay_ticks=3:12:3")
-    metrics = ("--metrics", "translate.stable,translate.overshoot", "-o", "border.parquet")
+    metrics = ("--metric", "translate.stable,translate.overshoot", "-o", "border.parquet")
     assert call("sweep", "textbook", *grid, *metrics).code == 0
     done = call("plot", "border.parquet")
     assert done.code == 0

@@ -88,7 +88,7 @@ def test_all_shows_every_metric_and_why_values_are_missing(call: Call, kp4: Path
 
 
 def test_only_takes_ids_and_patterns(call: Call, kp4: Path) -> None:
-    (answer,) = call("metrics", kp4, "--json", "--only", "final.*, rotate.overshoot").json
+    (answer,) = call("metrics", kp4, "--json", "--metric", "final.*, rotate.overshoot").json
     ids = [metric["id"] for metric in answer["metrics"]]
     assert ids[0] == "rotate.overshoot"
     assert ids[1:] == [name for name in METRICS if name.startswith("final.")]
@@ -143,7 +143,7 @@ def test_tables_for_texts_hold_the_same(call: Call, kp4: Path, option: str, line
 
 def test_more_than_six_runs_have_a_row_each(call: Call, kp4: Path, tmp_path: Path) -> None:
     files = [Path(shutil.copy(kp4, tmp_path / f"{number}.mcap")) for number in range(7)]
-    out = call("metrics", *files, "--only", "run.duration").out
+    out = call("metrics", *files, "--metric", "run.duration").out
     assert out.startswith("7 runs: run.duration 11.2 s (all).\n")
     rows = [line.split() for line in out.splitlines() if ".mcap" in line]
     assert len(rows) == 7
@@ -245,7 +245,7 @@ def pickle_both_ways(name: str, started: list[str]) -> Callable[..., Any]:
 
 def test_a_file_that_cannot_be_read_does_not_stop_the_others(call: Call, kp4: Path) -> None:
     for options in ([], ["--json"], ["--jobs", "2"]):
-        answer = call("metrics", "none.mcap", kp4, "--only", "run.duration", *options)
+        answer = call("metrics", "none.mcap", kp4, "--metric", "run.duration", *options)
         assert answer.code == 2
         assert "none.mcap: no such file" in answer.err
         assert "11.184" in answer.out
@@ -254,7 +254,7 @@ def test_a_file_that_cannot_be_read_does_not_stop_the_others(call: Call, kp4: Pa
 
 def test_band_initial_and_final_change_the_step(call: Call, kp4: Path) -> None:
     def read(name: str, *options: str) -> float:
-        (answer,) = call("metrics", kp4, "--json", "--only", name, *options).json
+        (answer,) = call("metrics", kp4, "--json", "--metric", name, *options).json
         return float(answer["metrics"][0]["value"])
 
     assert read("rotate.settling_time", "--band", "0.05") < read("rotate.settling_time")
@@ -269,10 +269,10 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
     path = tmp_path / "path.csv"
     path.write_text("x,y\n0,0\n12,0\n")
     (answer,) = call(
-        "metrics", kp4, "--only", "run.cross_track_max", "--reference-path", path, "--json"
+        "metrics", kp4, "--metric", "run.cross_track_max", "--reference-path", path, "--json"
     ).json
     assert answer["metrics"][0]["value"] == pytest.approx(10.0, abs=0.01)
-    words = ("--only", "rotate.*_deviation_rms", "--dead-time", "0", "--json")
+    words = ("--metric", "rotate.*_deviation_rms", "--dead-time", "0", "--json")
     _, sampled, delayed = call("metrics", kp4, *words).json[0]["metrics"]
     assert sampled["value"] == delayed["value"]
 
@@ -280,29 +280,29 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["--only", "rotate.overshot"], 'no metric "rotate.overshot"; did you mean rotate.over'),
-        (["--only", "nonsense.*"], 'no metric "nonsense.*"; list: turtlelog list metrics'),
-        (["--only", "a,,b"], "--only: expected names separated by commas, found 'a,,b'"),
-        (["--only", ""], "--only: expected names separated by commas, found ''"),
+        (["--metric", "rotate.overshot"], 'no metric "rotate.overshot"; did you mean rotate.over'),
+        (["--metric", "nonsense.*"], 'no metric "nonsense.*"; list: turtlelog list metrics'),
+        (["--metric", "a,,b"], "--metric a,,b: must be names separated by commas"),
+        (["--metric", ""], "--metric : must be names separated by commas"),
         (["--band", "0"], "band: expected a share of the step > 0, found 0.0"),
         (["--band", "nan"], "band: expected a share of the step > 0, found nan"),
         (["--band", "wide"], "--band wide: must be a number"),
-        (["--final", "end"], "--final: expected reference, last, a number or LOOP=VALUE"),
+        (["--final", "end"], "--final end: must be reference, last, a number or LOOP=VALUE"),
         (["--final", "pause=1"], "final: expected a loop rotate or translate, found 'pause'"),
         (["--final", "inf"], "final: expected 'reference', 'last' or a number, found inf"),
-        (["--initial", "last"], "--initial: expected a number or LOOP=VALUE,..., found 'last'"),
-        (["--initial", "rotate="], "--initial: expected a number or LOOP=VALUE,..., found ''"),
+        (["--initial", "last"], "--initial last: must be a number or LOOP=VALUE"),
+        (["--initial", "rotate="], "--initial : must be a number or LOOP=VALUE"),
         (
             ["--dead-time", "-1"],
             "dead_time_ticks: expected a whole number from 0 to 1000, found -1",
         ),
         (["--dead-time", "1001"], "expected a whole number from 0 to 1000, found 1001"),
         (["--reference-path", "none.csv"], "none.csv: expected a file of points, found: No such"),
-        (["--jobs", "0"], "jobs: expected at least 1 process, found 0"),
+        (["--jobs", "0"], "--jobs 0: must be at least 1"),
         (["--jobs", "1.5"], "--jobs 1.5: must be a whole number"),
         (["--dead-time", "1.5"], "--dead-time 1.5: must be a whole number"),
-        (["--csv", "--json"], "--json: expected one format, found --csv beside it"),
-        (["--markdown", "--latex"], "--latex: expected one format, found --markdown beside it"),
+        (["--csv", "--json"], "--csv and --json: choose one format"),
+        (["--markdown", "--latex"], "--markdown and --latex: choose one format"),
     ],
 )
 def test_bad_usage_is_one_line(call: Call, kp4: Path, words: list[str], line: str) -> None:

@@ -55,7 +55,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 COMMANDS = [
     *("info 4 10", "info cut --partial", "info junk", "info none", "metrics 4", "metrics 4 10"),
     *("metrics 4 10 --markdown", "metrics 4 10 --latex", "metrics cut", "metrics cut --partial"),
-    *("metrics 4 4 4 4 4 4 10", "metrics 4 --only OUT", "metrics 4 --reference-path junk"),
+    *("metrics 4 4 4 4 4 4 10", "metrics 4 --metric OUT", "metrics 4 --reference-path junk"),
     *("compare 4 10", "compare 4 10 --markdown", "compare --reference 4 10"),
     "compare 4 10 --sort OUT",
     *("check spec 4 10 --junit OUT.xml", "check spec junk", "check junk 4", "check --init 4"),

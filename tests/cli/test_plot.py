@@ -28,11 +28,15 @@ def split_answer(out: str) -> tuple[str, list[str]]:
     return " ".join(lines[: len(lines) - len(written)]), written
 
 
+ENDING = "paper-kp4: missed the goal by 8.52 mm after 11.2 s."
+
+
 def test_plot_writes_what_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [str(RECORDING), "-o", str(tmp_path), "--only", "heading,plane", "--format", "svg"]
     code, out, err = run_plot(capsys, *words)
     assert (code, err) == (0, "")
     assert out.splitlines() == [
+        ENDING,
         "2 figures of paper-kp4: heading, plane.",
         *(f"wrote {tmp_path / name}" for name in ("heading.svg", "plane.svg")),
     ]
@@ -49,7 +53,8 @@ def test_many_runs_are_drawn_in_the_order_of_their_gains(
     said, written = split_answer(out)
     assert (code, written) == (0, [f"wrote {path}"])
     assert said == (
-        f"{path} shows the figure heading of paper-kp10 and paper-kp2: {SHOWN['heading']}."
+        "2 runs end 1.01 mm (paper-kp2) to 0.107 m (paper-kp10) from the goal."
+        f" {path} shows the figure heading of paper-kp10 and paper-kp2: {SHOWN['heading']}."
     )
     comments = re.findall(">(paper-kp[0-9]+)</text>", (tmp_path / "heading.svg").read_text())
     assert comments == ["paper-kp2", "paper-kp10"]
@@ -106,17 +111,17 @@ def test_what_was_asked_for_by_name_and_is_not_held_ends_with_an_error(
     [
         (["--only", "headng"], 'no figure "headng"; did you mean heading'),
         (["--only", "heading"], "figure heading: expected a recording, found none"),
-        (["--only", "plant,"], "--only: expected names separated by commas, found 'plant,'"),
+        (["--only", "plant,"], "--only plant,: must be names separated by commas"),
         (["--format", "gif"], "format: expected some of pdf, png, svg, found 'gif'"),
-        (["--format", ""], "--format: expected names"),
+        (["--format", ""], "--format : must be names"),
         (["--for", "wall"], "--for"),
         (["--text-width", "nan"], "text width: expected 120 to 1000 mm, found nan"),
-        (["--for", "slide", "--text-width", "150"], "--text-width: expected --for column or page"),
+        (["--for", "slide", "--text-width", "150"], "--text-width: needs --for column or page"),
         (
             [str(RECORDING), "--only", "gains,plant", "--to", "3"],
-            "--to: expected a figure over time, found gains, plant",
+            "--to: needs a figure over time, not gains, plant",
         ),
-        (["--dpi", "200", "--format", "pdf,svg"], "--dpi: expected png files, found pdf, svg"),
+        (["--dpi", "200", "--format", "pdf,svg"], "--dpi: is for png files, not pdf, svg"),
         (["--dpi", "601", "--format", "png"], "dpi: expected 50 to 600, found 601"),
         (["--from", "nan"], "from: expected a time [s], found nan"),
         (["--to", "inf"], "to: expected a time [s], found inf"),
@@ -143,7 +148,7 @@ def test_a_file_in_place_of_the_folder_is_refused(
     (tmp_path / "file").touch()
     code, _, err = run_plot(capsys, "-o", str(tmp_path / "file"))
     assert code == 2
-    assert "file: expected a folder to write to, found a file" in err
+    assert "file: is a file; name a folder, or a figure that ends in .pdf, .png or .svg" in err
 
 
 def test_a_file_holds_one_figure_that_gives_an_overview(
@@ -153,7 +158,7 @@ def test_a_file_holds_one_figure_that_gives_an_overview(
     path = tmp_path / "kp4.png"
     said, written = split_answer(out)
     assert (code, written) == (0, [f"wrote {path}"])
-    assert said == f"{path} shows the figure panel of paper-kp4: {SHOWN['panel']}."
+    assert said == f"{ENDING} {path} shows the figure panel of paper-kp4: {SHOWN['panel']}."
     assert err == "plot: the figure panel; --only chooses another (turtlelog list figures)\n"
     assert (tmp_path / "kp4.png").read_bytes().startswith(b"\x89PNG")
     assert [path.name for path in tmp_path.iterdir()] == ["kp4.png"]
@@ -197,14 +202,14 @@ def test_a_folder_gets_each_figure_once_and_table_1_after_the_final_errors(
 @pytest.mark.parametrize(
     ("words", "match"),
     [
-        (["-o", "a.png", "--only", "plane,heading"], "--only: expected one figure for a.png"),
+        (["-o", "a.png", "--only", "plane,heading"], "--only: a.png has room for one figure"),
         (
             ["-o", "a.png", "--format", "pdf"],
-            "--format: expected a folder to write to, found",
+            "--format: leave it out",
         ),
-        (["-o", "no/a.png"], "no/a.png: expected a place that can be written, found no such"),
+        (["-o", "no/a.png"], "no/a.png: there is no such folder"),
         (["-o", "a.png", "--only", "headng"], "did you mean heading"),
-        (["-o", "folder.png"], "folder.png: expected the name of a file to write, found a folder"),
+        (["-o", "folder.png"], "folder.png: this is a folder; name a file to write"),
     ],
 )
 def test_a_bad_file_is_one_line(
@@ -232,7 +237,10 @@ def test_a_preset_or_a_scenario_file_is_simulated_and_drawn(
         code, out, _ = run_plot(capsys, word, "-o", str(target), "--only", "bode")
         said, written = split_answer(out)
         assert (code, written) == (0, [f"wrote {target}"])
-        assert said == f"{target} shows the figure bode of {name}: {SHOWN['bode']}."
+        assert said.startswith(
+            (f"{name}: missed the goal by ", f"{name}: reached the goal within ")
+        )
+        assert said.endswith(f" {target} shows the figure bode of {name}: {SHOWN['bode']}.")
     code, out, err = run_plot(capsys, "nix.toml", "-o", str(tmp_path / "a.svg"))
     assert (code, out) == (2, "")
     assert "nix.toml: no such file" in err
@@ -289,13 +297,13 @@ def test_a_violation_has_the_moments_of_check(
 @pytest.mark.parametrize(
     ("words", "match"),
     [
-        (["--metric", "overshoot"], "--metric: expected --only attribution, gains, luck or strips"),
-        (["--only", "plane", "--metric", "a"], "beside it, found --only plane"),
-        (["--only", "plane", "--expect", "speed < 1"], "--expect: expected --only violation"),
-        (["--only", "violation"], "--only violation: expected --expect FORMULA beside it"),
+        (["--metric", "overshoot"], "--metric: needs --only attribution, gains, luck or strips"),
+        (["--only", "plane", "--metric", "a"], "--metric: needs --only attribution"),
+        (["--only", "plane", "--expect", "speed < 1"], "--expect: needs --only violation"),
+        (["--only", "violation"], "--only violation: needs --expect FORMULA"),
         (["--only", "violation", "--expect", "speed <"], "--expect"),
         (["--only", "gains", "--metric", "overshot"], "overshot"),
-        (["--only", "gains", "--metric", "a,"], "--metric: expected names separated by commas"),
+        (["--only", "gains", "--metric", "a,"], "--metric a,: must be names separated by commas"),
         (["--only", "attribution", "--metric", "final.speed"], "final.speed"),
         (["--only", "luck", "--metric", "final.speed"], "final.speed"),
     ],
@@ -319,7 +327,7 @@ def test_dots_are_for_files_that_have_some(
     assert int.from_bytes(picture.read_bytes()[16:20]) == 513
     words = ["-o", str(tmp_path / "all"), "--only", "plant", "--dpi"]
     refused = [
-        (["72"], "--dpi: expected png files, found pdf"),
+        (["72"], "--dpi: is for png files, not pdf"),
         (["49", "--format", "png"], "dpi: expected 50 to 600, found 49"),
     ]
     for more, line in refused:
@@ -356,5 +364,5 @@ def test_a_number_of_processes_below_one_is_refused_for_one_figure_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = [str(RECORDING), "-o", str(tmp_path / "one.png"), "--jobs", "0"]
-    line = "turtlelog: error: --jobs: expected at least 1 process, found 0\n"
+    line = "turtlelog: error: --jobs 0: must be at least 1\n"
     assert run_plot(capsys, *words) == (2, "", line)

@@ -145,7 +145,7 @@ def test_a_printed_scenario_runs_as_a_file(call: Call, tmp_path: Path) -> None:
         (["--set", "x_m=2"], "--set: x_m: unknown key; did you mean start.x_m or goal.x_m?"),
         (["--set", "sed=2"], "--set: sed: unknown key; did you mean seed or path.closed?"),
         (["--set", "seed"], "--set: expected key=value, found 'seed'"),
-        (["--set", "law.kind=a.py:B"], "law.kind: expected a Python file at a.py, found none"),
+        (["--set", "law.kind=a.py:B"], "law.kind: no Python file a.py"),
         (
             ["--set", "max_duration_s=0.05"],
             "paper max_duration_s=0.05: expected a pose answered within",

@@ -55,11 +55,11 @@ def test_the_same_law_by_both_options_is_one_law(call: Call) -> None:
     [
         (
             ("--law", "a.py:A", "--set", "law.kind=b.py:B"),
-            "--law: expected one law, found a.py:A and --set law.kind=b.py:B",
+            "--law a.py:A and --set law.kind=b.py:B: choose one",
         ),
         (
             ("--law", "none.py:A"),
-            "--law: law.kind: expected a Python file at none.py, found none",
+            "--law: law.kind: no Python file none.py",
         ),
         (
             ("--law", "turn"),

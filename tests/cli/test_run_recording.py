@@ -6,7 +6,7 @@ import pytest
 from mcap.reader import make_reader
 
 import turtlelog as tl
-from tests.cli.conftest import Call
+from tests.cli.conftest import Call, read_identified
 from turtlelog.log.recording.head import HEAD
 
 LAW = """
@@ -80,9 +80,9 @@ def test_a_stripped_recording_is_solved_by_explain(call: Call, tmp_path: Path) -
     words = ("paper", "--kp", "3.25", "--set", "law.pause_ticks=21", "--strip-scenario")
     call("run", *words, "-o", riddle)
     found = call("explain", riddle, "--causes", "pause", "--json").json
-    assert found["identified"]["gains"] == {"angular": 3.25, "linear": 3.25}
-    assert found["identified"]["pause_ticks"] == 21
-    assert found["identified"]["start_backlog"] == 5
+    identified = read_identified(found)
+    assert (identified["law.kp_angular"], identified["law.kp_linear"]) == (3.25, 3.25)
+    assert (identified["law.pause_ticks"], identified["loop.start_backlog"]) == (21, 5)
     assert found["resimulation"]["is_exact"] is True
 
 
@@ -95,12 +95,12 @@ def test_a_stripped_view_is_called_by_its_file(call: Call, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["riddle.mcap"], "riddle.mcap: expected a recording with its whole scenario, found none"),
+        (["riddle.mcap"], "riddle.mcap: is not a recording with its whole scenario"),
         (["none.mcap"], "none.mcap: no such file; did you mean riddle.mcap?"),
         (["paper", "--strip-scenario"], "--strip-scenario: expected -o or --rrd beside it"),
         (
             ["paper", "--strip-scenario", "--realtime", "-o", "a.mcap"],
-            "--strip-scenario: expected a run written at its end, found --realtime",
+            "--strip-scenario: leave out --realtime, which writes the scenario first",
         ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

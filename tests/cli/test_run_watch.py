@@ -175,7 +175,7 @@ def test_errors_of_the_law_are_a_line_each_and_the_watch_goes_on(law: Path, tmp_
 def test_a_law_that_is_wrong_at_first_is_waited_for(law: Path, tmp_path: Path) -> None:
     law.write_text("", encoding="utf-8")
     with start(tmp_path, "--law", "own.py:Own") as watch:
-        watch.wait_for("expected a class Own in own.py, found none", "watching own.py")
+        watch.wait_for("own.py has no class Own", "watching own.py")
         law.write_text(format_law(60), encoding="utf-8")
         watch.wait_for("\n60 samples.", "run.duration")
     assert "before" not in watch.out
@@ -317,14 +317,14 @@ def test_scenario_file_is_watched_whatever_its_ending(tmp_path: Path) -> None:
             "--watch: expected a law of the form path.py:Class, or a scenario file, found no file"
             " to watch: the law mine:Law",
         ),
-        (("--law", "none.py:Law"), "none.py: expected a file to watch, found none"),
-        (("none.toml",), "none.toml: expected a file to watch, found none"),
+        (("--law", "none.py:Law"), "none.py: no such file to watch"),
+        (("none.toml",), "none.toml: no such file to watch"),
         (("nosuch",), 'no preset or file "nosuch"'),
         (
             ("--realtime",),
-            "--watch: expected runs as fast as they go, found --realtime",
+            "--watch: leave out --realtime",
         ),
-        (("--json",), "--watch: expected tables, as there are many runs, found --json"),
+        (("--json",), "--watch: leave out --json, as there are many runs"),
     ],
 )
 def test_what_cannot_be_watched_is_one_line(words: tuple[str, ...], error: str, call: Call) -> None:

@@ -62,7 +62,7 @@ def test_a_row_of_a_sweep_without_end_fails_and_the_others_go_on(
 ) -> None:
     output = tmp_path / "t.parquet"
     words = ["--law", law, "--set", "max_duration_s=0.5", "--grid", "law.gain=1,2,1.25,1.4"]
-    more = ["--jobs", "2", "--metrics", "run.path_length", "--step-budget-ms", "1e3"]
+    more = ["--jobs", "2", "--metric", "run.path_length", "--step-budget-ms", "1e3"]
     answer = call("sweep", *words, *more, "-o", output)
     assert answer.code == 0
     reasons = pyarrow.parquet.read_table(output).column("failed").to_pylist()

@@ -42,7 +42,7 @@ def test_sweep_answers_in_one_line_and_in_json(call: Call) -> None:
 
 def test_failed_rows_are_told_and_are_no_failure_of_the_sweep(call: Call) -> None:
     words = ("sweep", "textbook", "--grid", "law.kp_linear=-1:1", "-o", "t.parquet")
-    done = call(*words, "--metrics", "run.duration,align.overshoot")
+    done = call(*words, "--metric", "run.duration,align.overshoot")
     assert done.code == 0
     assert done.err.splitlines() == [
         "metric align.overshoot: no row has a value (no_phase)",
@@ -65,14 +65,14 @@ def test_identified_robot_is_swept(call: Call, tmp_path: Path) -> None:
     robot = tmp_path / "robot.mcap"
     tl.write_recording(tl.simulate_run(tl.load_scenario("lagged")), robot)
     assert call("identify", robot, "--scenario", "robot.toml").code == 0
-    done = call("sweep", "robot.toml", *GRID, "-o", "t.parquet", "--metrics", "run.duration")
+    done = call("sweep", "robot.toml", *GRID, "-o", "t.parquet", "--metric", "run.duration")
     assert done.out.startswith(
         "2 runs over law.kp_linear, 0 failed: run.duration is 5.6 s to 8.5 s"
     ), done.err
 
 
 def test_row_of_a_table_is_run(call: Call) -> None:
-    words = ("--metrics", "translate.settling_time", "-o", "t.parquet")
+    words = ("--metric", "translate.settling_time", "-o", "t.parquet")
     assert call("sweep", "paper-kp4", *GRID, *words).code == 0
     told = call("run", "--from", "t.parquet", "--row", "1", "--json").json
     assert told["name"] == "paper-kp4 row 1"
@@ -87,8 +87,8 @@ def test_row_of_a_table_is_run(call: Call) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--from", "t.parquet"), "--from: expected --row beside it, found none"),
-        (("--row", "1"), "--row: expected --from beside it, found none"),
+        (("--from", "t.parquet"), "--from: needs --row NUMBER"),
+        (("--row", "1"), "--row: needs --from TABLE"),
         (("--from", "t.parquet", "--row", "2"), "t.parquet: expected a row from 0 to 1, found 2"),
         (("paper", "--from", "t.parquet", "--row", "0"), "expected no scenario beside it"),
         (("--from", "t.parquet", "--row", "0", "--watch"), "--watch: expected a scenario that can"),
@@ -109,8 +109,8 @@ def test_row_that_cannot_be_run_is_one_line(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "--grid: expected a key to vary, found none"),
-        (("--grid", "law.kp_linear=2:1"), "expected at least one value, found none from 2 to 1"),
+        ((), "--grid: name a key to vary, for example --grid law.kp_linear=1:12"),
+        (("--grid", "law.kp_linear=2:1"), "no value from 2 to 1"),
         (
             ("--grid", "law.kp=1:2"),
             "grid: law.kp: unknown key; did you mean kp_angular",
@@ -118,16 +118,16 @@ def test_row_that_cannot_be_run_is_one_line(
         (("--grid", "kp_linear=1:2"), "grid: kp_linear: unknown key; did you mean law.kp_linear"),
         (("--grid", "law.kp_linear=-2:-1"), "law.kp_linear: expected a number > 0, found -2"),
         (
-            (*GRID, "--metrics", "rotate.overshot"),
+            (*GRID, "--metric", "rotate.overshot"),
             'no metric "rotate.overshot"; did you mean rotate.overshoot',
         ),
-        ((*GRID, "--metrics", "a,"), "--metrics: expected names separated by commas, found 'a,'"),
-        ((*GRID, "--seed", "1"), "--seed: expected --sample beside it, found none"),
-        ((*GRID, "--latin"), "--latin: expected --sample beside it, found none"),
+        ((*GRID, "--metric", "a,"), "--metric a,: must be names separated by commas"),
+        ((*GRID, "--seed", "1"), "--seed: needs --sample COUNT"),
+        ((*GRID, "--latin"), "--latin: needs --sample COUNT"),
         ((*GRID, "--sample", "0"), "--sample: expected at least 1, found 0"),
         ((*GRID, "--record-where", "1 > 2"), "--record-where: expected --record beside it"),
         ((*GRID, "--set", "law.kp_linear=3"), "--set: expected keys that are not varied, found"),
-        ((*GRID, "--jobs", "0"), "--jobs: expected at least 1 process, found 0"),
+        ((*GRID, "--jobs", "0"), "--jobs 0: must be at least 1"),
         ((*GRID, "-o", "t.csv"), "t.csv: the name must end in .parquet"),
         ((*GRID, "-o", "none/t.parquet"), "expected a place that can be written, found no such"),
         (("--grid", "law.kp_linear=1:1000:0.0001"), "9,990,001 rows: about "),

@@ -76,20 +76,20 @@ def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--kp", "nan"], "kp: expected a gain > 0, found nan"),
+        (["--kp", "nan"], "--kp nan: must be a gain > 0"),
         (["--kp", "0"], "--kp 0: must be greater than 0"),
         (["--kp=-1"], "--kp -1: must be greater than 0"),
-        (["--kp", "inf"], "kp: expected a gain from 1e-100 to 1e+100, found inf"),
-        (["--kp", "abc"], "--kp: expected gains as in 1,2,4,10, found 'abc'"),
-        (["--kp="], "--kp: expected gains as in 1,2,4,10, found ''"),
-        (["--kp", "1,,2"], "--kp: expected gains as in 1,2,4,10, found '1,,2'"),
-        (["--kp", ",".join(["1"] * 101)], "--kp: expected at most 100 gains, found 101"),
+        (["--kp", "inf"], "--kp inf: must be a gain from 1e-100 to 1e+100"),
+        (["--kp", "abc"], "--kp abc: must be gains with commas between, as in 1,2,4,10"),
+        (["--kp="], "--kp : must be gains with commas between, as in 1,2,4,10"),
+        (["--kp", "1,,2"], "--kp 1,,2: must be gains with commas between, as in 1,2,4,10"),
+        (["--kp", ",".join(["1"] * 101)], "--kp: takes at most 100 gains, not 101"),
         (["--period", "0"], "--period 0: must be greater than 0"),
-        (["--period", "nan"], "--period: expected a sampling period > 0, found nan"),
+        (["--period", "nan"], "--period nan: must be a sampling period > 0"),
         (["--dead-time=-1"], "--dead-time -1: must be 0 or greater"),
         (["--dead-time", "1.5"], "--dead-time 1.5: must be a whole number"),
         (["--dead-time", "1e9"], "--dead-time 1e9: must be a whole number"),
-        (["--lag", "nan"], "--lag: expected a number from 0 to 1e+100, found nan"),
+        (["--lag", "nan"], "--lag nan: must be a number from 0 to 1e+100"),
         (["--ki=-1"], "--ki -1: must be 0 or greater"),
         (["--gain", "0"], "--gain 0: must be greater than 0"),
         (
@@ -98,20 +98,23 @@ def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: 
         ),
         (
             ["--overshoot", "100"],
-            "--overshoot: expected percent from 0 to below 100, found 100.0",
+            "--overshoot 100.0: must be percent from 0 to below 100",
         ),
-        (["--overshoot=-1"], "--overshoot: expected percent from 0 to below 100, found -1.0"),
-        (["--overshoot", "nan"], "--overshoot: expected percent from 0 to below 100, found nan"),
-        (["--phase-margin", "0"], "--phase-margin: expected degrees above 0 and below 180"),
-        (["--phase-margin", "180"], "--phase-margin: expected degrees above 0 and below 180"),
+        (["--overshoot=-1"], "--overshoot -1.0: must be percent from 0 to below 100"),
+        (["--overshoot", "nan"], "--overshoot nan: must be percent from 0 to below 100"),
+        (["--phase-margin", "0"], "must be degrees above 0 and below 180"),
+        (["--phase-margin", "180"], "must be degrees above 0 and below 180"),
         (["--low-pass", "x"], "--low-pass x: must be a number"),
         (["--set", "law.kp_linear=4"], "--set changes a scenario: turtlelog theory SCENARIO --set"),
         (["textbook", "--lag", "1"], "--lag: leave it out beside SCENARIO, which has its own"),
         (["textbook", "--period", "1"], "--period: leave it out beside SCENARIO"),
         (["textbook", "--dead-time", "1"], "--dead-time: leave it out beside SCENARIO"),
-        (["textbook", "--kp", "1,2"], "--kp: expected one gain beside SCENARIO, found 2"),
+        (["textbook", "--kp", "1,2"], "--kp: takes one gain with SCENARIO, not 2"),
         (["textbuch"], 'no preset or file "textbuch"'),
-        (["--dead-time", "1000000000"], "expected a whole number from 0 to 1000, found 1000000000"),
+        (
+            ["--dead-time", "1000000000"],
+            "--dead-time 1000000000: must be a whole number from 0 to 1000",
+        ),
     ],
 )
 def test_theory_names_what_it_cannot_use(call: Call, words: list[str], expected: str) -> None:
@@ -159,20 +162,21 @@ def test_a_scenario_is_answered_loop_by_loop(call: Call) -> None:
     assert (answer["name"], answer["source"]) == ("paper-kp10", "scenario")
     rotate, translate = answer["loops"]
     assert (rotate["loop"], rotate["signal"], rotate["status"]) == ("rotate", "heading", "ok")
-    assert (rotate["kp"], rotate["dead_time_s"]) == (10.0, 0.064)
+    assert (rotate["sampled"]["kp"], rotate["sampled"]["dead_time_s"]) == (10.0, 0.064)
     assert rotate["most_dead_time_s"] == pytest.approx(0.096)
     assert rotate["left_out"] == ["limits.turn_rate_rad_s = 1"]
     assert translate["left_out"] == ["limits.speed_m_s = 1"]
-    assert set(translate["from"].values()) == {"from the scenario"}
+    assert set(translate["sources"].values()) == {"from the scenario"}
 
 
 def test_a_recording_gives_its_own_dead_times_and_says_where_they_are_from(
     call: Call, kp10: Path
 ) -> None:
     rotate, translate = call("theory", kp10, "--json").json["loops"]
-    assert [rotate["dead_time_s"], translate["dead_time_s"]] == pytest.approx([0.064, 0.096])
-    assert rotate["from"]["dead_time_s"] == "measured in the recording, 4 ticks"
-    assert rotate["from"]["gains"] == "from the scenario"
+    dead_times_s = [loop["sampled"]["dead_time_s"] for loop in (rotate, translate)]
+    assert dead_times_s == pytest.approx([0.064, 0.096])
+    assert rotate["sources"]["dead_time_s"] == "measured in the recording, 4 ticks"
+    assert rotate["sources"]["gains"] == "from the scenario"
     lines = call("theory", kp10).out.splitlines()
     words = " ".join(lines)
     first = "kp10.mcap: recommended Kp for 5 % overshoot: 7.14 1/s (rotate), 4.95 1/s (translate)."
@@ -189,9 +193,9 @@ def test_a_recording_without_its_scenario_has_gains_identified(call: Call, tmp_p
     riddle = tmp_path / "riddle.mcap"
     call("run", "paper-kp4", "--strip-scenario", "-o", riddle)
     for loop in call("theory", riddle, "--json").json["loops"]:
-        assert loop["kp"] == pytest.approx(4.0)
-        assert loop["from"]["gains"] == "identified from the commands"
-        assert loop["from"]["plant"] == "assumed, as the recording names no plant"
+        assert loop["sampled"]["kp"] == pytest.approx(4.0)
+        assert loop["sources"]["gains"] == "identified from the commands"
+        assert loop["sources"]["plant"] == "assumed, as the recording names no plant"
 
 
 def test_a_law_that_theory_does_not_know_is_said_to_be_unknown(call: Call) -> None:
@@ -200,7 +204,7 @@ def test_a_law_that_theory_does_not_know_is_said_to_be_unknown(call: Call) -> No
     assert (answer.code, answer.out.count("is unknown: the law declares")) == (0, 2)
     loops = call("theory", "posture", "--json").json["loops"]
     assert [loop["status"] for loop in loops] == ["unknown", "unknown"]
-    assert "poles" not in loops[0]
+    assert loops[0]["sampled"] is None
     assert "no loop is declared" in call("theory", "plant-step").out
 
 
@@ -213,26 +217,26 @@ def test_a_lagged_robot_is_answered_from_its_file(call: Call, tmp_path: Path) ->
         "dead_zone_speed_m_s = 0.01\n"
     )
     rotate, translate = call("theory", path, "--json").json["loops"]
-    assert rotate["process"] == {
+    assert rotate["sampled"]["process"] == {
         "gain": 1.0,
         "lag_s": 0.1,
         "dead_time_s": pytest.approx(0.11),
         "low_pass_s": 0.05,
     }
-    assert translate["process"]["gain"] == 0.9
+    assert translate["sampled"]["process"]["gain"] == 0.9
     assert rotate["left_out"] == ["limits.turn_rate_rad_s = 1", "loop.jitter_s = 0.01"]
     assert "shaping.dead_zone_speed_m_s = 0.01" in translate["left_out"]
     gained = call("theory", path, "--kp", "40", "--json").json["loops"]
-    assert [loop["stable"] for loop in gained] == [False, False]
+    assert [loop["sampled"]["stable"] for loop in gained] == [False, False]
     slow = call("theory", path, "--set", "plant.turn_lag_s=0.5", "--json").json["loops"][0]
-    assert slow["process"]["lag_s"] == 0.5
+    assert slow["sampled"]["process"]["lag_s"] == 0.5
 
 
 def test_gains_of_a_scenario_belong_to_no_recording(call: Call, kp10: Path) -> None:
     for words in (["--kp", "3"], ["--set", "law.kp_linear=3"]):
         answer = call("theory", kp10, *words)
         assert answer.code == 2
-        assert f"{words[0]}: expected a scenario beside it, found a recording" in answer.err
+        assert f"{words[0]}: needs a scenario;" in answer.err
 
 
 def test_many_gains_with_other_terms_stand_in_tables_that_fit(call: Call) -> None:

@@ -47,12 +47,12 @@ def test_web_serves_on_this_machine_only_until_it_is_ended(kp10: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "found"),
     [
-        (["a.mcap", "b.mcap", "--follow"], "expected one .mcap file"),
-        (["a.rrd", "--follow"], "expected one .mcap file"),
-        (["a.mcap", "--follow", "--web"], "expected a window"),
-        (["a.mcap", "--follow", "--save", "a.rrd"], "expected a window"),
-        (["a.mcap", "--connect", "rerun+http://127.0.0.1:9/proxy"], "together with --follow"),
-        (["a.mcap", "--timeline", "translate_time"], "expected together with --snapshot"),
+        (["a.mcap", "b.mcap", "--follow"], "--follow: takes one .mcap file"),
+        (["a.rrd", "--follow"], "--follow: takes one .mcap file"),
+        (["a.mcap", "--follow", "--web"], "--follow: leave out --save"),
+        (["a.mcap", "--follow", "--save", "a.rrd"], "--follow: leave out --save"),
+        (["a.mcap", "--connect", "rerun+http://127.0.0.1:9/proxy"], "--connect: needs --follow"),
+        (["a.mcap", "--timeline", "translate_time"], "--timeline: needs --snapshot"),
         (["a.mcap", "--follow"], "a.mcap: expected a recording, found no such file"),
     ],
 )

@@ -16,7 +16,7 @@ from turtlelog.scenario import get_preset
 
 @pytest.mark.parametrize("size", ["479x320", "480x319"])
 def test_a_size_at_which_no_curve_shows_is_refused(size: str) -> None:
-    with pytest.raises(UsageError, match=f"--size: expected at least 480x320, .*, found {size}"):
+    with pytest.raises(UsageError, match=f"--size {size}: must be at least 480x320"):
         _parse_size(size)
     assert _parse_size("480x320") == (480, 320)
 
@@ -25,10 +25,10 @@ def test_a_time_without_the_run_is_refused_and_without_one_the_picture_is_of_its
     span_s = (-0.08, 12.608)
     assert _choose_time(PictureOptions(), span_s) == 12.608
     assert _choose_time(PictureOptions(at=12.608), span_s) == 12.608
-    with pytest.raises(UsageError, match=r"--at: expected at most 12.608 s, .*, found 12.61"):
+    with pytest.raises(UsageError, match=r"--at 12.61: must be at most 12.608 s"):
         _choose_time(PictureOptions(at=12.61), span_s)
     assert _choose_time(PictureOptions(at=-0.08), span_s) == -0.08
-    with pytest.raises(UsageError, match=r"--at: expected at least -0.080 s, .*, found -0.09"):
+    with pytest.raises(UsageError, match=r"--at -0.09: must be at least -0.080 s"):
         _choose_time(PictureOptions(at=-0.09), span_s)
     assert _choose_time(PictureOptions(at=99.0, timeline="translate_time"), span_s) == 99.0
     assert _choose_time(PictureOptions(), None) is None
@@ -37,10 +37,10 @@ def test_a_time_without_the_run_is_refused_and_without_one_the_picture_is_of_its
 @pytest.mark.parametrize(
     ("picture", "line"),
     [
-        (PictureOptions(at=3.0), "--at: expected together with --snapshot, found 3"),
-        (PictureOptions(size="800x600"), "--size: expected together with --snapshot, .* 800x600"),
-        (PictureOptions(at=math.nan, snapshot=Path("x.png")), "--at: expected seconds, .* nan"),
-        (PictureOptions(at=1e9, snapshot=Path("x.png")), "--at: expected seconds, .* 1e.09"),
+        (PictureOptions(at=3.0), "--at: needs --snapshot NAME.png"),
+        (PictureOptions(size="800x600"), "--size: needs --snapshot NAME.png"),
+        (PictureOptions(at=math.nan, snapshot=Path("x.png")), "--at nan: must be seconds"),
+        (PictureOptions(at=1e9, snapshot=Path("x.png")), "--at 1e.09: must be seconds"),
     ],
 )
 def test_an_option_that_a_picture_cannot_have_is_named(picture: PictureOptions, line: str) -> None:
@@ -63,5 +63,5 @@ def test_a_picture_that_shows_nothing_is_one_line_and_no_file(tmp_path: Path) ->
     words = ("view", tmp_path / "run.mcap", "--snapshot", tmp_path / "x.png", "--at", "99")
     answer = run_command(*map(str, words), folder=tmp_path)
     assert answer.returncode == 2
-    assert answer.stderr.splitlines()[-1].startswith("turtlelog: error: --at: expected at most")
+    assert answer.stderr.splitlines()[-1].startswith("turtlelog: error: --at 99.0: must be at most")
     assert not (tmp_path / "x.png").exists()

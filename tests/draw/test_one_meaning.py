@@ -1,5 +1,6 @@
 """Colours mean the same in print, in Rerun, in a report and in a movie; legends are short."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -63,12 +64,13 @@ def test_the_ideal_loop_is_grey_in_every_picture() -> None:
 
 @pytest.mark.parametrize("kind", ["kp10", "tracker", "robot", "noisy"])
 def test_a_legend_of_a_run_alone_has_two_lines_at_most(kind: str) -> None:
-    run = {
+    makers: dict[str, Callable[[], Run]] = {
         "kp10": lambda: simulate_preset("paper-kp10"),
         "tracker": lambda: simulate_tracker("kanayama"),
         "robot": make_robot,
         "noisy": simulate,
-    }[kind]()
+    }
+    run = makers[kind]()
     single = build_single(run)
     for plot in {series.plot for series in single.series}:
         if plot.startswith("state/"):

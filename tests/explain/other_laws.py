@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from tests.strange_law import StrangeLaw
 from turtlelog.angles import subtract_headings
 from turtlelog.laws import Decision, Goal, Pose, SequentialP, SequentialPParameters
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.paths import Path
 
 
@@ -58,10 +58,10 @@ class Silent(StrangeLaw):
 
 
 class Clashing(StrangeLaw):
-    """Gives a mechanism the name of the loop's."""
+    """Gives a cause the name of the loop's."""
 
     Parameters = SequentialPParameters  # type: ignore[assignment]
-    mechanisms = (Mechanism(name="delay", kind="effect", neutral={}, meaning="nothing"),)
+    causes = (Cause(name="delay", kind="effect", neutral={}, meaning="nothing"),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

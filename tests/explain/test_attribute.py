@@ -14,12 +14,12 @@ from turtlelog.explain import (
     Contribution,
     attribute_run,
     attribute_scenario,
-    find_mechanisms,
+    find_causes,
     identify_run,
     simulate_without,
 )
 from turtlelog.explain.attribution import find_resolution
-from turtlelog.explain.mechanisms import FINER, is_present, list_effects
+from turtlelog.explain.causes import FINER, is_present, list_effects
 from turtlelog.explain.starts import find_steady_span, vary_start
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log
@@ -28,14 +28,14 @@ from turtlelog.run import Run
 from turtlelog.scenario import get_preset, override_scenario
 
 KP10 = get_preset("paper-kp10")
-MECHANISMS = find_mechanisms(KP10)
-EFFECTS = list_effects(MECHANISMS)
-ABSENT = {name for name, found in MECHANISMS.items() if not is_present(KP10, found)}
+CAUSES = find_causes(KP10)
+EFFECTS = list_effects(CAUSES)
+ABSENT = {name for name, found in CAUSES.items() if not is_present(KP10, found)}
 WRAPPING = {"law.kp_angular": 10.0, "law.kp_linear": 10.0, "goal.x_m": 2.0, "goal.y_m": 5.6}
 
 
-def attribute(name: str, *mechanisms: str, **options: Any) -> Attribution:
-    return attribute_scenario(get_preset(name), mechanisms=mechanisms or None, **options)
+def attribute(name: str, *causes: str, **options: Any) -> Attribution:
+    return attribute_scenario(get_preset(name), causes=causes or None, **options)
 
 
 def read_shares(found: Attribution) -> dict[str, float]:
@@ -79,7 +79,7 @@ def test_effects_share_and_properties_stand_beside_them() -> None:
     found = attribute_scenario(KP10)
     assert (*EFFECTS[:2], *EFFECTS[-2:]) == ("queue", "delay", "pause", "wrap")
     assert found.causes == ("queue", "pause", "wrap")
-    assert {share.cause for share in found.others} == {*MECHANISMS} - {*EFFECTS} - ABSENT
+    assert {share.cause for share in found.others} == {*CAUSES} - {*EFFECTS} - ABSENT
 
 
 def test_what_is_not_in_the_scenario_takes_no_part() -> None:
@@ -93,7 +93,7 @@ def test_what_is_not_in_the_scenario_takes_no_part() -> None:
     }
 
 
-def test_the_value_with_one_mechanism_out_is_that_of_a_simulation_without_it() -> None:
+def test_the_value_with_one_cause_out_is_that_of_a_simulation_without_it() -> None:
     found = read_alone(attribute_scenario(KP10))
     without = simulate("paper-kp10", law__pause_ticks=0)
     assert found["pause"] == measure_run(without)["final.position_error"].value
@@ -114,10 +114,10 @@ def test_the_value_with_one_mechanism_out_is_that_of_a_simulation_without_it() -
     st.sampled_from(["final.position_error", "final.heading_error", "run.duration"]),
 )
 def test_shares_add_up_to_the_last_bit_or_that_of_the_smallest(
-    name: str, mechanisms: list[str], metric: str
+    name: str, causes: list[str], metric: str
 ) -> None:
     """Each of 12 examples simulates all subsets of up to three effects."""
-    found = attribute(name, *mechanisms, metric=metric)
+    found = attribute(name, *causes, metric=metric)
     shares = [share for share in read_shares(found).values() if share]
     assert found.resimulated is not None
     assert found.without_all is not None
@@ -126,7 +126,7 @@ def test_shares_add_up_to_the_last_bit_or_that_of_the_smallest(
     assert abs(math.fsum(shares) - total) <= (math.ulp(smallest) if smallest > abs(total) else 0.0)
 
 
-def test_the_order_of_the_mechanisms_changes_no_share() -> None:
+def test_the_order_of_the_causes_changes_no_share() -> None:
     forth = attribute("paper-kp10", "queue", "pause", "saturation")
     back = attribute("paper-kp10", "saturation", "pause", "queue")
     assert read_shares(forth) == pytest.approx(read_shares(back), rel=1e-12)
@@ -150,7 +150,7 @@ def test_two_effects_that_need_each_other_share_alike() -> None:
 @pytest.mark.thorough
 def test_of_more_than_six_those_take_part_that_change_most() -> None:
     """All 64 subsets of six effects are simulated."""
-    found = attribute("paper-kp10", *(name for name in MECHANISMS if name != "wrap"))
+    found = attribute("paper-kp10", *(name for name in CAUSES if name != "wrap"))
     assert found.causes == (
         "queue",
         "saturation",
@@ -347,10 +347,10 @@ def test_settings_that_fit_alike_are_named() -> None:
     ("options", "line"),
     [
         ({"metric": "final.speed"}, 'no metric "final.speed"; did you mean '),
-        ({"mechanisms": ["puase"]}, 'no cause "puase"; did you mean pause'),
-        ({"mechanisms": ["luck"]}, 'no cause "luck"; list: turtlelog list causes'),
-        ({"mechanisms": []}, "mechanisms: expected different ones, found"),
-        ({"mechanisms": ["queue", "queue"]}, "expected different ones, found queue, queue"),
+        ({"causes": ["puase"]}, 'no cause "puase"; did you mean pause'),
+        ({"causes": ["luck"]}, 'no cause "luck"; list: turtlelog list causes'),
+        ({"causes": []}, "causes: expected different ones, found"),
+        ({"causes": ["queue", "queue"]}, "expected different ones, found queue, queue"),
     ],
     ids=str,
 )

@@ -15,13 +15,13 @@ from turtlelog.explain import (
     attribute_scenario,
     write_sentences,
 )
-from turtlelog.explain.game import SEEDS
-from turtlelog.explain.mechanisms import (
-    LOOP_MECHANISMS,
+from turtlelog.explain.causes import (
+    LOOP_CAUSES,
     draws_random,
-    find_mechanisms,
+    find_causes,
     list_effects,
 )
+from turtlelog.explain.game import SEEDS
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 
 SHORT = {"max_duration_s": 2.0, "goal.x_m": 6.5, "goal.y_m": 6.1, "law.kp_angular": 8.0}
@@ -51,7 +51,7 @@ EFFECTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"law.wrap_error": False, "start.heading_rad": -2.8, "goal.x_m": 3.0, "goal.y_m": 6.0},
     ),
 }  # fmt: skip
-"""By mechanism: a metric that it changes, and the only effect of a run."""
+"""By cause: a metric that it changes, and the only effect of a run."""
 
 PROPERTIES: dict[str, tuple[str, str, dict[str, Any]]] = {
     "saturation": ("rotate.iae", "lower", {}),
@@ -85,15 +85,15 @@ def change(**values: Any) -> Scenario:
 
 def attribute(scenario: Scenario, metric: str) -> Attribution:
     """Attribute a value with every effect that there is as a candidate."""
-    effects = list_effects(find_mechanisms(scenario))
-    return attribute_scenario(scenario, metric=metric, mechanisms=effects)
+    effects = list_effects(find_causes(scenario))
+    return attribute_scenario(scenario, metric=metric, causes=effects)
 
 
 def find_named(sentence: str) -> set[str]:
     """Return the effects that a sentence names."""
     return {
         name
-        for name in list_effects(find_mechanisms(change()))
+        for name in list_effects(find_causes(change()))
         if name in re.split(r"\W+", sentence.lower())
     }
 
@@ -152,11 +152,11 @@ def test_float32_is_named_where_no_pose_of_32_bits_is_within_the_tolerance() -> 
     )
 
 
-def test_every_mechanism_has_a_case() -> None:
+def test_every_cause_has_a_case() -> None:
     cases = {case.partition(",")[0] for case in (*EFFECTS, *PROPERTIES)}
     # float32 and repeat have tests of their own.
-    assert {*find_mechanisms(change())} - cases == {"float32", "repeat"}
-    assert {found.name for found in LOOP_MECHANISMS} - {*find_mechanisms(change())} == set()
+    assert {*find_causes(change())} - cases == {"float32", "repeat"}
+    assert {found.name for found in LOOP_CAUSES} - {*find_causes(change())} == set()
 
 
 PAIRS = {

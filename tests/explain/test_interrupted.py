@@ -114,5 +114,5 @@ def test_what_would_be_without_a_limit_is_not_known_where_every_command_is_clipp
     found = attribute_run(simulate("paper-kp4", max_duration_s=6.3))
     saturation = next(share for share in found.others if share.cause == "saturation")
     assert (saturation.alone, saturation.ending) == (None, "the log does not show law.kp_linear")
-    shared = attribute_run(simulate("paper-kp4", max_duration_s=6.3), mechanisms=["saturation"])
+    shared = attribute_run(simulate("paper-kp4", max_duration_s=6.3), causes=["saturation"])
     assert "law.kp_linear" in shared.doubts[0]

@@ -16,9 +16,9 @@ from turtlelog.explain import (
     Certainty,
     Identification,
     attribute_run,
-    find_mechanisms,
+    find_causes,
     identify_run,
-    require_mechanisms,
+    require_causes,
     simulate_without,
     write_sentences,
 )
@@ -119,7 +119,7 @@ def test_the_delay_of_another_law_is_named() -> None:
 
 
 @pytest.mark.thorough
-def test_the_mechanisms_of_a_law_take_part() -> None:
+def test_the_causes_of_a_law_take_part() -> None:
     run = simulate_strange(loop__transport_delay_ticks=6)
     found = attribute_run(run, metric="run.duration", trust_law=True)
     assert found.causes == ("delay", "hesitation")
@@ -143,7 +143,7 @@ def test_a_metric_of_a_loop_that_the_law_does_not_declare_is_refused_at_once() -
     run = simulate_strange()
     expected = 'no metric "rotate.settling_time"; did you mean b.settling_time'
     with pytest.raises(ExplainError, match=re.escape(expected)):
-        require_mechanisms(run, "rotate.settling_time", None)
+        require_causes(run, "rotate.settling_time", None)
     with pytest.raises(ExplainError, match=re.escape('no metric "c.iae"; did you mean b.iae')):
         attribute_run(run, metric="c.iae", trust_law=True)
 
@@ -257,9 +257,9 @@ def test_sampling_is_not_offered_where_a_law_does_not_say_what_counts_samples() 
         " parameters count samples (counts_samples)."
     )
     with pytest.raises(ExplainError, match="sampling is not taken out"):
-        attribute_run(run, mechanisms=["sampling"], trust_law=True)
+        attribute_run(run, causes=["sampling"], trust_law=True)
     with pytest.raises(ExplainError, match='no cause "luck"; list: turtlelog list causes'):
-        attribute_run(run, mechanisms=["luck"], trust_law=True)
+        attribute_run(run, causes=["luck"], trust_law=True)
 
 
 def test_parameters_that_count_samples_last_as_long_on_a_finer_clock() -> None:
@@ -270,10 +270,10 @@ def test_parameters_that_count_samples_last_as_long_on_a_finer_clock() -> None:
     assert fine.parameters["law.samples"] == 50
 
 
-def test_two_mechanisms_of_one_name_are_refused() -> None:
+def test_two_causes_of_one_name_are_refused() -> None:
     scenario = override_scenario(get_preset("textbook"), {"law.kind": f"{OTHERS}:Clashing"})
-    with pytest.raises(ExplainError, match=r"expected a name that no other mechanism has.*'delay'"):
-        find_mechanisms(scenario)
+    with pytest.raises(ExplainError, match=r"expected a name that no other cause has.*'delay'"):
+        find_causes(scenario)
 
 
 @pytest.mark.thorough

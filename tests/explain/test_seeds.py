@@ -17,7 +17,7 @@ from turtlelog.explain import (
     write_sentences,
 )
 from turtlelog.explain.attribution import is_clear
-from turtlelog.explain.mechanisms import draws_random
+from turtlelog.explain.causes import draws_random
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import simulate_run

@@ -12,8 +12,8 @@ VALUES = st.floats(-1e3, 1e3) | st.floats(-1e-3, 1e-3) | st.sampled_from([0.0, 0
 
 @st.composite
 def draw_worth(draw: st.DrawFn) -> tuple[Worth, list[str]]:
-    mechanisms = list("abcd")[: draw(st.integers(1, 4))]
-    return {inside: draw(VALUES) for inside in list_coalitions(mechanisms)}, mechanisms
+    causes = list("abcd")[: draw(st.integers(1, 4))]
+    return {inside: draw(VALUES) for inside in list_coalitions(causes)}, causes
 
 
 def name(*names: str) -> frozenset[str]:
@@ -26,9 +26,9 @@ TIE = {name(): 0.1, name("a"): 0.3, name("b"): 1e-17, name("a", "b"): 1.0}
 @given(draw_worth())
 @example((TIE, ["a", "b"]))
 def test_shares_add_up_but_for_one_step_of_the_smallest(game: tuple[Worth, list[str]]) -> None:
-    worth, mechanisms = game
-    shares = compute_contributions(worth, mechanisms)
-    total = worth[frozenset(mechanisms)] - worth[frozenset()]
+    worth, causes = game
+    shares = compute_contributions(worth, causes)
+    total = worth[frozenset(causes)] - worth[frozenset()]
     smallest = min(map(abs, filter(None, shares.values())), default=0.0)
     missed = abs(math.fsum(shares.values()) - total)
     assert missed <= math.ulp(smallest)
@@ -38,14 +38,14 @@ def test_shares_add_up_but_for_one_step_of_the_smallest(game: tuple[Worth, list[
 
 @given(draw_worth())
 def test_shares_are_those_of_all_orders(game: tuple[Worth, list[str]]) -> None:
-    worth, mechanisms = game
+    worth, causes = game
     dividends = {
-        frozenset(names): value for names, value in compute_dividends(worth, mechanisms).items()
+        frozenset(names): value for names, value in compute_dividends(worth, causes).items()
     }
     largest = max(map(abs, worth.values()))
-    for mechanism, share in compute_contributions(worth, mechanisms).items():
-        alone = float(Fraction(worth[name(mechanism)]) - Fraction(worth[name()]))
-        parts = [value / len(names) for names, value in dividends.items() if mechanism in names]
+    for cause, share in compute_contributions(worth, causes).items():
+        alone = float(Fraction(worth[name(cause)]) - Fraction(worth[name()]))
+        parts = [value / len(names) for names, value in dividends.items() if cause in names]
         rounding = 1e-13 * largest + len(parts) * math.ulp(0.0)  # each part may be the least number
         assert share == pytest.approx(alone + math.fsum(parts), abs=rounding)
 
@@ -56,7 +56,7 @@ def test_what_two_make_only_together_is_their_dividend() -> None:
     assert compute_contributions(worth, ["a", "b"]) == {"a": 3.5, "b": 5.5}
 
 
-def test_a_mechanism_that_changes_nothing_has_no_share() -> None:
+def test_a_cause_that_changes_nothing_has_no_share() -> None:
     worth = {name(): 0.1, name("a"): 0.7, name("b"): 0.1, name("a", "b"): 0.7}
     assert compute_contributions(worth, ["a", "b"])["b"] == 0.0
 

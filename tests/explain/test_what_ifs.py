@@ -72,5 +72,5 @@ def test_where_a_value_is_missing_those_that_decide_are_taken_out(
 @pytest.mark.parametrize(
     ("taken", "name"), [("a", "a"), ("abc", "a, b and c"), ("abcd", "all 4 effects")]
 )
-def test_many_mechanisms_are_counted(taken: str, name: str) -> None:
+def test_many_causes_are_counted(taken: str, name: str) -> None:
     assert name_without(tuple(taken)) == name

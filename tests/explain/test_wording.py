@@ -16,7 +16,7 @@ from turtlelog.explain import (
     ValueSet,
     attribute_run,
     attribute_scenario,
-    find_mechanisms,
+    find_causes,
     identify_run,
     write_sentences,
 )
@@ -24,11 +24,11 @@ from turtlelog.log import import_log
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import simulate_run
 
-MECHANISMS = find_mechanisms(get_preset("paper-kp10"))
+CAUSES = find_causes(get_preset("paper-kp10"))
 
 
 def make_contribution(*, cause: str, **values: Any) -> Contribution:
-    return Contribution(cause=cause, meaning=MECHANISMS[cause].meaning, **values)
+    return Contribution(cause=cause, meaning=CAUSES[cause].meaning, **values)
 
 
 def describe(*, queue: float = 0.0, pause: float = 0.0, **changes: Any) -> Attribution:

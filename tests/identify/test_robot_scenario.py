@@ -328,7 +328,7 @@ def test_an_axis_that_is_not_known_is_refused_with_its_reason() -> None:
     still = replace(still, turn_rate_rad_s=still.speed_m_s)
     with pytest.raises(tl.IdentifyError, match=r"^robot: speed: not identifiable: the speed is ne"):
         build(replace(run, commands=still))
-    with pytest.raises(tl.IdentifyError, match="runs: expected at least one, found none"):
+    with pytest.raises(tl.IdentifyError, match="runs: must not be empty"):
         build_robot_scenario(tl.identify_robot(run), [])
 
 

@@ -163,7 +163,7 @@ def test_tracker_without_a_path_is_refused_before_anything_runs(kind: str) -> No
         ),
         ({"path.size_m": 9.0}, "path: expected x from 0 to 11.08888912 m, found -3.5 to 14.5 m"),
         ({"path.size_m": math.nan}, "path.size_m: expected a finite number, found nan"),
-        ({"path.kind": "line"}, "path.points: expected one, for kind is line, found none"),
+        ({"path.kind": "line"}, "path.points: missing; a path of kind line needs it"),
         ({"path.radius": 1.0}, "path.radius: unknown key; .*"),
     ],
 )

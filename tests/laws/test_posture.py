@@ -319,7 +319,7 @@ def test_largest_gains_give_finite_commands() -> None:
 
 
 def test_law_without_a_goal_says_so() -> None:
-    with pytest.raises(LawError, match=r"\Aexpected a goal, found none\Z"):
+    with pytest.raises(LawError, match=r"\Athe law needs a goal: set goal.x_m and goal.y_m\Z"):
         POSTURE(PostureParameters()).reset(Pose(1.0, 1.0, 0.0), None, None)
 
 

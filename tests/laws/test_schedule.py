@@ -202,7 +202,7 @@ def test_gains_of_pid_may_be_0_in_a_schedule_and_not_below(name: str) -> None:
 @pytest.mark.parametrize("lacking", ["over", "at"])
 def test_schedule_that_lacks_a_part_is_named(lacking: str) -> None:
     table = {key: value for key, value in TABLE.items() if key != f"schedule__{lacking}"}
-    line = rf"\Achanges: law\.schedule\.{lacking}: expected [^\n]+, found none\Z"
+    line = rf"\Achanges: law\.schedule\.{lacking}: expected [^\n]+, found no value\Z"
     with pytest.raises(ScenarioError, match=line):
         build_run(kind="sequential-p", **{f"law__{key}": table[key] for key in table})
 

@@ -54,7 +54,7 @@ def test_a_log_of_the_papers_is_imported() -> None:
             b"SQLite format 3\0" + bytes(100),
             "expected a SQLite file of pages of 65536 bytes, found 116 bytes: cut short",
         ),
-        ("a.mcap", bytes(100), "byte 0: expected an MCAP file"),
+        ("a.mcap", bytes(100), "byte 0: not an MCAP file"),
         (
             "a.db3",
             bytes(100),
@@ -62,7 +62,7 @@ def test_a_log_of_the_papers_is_imported() -> None:
         ),
         ("a.db3", b"text, text", r"byte 0: expected a bag in SQLite \(\w+\), found 0x746578742c"),
         ("a.db3", b"", "expected a bag in SQLite, found an empty file"),
-        ("a.log", b"timestamp,time", ".* found text: logs and tables are read where the name"),
+        ("a.log", b"timestamp,time", ".* it is text; names of logs and tables end in"),
         ("a.json", b"{", r"expected JSON, found"),
     ],
 )
@@ -81,7 +81,7 @@ def test_a_damaged_recording_says_where(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write_recording(simulate_short_run(), path)
     path.write_bytes(path.read_bytes()[:-40])
-    with pytest.raises(LogError, match=r"run\.mcap: .*expected the end of an MCAP file"):
+    with pytest.raises(LogError, match=r"run\.mcap: .*no end of an MCAP file"):
         read_run(path)
 
 

@@ -159,7 +159,7 @@ def test_a_wrong_value_is_named(
 def test_a_missing_list_is_named(tmp_path: Path) -> None:
     log = make_log()
     del log["data"]["pos_theta"]
-    with pytest.raises(LogError, match=r"data\.pos_theta: expected a list, found none"):
+    with pytest.raises(LogError, match=r"data\.pos_theta: expected a list, found no value"):
         import_log(write_json(log, tmp_path))
 
 
@@ -175,7 +175,7 @@ def test_a_log_without_rows_is_refused(tmp_path: Path) -> None:
         write_json(reorder(make_log(), []), tmp_path),
         write_csv(reorder(make_log(), []), tmp_path),
     ):
-        with pytest.raises(LogError, match="time: expected at least one row, found none"):
+        with pytest.raises(LogError, match="time: no rows"):
             import_log(path)
 
 
@@ -194,8 +194,8 @@ def test_wrong_metadata_is_named(tmp_path: Path) -> None:
         (b"{", "expected JSON, found: "),
         (b"[1, 2]", "the file: expected a JSON object, as the paper's logs have it, found list"),
         (b"null", "the file: expected a JSON object"),
-        (b"{}", "data: expected a JSON object, as the paper's logs have it, found none"),
-        (b'{"data": {}}', r"data\.time: expected a list, found none"),
+        (b"{}", "data: expected a JSON object, as the paper's logs have it, found no value"),
+        (b'{"data": {}}', r"data\.time: expected a list, found no value"),
         (b'{"data": {}, "data": {}}', "data: expected one list of that name, found several"),
         (b"[" * 100_000, "nested too deeply"),
         (b'{"data": ' + b"9" * 5000 + b"}", "expected JSON, found: "),

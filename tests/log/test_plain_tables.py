@@ -238,10 +238,10 @@ def test_rows_may_lack_a_command_or_a_measurement(tmp_path: Path) -> None:
         ("t,x,y,yaw\n,0,0,0\n", "line 2, column t: expected a time, found ''"),
         ("t,x,y,yaw\n1e999999999,0,0,0\n", "line 2, column t: expected a finite number"),
         ("t_s,x,y,yaw\n1e999999999,0,0,0\n", "line 2, column t_s: expected a time"),
-        ("t_s,x,y,yaw\n-1e-999999999,0,0,\n", "expected rows with x, y and heading, found none"),
+        ("t_s,x,y,yaw\n-1e-999999999,0,0,\n", "no row has x, y and heading"),
         ("t,x,y,yaw\n2024-13-01T00:00:00,0,0,0\n", "line 2, column t: expected a time"),
         ("t,x,y,yaw\n0,0,0\n", "line 2: expected 4 cells, found 3"),
-        ("t,x,y,yaw\n", "expected rows below the header t, x, y, yaw, found none"),
+        ("t,x,y,yaw\n", "no rows below the header t, x, y, yaw"),
         ("0,0,0,0\n1,0,0,0\n", "expected a header that names the columns, or the 8 columns of a"),
         ("", "expected a table, found no rows"),
         ("# t\n", "expected a table, found no rows"),
@@ -308,7 +308,7 @@ def test_a_tum_trajectory_is_read(tmp_path: Path) -> None:
 def test_rotations_too_long_for_a_heading_are_refused_in_one_line(tmp_path: Path) -> None:
     rows = (f"{row} 0 0 0 1e308 1e308 1e308 1e308" for row in range(3))
     path = write(tmp_path, *rows, suffix="tum")
-    with pytest.raises(LogError, match="expected rows with x, y and heading, found none"):
+    with pytest.raises(LogError, match="no row has x, y and heading"):
         read_run(path)
 
 

@@ -44,7 +44,7 @@ def ask(copy: Path, *words: str) -> Any:
 
 
 def read_error(copy: Path) -> float:
-    (found,) = ask(copy, "metrics", "run.mcap", "--only", NAME)
+    (found,) = ask(copy, "metrics", "run.mcap", "--metric", NAME)
     (metric,) = found["metrics"]
     value: float = metric["value"]
     return value

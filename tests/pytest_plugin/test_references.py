@@ -62,7 +62,7 @@ def test_the_metrics_command_writes_references(suite: pytest.Pytester) -> None:
 def test_the_ini_option_names_a_reference(suite: pytest.Pytester) -> None:
     body = "def test_it(recording, reference):\n    assert recording.matches(reference)\n"
     none = run(suite, body)
-    none.stdout.fnmatch_lines(["*expected @pytest.mark.reference(*) or * found none"])
+    none.stdout.fnmatch_lines(["*the test needs @pytest.mark.reference(*) or *"])
     words = ("-o", "turtlelog_reference=runs/{stem}.mcap")
     run(suite, body, *words).assert_outcomes(passed=2)
 
@@ -93,7 +93,7 @@ def test_a_shorter_run_does_not_match(suite: pytest.Pytester) -> None:
 
 BAD = {
     "empty": ("{}", "*LogError: good.json: data: expected a JSON object*"),
-    "none": ('{"metrics": []}', "*metrics: expected at least one, found none"),
+    "none": ('{"metrics": []}', "*metrics: must not be empty"),
     "id": ('{"metrics": [{"id": "a"}]}', "*metrics[[]0[]].id: expected the id of a metric*'a'"),
     "wrong kind": ('{"metrics": [{"id": ["a"]}]}', "*expected the id of a metric, found [[]'a'[]]"),
     "two runs": (
@@ -190,7 +190,7 @@ def test_other(recording, simulate):
         [
             "law.wanted_turn_rate: expected as recorded",
             "*reason *recorded *, the law answers *",
-            "*matches: expected the recording that is driven, found another",
+            "*matches: must be the recording that is driven",
         ]
     )
 

@@ -129,5 +129,5 @@ def test_run_that_lacks_commands_is_not_driven(run: Run) -> None:
     alone = replace(
         run, commands=take_rows(few, slice(0, 0)), samples=take_rows(run.samples, slice(0, 0))
     )
-    with pytest.raises(ReplayError, match=r"expected commands .*, found none"):
+    with pytest.raises(ReplayError, match=r"no commands"):
         replay_plant(alone)

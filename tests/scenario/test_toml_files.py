@@ -13,7 +13,7 @@ from turtlelog.scenario import (
 
 
 def test_text_that_is_no_toml_is_told_with_its_place() -> None:
-    line = r"\Arun\.toml: expected TOML, found: [^\n]*\(at line 2, column 6\)\Z"
+    line = r"\Arun\.toml: not TOML: [^\n]*\(at line 2, column 6\)\Z"
     with pytest.raises(ScenarioError, match=line):
         parse_scenario("seed = 1\nname turtle\n", source="run.toml")
 
@@ -42,7 +42,7 @@ def test_wrong_value_in_a_file_is_named_with_the_file(tmp_path: Path) -> None:
 def test_binary_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.toml"
     path.write_bytes(b"\x89MCAP0\r\n\xff\xfe")
-    line = f"{path}: expected TOML, found bytes that are no text"
+    line = f"{path}: not TOML, not even text"
     with pytest.raises(ScenarioError, match=match_whole(line)):
         read_scenario(path)
 

@@ -75,7 +75,7 @@ def test_unknown_law_is_named() -> None:
 
 
 def test_law_of_a_missing_file_is_named() -> None:
-    line = "run.toml: law.kind: expected a Python file at nowhere.py, found none"
+    line = "run.toml: law.kind: no Python file nowhere.py"
     with pytest.raises(ScenarioError, match=match_whole(line)):
         resolve_scenario(parse_scenario("law.kind = 'nowhere.py:Law'", source="run.toml"))
 
@@ -103,7 +103,9 @@ def test_wrong_parameter_of_a_law_of_a_file_is_named(
 
 
 def test_missing_parameter_of_a_law_of_a_file_is_named(law_kind: str) -> None:
-    with pytest.raises(ScenarioError, match=r"\Arun\.toml: law\.gain: expected .*, found none\Z"):
+    with pytest.raises(
+        ScenarioError, match=r"\Arun\.toml: law\.gain: expected .*, found no value\Z"
+    ):
         resolve(law_kind)
 
 
@@ -151,7 +153,7 @@ def write_parameters(folder: Path, body: str) -> str:
         (
             "x: Part | None = None",
             {"x": {"turns": 2}},
-            "law.x.side: expected a number, found none",
+            "law.x.side: expected a number, found no value",
         ),
         ("x: 'Nowhere' = None", {}, "law: NameError: name 'Nowhere' is not defined"),
         ("x: complex = 1j", {}, "law.x: expected a number, .*, found 1j"),

@@ -146,7 +146,7 @@ def test_cut_in_the_pause_leaves_one_sample_unpublished() -> None:
 
 def test_run_that_ends_before_an_answer_is_refused() -> None:
     values = {"max_duration_s": 0.1, "loop.start_backlog": 100}
-    line = r"\Apaper: expected a pose answered within max_duration_s = 0\.1, found none[^\n]*\Z"
+    line = r"\Apaper: no pose is answered within max_duration_s = 0\.1[^\n]*\Z"
     with pytest.raises(SimulationError, match=line):
         simulate_run(override_scenario(get_preset("paper"), values))
 

@@ -240,7 +240,7 @@ def test_heading_error_at_the_end_explains_the_position_error() -> None:
     assert known(run.samples.distance_m)[-1] == pytest.approx(expected_m, rel=2e-3)
 
 
-def test_without_both_mechanisms_a_high_gain_is_as_accurate_as_a_low_one() -> None:
+def test_without_both_causes_a_high_gain_is_as_accurate_as_a_low_one() -> None:
     changes = {"loop__queue_policy": "newest", "law__pause_ticks": 0}
     errors_m = [
         known(simulate_change(name, **changes).samples.distance_m)[-1]

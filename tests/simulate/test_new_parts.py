@@ -57,7 +57,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Complaint, Effect, Probability, absent
 
 
@@ -82,8 +82,8 @@ PART = Effect(
     name="weaken",
     tables={"limits": WeakenKeys},
     actions={"limit": Action(step=weaken)},
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="weaken",
             kind="effect",
             neutral={"limits.weakening": 0.0},

@@ -26,7 +26,7 @@ from turtlelog.sweep import (
 from turtlelog.sweep.kept_parts import KeptParts, name_partial
 
 GRID = ("law.kp_linear=0.5:4:0.5", "loop.transport_delay_ticks=0:4")
-SWEEP = ("sweep", "paper-kp4", "--grid", GRID[0], "--grid", GRID[1], "--metrics", "final.*")
+SWEEP = ("sweep", "paper-kp4", "--grid", GRID[0], "--grid", GRID[1], "--metric", "final.*")
 
 
 def prepare(*grid: str, metrics: str = "final.*", records: RowRecords | None = None) -> Sweep:
@@ -253,7 +253,7 @@ def test_two_sweeps_into_one_file_at_once_are_refused(tmp_path: Path) -> None:
     sweep = prepare("law.kp_linear=1:2")
     partial = KeptParts(output, sweep.list_facts(), simulate_rows.RowResults)
     try:
-        with pytest.raises(tl.SweepError, match="found another command at work on it"):
+        with pytest.raises(tl.SweepError, match="another command is writing it"):
             run_sweep(sweep, output)
     finally:
         partial.close()

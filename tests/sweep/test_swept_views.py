@@ -243,5 +243,5 @@ def test_a_plan_that_nests_too_deeply_is_no_plan(tmp_path: Path) -> None:
     named = {f"turtlelog.{name}": text for name, text in facts.items()}
     table = pa.table({"row": [0]}).replace_schema_metadata(named)
     pq.write_table(table, tmp_path / "a.parquet")
-    with pytest.raises(LogError, match="expected the plan and the base of a sweep, found none"):
+    with pytest.raises(LogError, match="not a table of turtlelog sweep"):
         read_swept_results(tmp_path / "a.parquet")

@@ -357,11 +357,11 @@ def test_intervals_of_a_robot(tmp_path: Path) -> None:
         ("plant.speed_gain", 0.9, 1.1),
         ("plant.speed_lag_s", 0.0, 0.1),
     ]
-    with pytest.raises(tl.TuneError, match="found none"):
+    with pytest.raises(tl.TuneError, match="has no intervals"):
         tune.read_intervals(path, tl.load_scenario("textbook"))
     for text in ("", "[]", "{}", '{"axes": 3}', '{"axes": [{"axis": "wheel", "gain": {}}]}'):
         path.write_text(text, "utf-8")
-        with pytest.raises(tl.TuneError, match="found another file"):
+        with pytest.raises(tl.TuneError, match="is not what"):
             tune.read_intervals(path, base)
     with pytest.raises(tl.TuneError, match="No such file"):
         tune.read_intervals(tmp_path / "none.json", base)

@@ -54,7 +54,7 @@ def find_loss(run: Run) -> str | None:
     """Return what a recording has lost, None where it is whole."""
     for name in LOSS_NOTES:
         if name in run.notes:
-            return f"expected a whole recording, found one that is not: {run.notes[name]}"
+            return f"the recording is not complete: {run.notes[name]}"
     return None
 
 
@@ -223,7 +223,7 @@ def _check_column(name: str, column: Column) -> None:
         found = f"{time_ns.shape} and {values.shape}"
         raise CheckError(f"{place}: expected as many times as values in one row, found {found}")
     if not len(time_ns):
-        raise CheckError(f"{place}: expected at least one value, found none")
+        raise CheckError(f"{place}: must not be empty")
     falls = time_ns[1:] < time_ns[:-1]
     if falls.any():
         row = int(falls.argmax()) + 1

@@ -68,7 +68,7 @@ def match_run(
     if isinstance(tolerance, str | Path):
         tolerance = load_tolerances(tolerance)
     if isinstance(tolerance, Tolerances) and not tolerance:
-        raise CheckError("tolerance: expected at least one signal or metric, found none")
+        raise CheckError("tolerance: names no signal or metric")
     if not isinstance(reference, Run):
         return _match_metrics(run, reference, tolerance, file)
     if isinstance(tolerance, Tolerances):
@@ -310,7 +310,7 @@ def _match_metrics(
         wanted = dict.fromkeys(reference, tolerance or _METRICS_APART)
     missing = sorted(wanted.keys() - reference.keys())
     if missing:
-        raise CheckError(f"reference: expected the metric {missing[0]}, found none")
+        raise CheckError(f"reference: has no metric {missing[0]}")
     measured = measure_run(run, only=list(wanted))
     return [
         _judge_metric(

@@ -49,7 +49,7 @@ def check_runs(
         count += 1
         yield from judge_run(spec, reference, run, file=file, allow_partial=allow_partial)
     if not count:
-        raise CheckError(f"{spec.source}: expected at least one recording to check, found none")
+        raise CheckError(f"{spec.source}: no recording to check")
 
 
 def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | None:

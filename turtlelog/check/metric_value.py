@@ -183,7 +183,7 @@ class MetricValue(FloatArithmetic):
         return repr(self) if self.value is None else format(self.value, spec)
 
     def __bool__(self) -> bool:
-        raise CheckError(f"{self._label}: expected a comparison with a limit, found none")
+        raise CheckError(f"{self._label}: compare it with a limit")
 
     def __repr__(self) -> str:
         if self.value is None:

@@ -226,7 +226,7 @@ class PhaseMetrics:
         self._recording, self._name = recording, name
 
     def __bool__(self) -> bool:
-        raise CheckError(f"phase {self._name}: expected one of its metrics, found none")
+        raise CheckError(f"phase {self._name}: assert one of its metrics")
 
     def __getattr__(self, name: str) -> MetricValue:
         if name.startswith("__"):
@@ -248,7 +248,7 @@ class RobotValues:
         self.turn_rate = AxisValues(model.turn_rate, file)
 
     def __bool__(self) -> bool:
-        raise CheckError("robot: expected a value of one of its axes, found none")
+        raise CheckError("robot: assert a value of one of its axes")
 
     def __repr__(self) -> str:
         return repr(self.model)
@@ -261,7 +261,7 @@ class AxisValues:
         self._model, self._file = model, file
 
     def __bool__(self) -> bool:
-        raise CheckError(f"{self._model.axis}: expected one of its values, found none")
+        raise CheckError(f"{self._model.axis}: assert one of its values")
 
     def __repr__(self) -> str:
         return f"<{self._model.axis} of {self._file}: {self._model.status}>"
@@ -290,8 +290,7 @@ class AxisValues:
         if found is None:
             found_none = f"{self._model.reason}; {self._model.advice}"
             raise MissingValueError(
-                f"{self._file}: {self._model.axis}.{name}: expected a value, found none:"
-                f" {found_none}"
+                f"{self._file}: {self._model.axis}.{name}: has no value: {found_none}"
             )
         return found
 
@@ -394,7 +393,7 @@ class DrivenRecording:
         return f"<{self._file} driven again>"
 
     def __bool__(self) -> bool:
-        raise CheckError(f"{self._file} driven again: expected .matches(recording), found none")
+        raise CheckError(f"{self._file} driven again: assert .matches(recording)")
 
     def matches(
         self, recording: HasRun | Run, *, tolerance: Tolerance | None = None
@@ -417,7 +416,7 @@ class DrivenRecording:
         if tolerance.rel or tolerance.time_s:
             raise CheckError("tolerance: expected abs alone: the law reads the very same poses")
         if (recording if isinstance(recording, Run) else recording.run) is not self._run:
-            raise CheckError("matches: expected the recording that is driven, found another")
+            raise CheckError("matches: must be the recording that is driven")
         found = self.replay(tolerance.abs)
         return self._conclude(judge_replay(self._run, found, file=self._file))
 

@@ -122,7 +122,7 @@ def _parse_metrics(path: Path) -> Mapping[str, Metric] | None:
         _parse_metric(entry, f"{path}: metrics[{i}]") for i, entry in enumerate(found["metrics"])
     ]
     if not metrics:
-        raise CheckError(f"{path}: metrics: expected at least one, found none")
+        raise CheckError(f"{path}: metrics: must not be empty")
     return {metric.id: metric for metric in metrics}
 
 

@@ -89,10 +89,7 @@ def parse_spec(text: str | Mapping[str, Any], *, source: str = "specification") 
         source=source,
     )
     if not spec.checks and not spec.tolerances:
-        raise CheckError(
-            f"{source}: expected at least one table [checks.NAME], [signals.NAME] or"
-            " [metrics.ID], found none"
-        )
+        raise CheckError(f"{source}: has no table [checks.NAME], [signals.NAME] or [metrics.ID]")
     return spec
 
 
@@ -104,8 +101,8 @@ def require_reference(spec: Spec) -> Spec:
     """
     if spec.tolerances and spec.reference is None:
         raise CheckError(
-            f"{spec.source}: reference: expected a recording that tolerances are taken from,"
-            " found none"
+            f"{spec.source}: tolerances need a recording to compare with: reference = FILE in the"
+            " file, or --reference FILE"
         )
     return spec
 
@@ -121,9 +118,7 @@ def load_tolerances(path: str | Path) -> Tolerances:
     own: dict[str, Any] = {key: tables[key] for key in _KINDS if key in tables}
     tolerances = parse_tolerances(own, source=str(path))
     if not tolerances:
-        raise CompareError(
-            f"{path}: expected at least one table [signals.NAME] or [metrics.ID], found none"
-        )
+        raise CompareError(f"{path}: has no table [signals.NAME] or [metrics.ID]")
     return tolerances
 
 
@@ -206,7 +201,7 @@ def _parse_check(name: str, entry: Any, source: str) -> Check:
         raise CheckError(f"{place}.observed: expected true or false, found {found}")
     formula = _parse_formula(entry, kind, place)
     if formula is None:
-        raise CheckError(f"{place}.{kind}: expected a formula, found none")
+        raise CheckError(f"{place}.{kind}: the formula is missing")
     return Check(
         name=name,
         kind=kind,
@@ -227,8 +222,8 @@ def _require_phase(phase: str, place: str) -> None:
 
 def _choose_kind(entry: Mapping[str, Any], place: str) -> Literal["expect", "holds"]:
     if ("expect" in entry) == ("holds" in entry):
-        found = "both" if "expect" in entry else "none"
-        raise CheckError(f"{place}: expected either expect or holds, found {found}")
+        both = ", not both" if "expect" in entry else ""
+        raise CheckError(f"{place}: needs expect or holds{both}")
     return "expect" if "expect" in entry else "holds"
 
 
@@ -316,7 +311,7 @@ def _parse_tolerance(kind: str, name: str, entry: Any, source: str) -> Tolerance
     is_label = kind == "signals" and is_label_signal(name)
     if not is_label and len(entry) < 2:
         wanted = " or ".join(key for key in _KEYS[kind] if key != "reason")
-        raise CompareError(f"{place}: expected {wanted}, found none of them")
+        raise CompareError(f"{place}: needs {wanted}")
     try:
         return Tolerance(**entry)
     except CompareError as err:
@@ -336,12 +331,14 @@ def _suggest(kind: str, name: str, entry: Any) -> str:
         for found in difflib.get_close_matches(key, list_nearby(kind, key), n=1)
     ]
     if meant:
-        return f'expected quotes around the id, as in {kind}."{meant[0]}", found none'
+        return f'needs quotes around the id: {kind}."{meant[0]}"'
     return describe_unknown_key(name, list_nearby(kind, name))
 
 
 def _require_format(tables: dict[str, Any], *, source: str) -> None:
     found = tables.pop("format", None)
+    if found is None:
+        raise CompareError(f"{source}: the first line of a specification is missing: format = 1")
     if not isinstance(found, int) or isinstance(found, bool) or found < 1:
         raise CompareError(f"{source}: format: expected {FORMAT}, found {describe_value(found)}")
     if found > FORMAT:
@@ -359,7 +356,7 @@ def _read_toml(path: str | Path) -> dict[str, Any]:
     try:
         return _parse_toml(read_text_file(path), source=str(path))
     except UnicodeDecodeError as err:
-        raise CompareError(f"{path}: expected TOML, found bytes that are no text") from err
+        raise CompareError(f"{path}: not TOML, not even text") from err
     except FileNotFoundError as err:
         raise CompareError(f"{path}: {describe_missing(path)}") from err
     except OSError as err:

@@ -296,9 +296,9 @@ def _prepare_streams() -> None:
 
 def _describe_os_error(err: OSError) -> str:
     if err.filename is not None:
-        return f"{err.filename}: expected a file that can be used, found: {err.strerror}"
+        return f"{err.filename}: cannot be used: {err.strerror}"
     drop_stdout()
-    return f"standard output: expected room to write, found: {err}"
+    return f"standard output: cannot be written: {err}"
 
 
 def _fail(text: str, code: int) -> int:

@@ -51,11 +51,11 @@ class AskedOptions:
         """
         if self.metric is not None and not {*names} & {*_OF_METRICS}:
             expected = "--only attribution, gains, luck or strips"
-            raise UsageError(f"--metric: expected {expected} beside it, found {_tell(names)}")
+            raise UsageError(f"--metric: needs {expected}")
         if self.expect is not None and "violation" not in names:
-            raise UsageError(f"--expect: expected --only violation beside it, found {_tell(names)}")
+            raise UsageError("--expect: needs --only violation")
         if self.expect is None and "violation" in names:
-            raise UsageError("--only violation: expected --expect FORMULA beside it, found none")
+            raise UsageError("--only violation: needs --expect FORMULA")
 
     def bind(self, names: Sequence[str], runs: "Sequence[Run]") -> "Only":
         """Return figures by name, with what they are asked to show."""
@@ -124,7 +124,7 @@ def _bind_violation(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run
     (result,) = tl.check_runs(build_spec([asked.expect]), [(runs[0].name, runs[0])])
     found = find_judged_signal(runs[0], result)
     if found.signal is None:
-        raise ShowError(f"figure violation: expected {_DRAWABLE}, found none: {found.reason}")
+        raise ShowError(f"figure violation: needs {_DRAWABLE}: {found.reason}")
     return replace(kind, draw=partial(draw_violation, violated=found.signal))
 
 

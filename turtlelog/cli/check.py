@@ -159,8 +159,8 @@ def _describe_no_spec(words: list[Path]) -> str:
 def _require_targets(reports: ReportOptions, output: Path | None, words: Sequence[Path]) -> None:
     """Refuse what could not be written beside the answer."""
     if output is not None and output.suffix.lower() != ".parquet":
-        other = "--init beside it, or a table whose name ends in .parquet"
-        raise UsageError(f"--output: expected {other}, found {output}")
+        other = "--init, or a name that ends in .parquet"
+        raise UsageError(f"--output {output}: needs {other}")
     require_new_target(reports.junit, words, suffix=".xml")
     require_new_target(reports.report, words, suffix=".html")
     targets = (reports.junit, reports.artifacts, reports.report)
@@ -218,7 +218,7 @@ def _write_first(
     from turtlelog.check.first_spec import format_first_spec, name_reference
 
     if words:
-        raise UsageError(f"--init: expected one good run and no other file, found {words[0]}")
+        raise UsageError(f"--init: takes one good run and no other file; leave out {words[0]}")
     require_new_target(output, [path], suffix=".toml")
     file, topic = tl.log.split_topic(path)
     choice = topics.build_choice()

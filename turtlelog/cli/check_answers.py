@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, format_table, print_json, print_tables, print_verdicts
-from turtlelog.display import show_angle
+from turtlelog.display import format_short, show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def print_results(
         print_verdicts(format_results(results, files=files, spec=spec, shows_all=shows_all))
     else:
         tables = [*_tabulate_files(results), *_tabulate_matrix(results)]
-        notes = (_conclude(CountedResults(results), files), *_list_reasons(spec, results))
+        notes = (conclude(CountedResults(results), files), *_list_reasons(spec, results))
         print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
     return verdict
 
@@ -164,7 +164,9 @@ def format_results(
     if files > 1 and not shows_all:
         return _format_many(counted, files=files, spec=spec)
     shown = [*results] if shows_all else [one for one in results if one.verdict != "PASS"]
-    tables = [*_tabulate_files(shown), *(_tabulate_matrix(shown) if shows_all else ())]
+    valued = shown if shows_all else [one for one in shown if one.value is not None]
+    tables = [*_tabulate_files(valued), *(_tabulate_matrix(shown) if shows_all else ())]
+    tables = [replace(table, title="") for table in tables] if files == 1 else tables
     lines = [*_list_reasons(spec, shown)]
     return _join(counted, files, tables, lines, _list_next(counted, spec, shows_all=shows_all))
 
@@ -192,31 +194,43 @@ def _join(
     rest: Iterable[str],
 ) -> str:
     """Return the verdict and its parts, an empty line between them."""
-    blocks = [format_table(table).rstrip("\n") for table in tables]
+    blocks = [format_table(table).strip("\n") for table in tables]
     ends = [fill_lines(lines, indent=2)] if lines else []
     ends += ["\n".join(map(escape_controls, following))] if (following := [*rest]) else []
-    return "\n\n".join([_conclude(counted, files), *blocks, *ends])
+    return "\n\n".join([conclude(counted, files), *blocks, *ends])
 
 
-def _conclude(counted: "CountedResults", files: int) -> str:
+def conclude(counted: "CountedResults", files: int) -> str:
     """Return the verdict, and of how many checks, in one line."""
     verdicts, verdict = counted.verdicts, counted.verdict
     total = verdicts.total()
     failed, skipped = verdicts[tl.check.Verdict.FAIL], verdicts[tl.check.Verdict.SKIPPED]
     place = counted.file if files == 1 and counted.file else f"{files} recordings"
     rest = f", {skipped} {_is_or_are(skipped)} skipped" if skipped else ""
-    if failed:
+    if failed and total == 1:
+        (one,) = counted.failures
+        text = f"{one.check} fails, {_tell_value(one)}"
+    elif failed:
         verb = "fails" if failed == 1 else "fail"
-        text = f"{failed} of {_count(total, 'check')} {verb}{rest}"
+        lacking = f", {counted.valueless} of them without a value" if counted.valueless else ""
+        text = f"{failed} of {_count(total, 'check')} {verb}{lacking}{rest}"
     elif verdict == "SKIPPED":
         return f"{verdict}: no check was judged in {place}: {skipped} {_is_or_are(skipped)} skipped"
     elif skipped:
         passed = verdicts[tl.check.Verdict.PASS]
         verb = "passes" if passed == 1 else "pass"
         text = f"{passed} of {_count(total, 'check')} {verb}{rest}"
+    elif total == 1:
+        text = ", ".join(["the check passes", *map(_tell_value, counted.nearest.values())])
     else:
-        text = "the check passes" if total == 1 else f"all {total} checks pass"
+        text = f"all {total} checks pass"
     return f"{verdict}: {escape_controls(place)}: {text}"
+
+
+def _tell_value(result: "CheckResult") -> str:
+    if result.value is None:
+        return "it has no value"
+    return f"value {format_short(result.value, result.unit)}"
 
 
 def _count(number: int, noun: str) -> str:
@@ -263,6 +277,7 @@ class CountedResults:
         of_checks: Likewise, by check.
         nearest: The one of each check that is nearest to its limit, or the furthest beyond it.
         failures: The first that fail.
+        valueless: How many failed for lack of a value.
         failing: How many fail in each of the first files in which any does.
         failing_files: In how many files any does.
         file: The first.
@@ -274,6 +289,7 @@ class CountedResults:
         self.of_checks: dict[str, Counter[Verdict]] = {}
         self.nearest: dict[str, CheckResult] = {}
         self.failures: list[CheckResult] = []
+        self.valueless = 0
         self.failing: dict[str, int] = {}
         self.failing_files = 0
         self._latest = ""
@@ -293,6 +309,7 @@ class CountedResults:
             self._count_failure(result)
 
     def _count_failure(self, result: "CheckResult") -> None:
+        self.valueless += result.value is None
         self.failing_files += result.file != self._latest
         self._latest = result.file
         if result.file in self.failing or len(self.failing) < _MOST_NAMES:
@@ -322,7 +339,10 @@ def _count_checks(counted: CountedResults, *, shows_all: bool) -> "Table":
 
     Of those that fail nowhere only where all are asked for.
     """
-    titles = ("check", "PASS", "FAIL", "SKIPPED", "unit", "least margin", "file")
+    verdicts = [
+        one for one in tl.check.Verdict if one != "SKIPPED" or shows_all or counted.verdicts[one]
+    ]
+    titles = ("check", *verdicts, "unit", "least margin", "file")
     shown = [
         check
         for check, verdicts in counted.of_checks.items()
@@ -331,13 +351,14 @@ def _count_checks(counted: CountedResults, *, shows_all: bool) -> "Table":
     return tl.compare.Table(
         title="Checks" if shows_all else "Checks that fail",
         columns=tuple(tl.compare.Column(title=title) for title in titles),
-        rows=tuple(_count_check(check, counted) for check in shown),
+        rows=tuple(_count_check(check, counted, verdicts) for check in shown),
     )
 
 
-def _count_check(check: str, counted: CountedResults) -> "tuple[Cell, ...]":
-    verdicts = counted.of_checks[check]
-    counts = tuple(verdicts[name] for name in tl.check.Verdict)
+def _count_check(
+    check: str, counted: CountedResults, verdicts: "Iterable[Verdict]"
+) -> "tuple[Cell, ...]":
+    counts = tuple(counted.of_checks[check][name] for name in verdicts)
     nearest = counted.nearest.get(check)
     if nearest is None:
         return (check, *counts, None, None, None)
@@ -426,9 +447,13 @@ def _show(result: "CheckResult") -> "tuple[str, float | None, float | None, floa
 def _list_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") -> Iterator[str]:
     """Yield why checks fail or are skipped, where their rows do not say it."""
     meant = {} if spec is None else _read_reasons(spec)
+    found: dict[tuple[str, str, str], list[str]] = {}
     for result in results:
         if not _is_told_by_row(result, meant) and (reason := _explain(result, meant)):
-            yield f"{result.verdict} {result.file}: {result.check}: {reason}"
+            alike = result.verdict, result.file, reason.removeprefix(f"{result.check}: ")
+            found.setdefault(alike, []).append(result.check)
+    for (verdict, file, reason), checks in found.items():
+        yield f"{verdict} {file}: {', '.join(checks)}: {reason}"
 
 
 def _is_told_by_row(result: "CheckResult", meant: Mapping[str, str]) -> bool:

@@ -72,9 +72,7 @@ def check_into_table(
 
     for name in ("junit", "artifacts", "report"):
         if getattr(reports, name) is not None:
-            raise UsageError(
-                f"--{name}: expected no --output beside it, whose unchanged files are not read"
-            )
+            raise UsageError(f"--{name}: leave out --output, which does not read unchanged files")
     judge = _prepare_judge(spec, topics)
     table = plan_verdict_table(spec, judge.judge_file, judge.choice, is_partial=topics.partial)
     done = tabulate(found, output, table, work=reports, file_s=_FILE_S)
@@ -103,7 +101,7 @@ def check_files(
 ) -> "Iterator[CheckResult]":
     """Yield the results of files, and write what is asked for beside them."""
     if reports.scheduler is not None and reports.report is not None:
-        raise UsageError("--report: expected no --scheduler beside it, found one")
+        raise UsageError("--report: leave out --scheduler")
     with reports.find_place(files, file_s=_FILE_S) as place:
         yield from _check_files(spec, files, reports, topics, place=place)
 

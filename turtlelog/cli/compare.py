@@ -78,7 +78,7 @@ class ChoiceOptions:
     """Which rows and columns the table across runs has.
 
     Attributes:
-        only: Columns, separated by commas: metrics, patterns (translate.*), parameters.
+        metric: Columns, separated by commas: metrics, patterns (translate.*), parameters.
         sort: Metric or parameter to sort by, name, or Kp as the column is called. A minus before it
             sorts in falling order. Example: -run.duration. Default: rising gain.
         where: Condition for the runs. Example: "law.kp_linear >= 2 and run.duration < 20".
@@ -87,7 +87,7 @@ class ChoiceOptions:
             the best. Gains are always on purpose.
     """
 
-    only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
+    metric: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
     sort: Annotated[
         str | None,
         Parameter(allow_leading_hyphen=True, metavar="NAME", completer=complete_metrics),
@@ -101,7 +101,7 @@ class ChoiceOptions:
 
     def list_columns(self) -> list[str]:
         """Return the names and patterns that are asked for, none for the usual columns."""
-        return [] if self.only is None else split_names(self.only, "--only")
+        return [] if self.metric is None else split_names(self.metric, "--metric")
 
 
 @Parameter(name="*")
@@ -163,7 +163,7 @@ def compare(
         return compare_with_robot(files, plot=pictures.plot, rrd=rrd, topics=topics, kind=kind)
     if pictures.plot is not None:
         raise UsageError(
-            "--plot: expected the scenario of a robot (.toml) among the files, found none;"
+            "--plot: needs the scenario of a robot (.toml) among the files;"
             " turtlelog plot draws runs"
         )
     paths = [*([] if against.reference is None else [against.reference]), *files]
@@ -187,16 +187,16 @@ def compare(
 def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: ChoiceOptions) -> None:
     if against.tolerances is not None:
         raise UsageError(
-            "--tolerances: expected none, as verdicts are given by"
+            "--tolerances: leave it out; verdicts are given by"
             f" turtlelog check {against.tolerances} RUN --reference {against.reference or 'RUN'}"
         )
     if len(paths) < 2:
         raise UsageError(_describe_too_few(paths, against))
     if against.reference is None and against.align is not None:
-        raise UsageError("--align: expected --reference beside it, found none")
-    for name in () if against.reference is None else ("only", "sort", "where", "varied"):
+        raise UsageError("--align: needs --reference FILE")
+    for name in () if against.reference is None else ("metric", "sort", "where", "varied"):
         if getattr(choice, name) is not None:
-            raise UsageError(f"--{name}: expected no --reference beside it, found one")
+            raise UsageError(f"--{name}: leave out --reference")
 
 
 def _describe_too_few(paths: Sequence[Path], against: ReferenceOptions) -> str:
@@ -210,13 +210,12 @@ def _describe_too_few(paths: Sequence[Path], against: ReferenceOptions) -> str:
 def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> None:
     given = {
         **{name: getattr(against, name) for name in ("reference", "align", "tolerances")},
-        **{name: getattr(choice, name) for name in ("only", "sort", "where", "varied")},
+        **{name: getattr(choice, name) for name in ("metric", "sort", "where", "varied")},
     }
     for name, value in given.items():
         if value is not None:
             raise UsageError(
-                f"--{name}: expected none beside a scenario, which is what bags are compared with,"
-                f" found {value}"
+                f"--{name} {value}: leave it out, the scenario is what bags are compared with"
             )
 
 
@@ -282,7 +281,7 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
         from turtlelog.compare.run_table import sort_by_column
 
         summaries = sort_by_column(summaries, choice.sort, source="--sort")
-    only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--only")
+    only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--metric")
     ranking = tl.compare.judge_runs(summaries, varied=choice.list_varied(), source="--varied")
     if kind == "json":
         print_json(_build_answer(summaries, only=only, notes=notes, ranking=ranking))

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import align_rows, fill_lines, find_width
+from turtlelog.cli.output import align_rows, cut_rows, fill_lines, find_width
 from turtlelog.display import describe_count, format_number, format_short, join_words
 from turtlelog.escapes import escape_controls
 
@@ -87,11 +87,11 @@ def format_across(
             ),
             *_list_best(table),
             *([fill_lines(above, indent=2)] if above else []),
-            _format(table),
+            _format(cut_rows(table)),
             "",
             fill_lines(
                 [
-                    *([f"More metrics (--only IDS): {', '.join(left_out)}."] if left_out else []),
+                    *([f"More metrics (--metric IDS): {', '.join(left_out)}."] if left_out else []),
                     *_list_next(summaries, names, table, ranking),
                 ]
             ),
@@ -225,7 +225,7 @@ def _list_next(
         option = "" if metric == "final.position_error" else f" --metric {metric}"
         file = escape_controls(shlex.quote(summaries[row].file))
         yield f"Why is {names[row]} worse? turtlelog explain {file}{option}"
-    yield "Other columns: --only IDS. Every metric: --json, or turtlelog metrics."
+    yield "Other columns: --metric IDS. Every metric: --json, or turtlelog metrics."
 
 
 def format_reference(

@@ -64,11 +64,11 @@ def _part(files: Sequence[Path]) -> tuple[list[Path], Path]:
     scenarios = list_scenario_files(files)
     if len(scenarios) > 1:
         named = ", ".join(map(str, scenarios))
-        raise UsageError(f"FILE: expected one scenario to compare bags with, found {named}")
+        raise UsageError(f"name one scenario to compare bags with, not {named}")
     bags = [file for file in files if file not in scenarios]
     if not bags:
         raise UsageError(
-            f"FILE: expected a bag or a recording to compare {scenarios[0]} with, found none; two"
+            f"compare {scenarios[0]} needs a bag or a recording beside the scenario; two"
             " scenarios are compared by their runs, which turtlelog run records"
         )
     return bags, scenarios[0]
@@ -78,7 +78,7 @@ def _load(file: Path) -> "Scenario":
     scenario = tl.scenario.read_scenario(file)
     if scenario.plant.kind != "lagged":
         raise UsageError(
-            f'{file}: expected a scenario of a robot, with plant.kind = "lagged", found'
+            f'{file}: must be the scenario of a robot, plant.kind = "lagged", not'
             f" {scenario.plant.kind}; turtlelog replay drives turtlesim with recorded commands"
         )
     return scenario

@@ -188,16 +188,17 @@ def _require_targets(
     """Refuse any target before the first is written."""
     if tables.table is not None and not {"csv", "parquet"} & {*kinds.values()}:
         raise UsageError(
-            "--table: expected an output of tables (.csv, .parquet, or a folder with --format csv"
-            f" or parquet), found {outputs[0]}"
+            f"--table: {outputs[0]} is no table; end its name in .csv or .parquet, or"
+            " write a folder"
+            " with --format csv or parquet"
         )
     if tables.to == "tum":
         for path in outputs:
             if path.suffix.lower() not in _TRAJECTORIES:
                 expected = f"a name that ends in {' or '.join(_TRAJECTORIES)}"
-                raise UsageError(f"--to tum: expected {expected}, found {path}")
+                raise UsageError(f"--to tum: {path} must be {expected}")
     elif tables.to is not None and all(_is_file(path, tables) for path in outputs):
-        raise UsageError(f"--format: expected a folder to write, found {outputs[0]}")
+        raise UsageError(f"--format: leave it out, the name {outputs[0]} says it")
     for path in outputs:
         if _is_file(path, tables):
             require_new_target(path, [file], suffix=path.suffix.lower())

@@ -38,7 +38,7 @@ def demo(
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as err:
-        raise UsageError(f"{output}: expected a folder to write into: {err.strerror}") from err
+        raise UsageError(f"{output}: cannot be a folder: {err.strerror}") from err
     runs = [_record(name, output) for name in tl.scenario.PAPER_RUNS]
     tl.write_comparison_rrd(runs, output / "comparison.rrd")
     print_note(f"wrote {output / 'comparison.rrd'}")

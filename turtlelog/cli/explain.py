@@ -106,7 +106,7 @@ def explain(
     names = None if causes is None else split_names(causes, "--causes")
     (run,) = read_runs([file], topics)
     metric = metric or tl.explain.choose_metric(run.declaration)
-    tl.explain.require_mechanisms(run, metric, names)
+    tl.explain.require_causes(run, metric, names)
     require_trust(run, trust_law=options.trust_law)
     found = tl.identify_run(run, trust_law=options.trust_law)
     if options.scenario is not None:
@@ -117,7 +117,7 @@ def explain(
             attribution = tl.attribute_run(
                 run,
                 metric=metric,
-                mechanisms=names,
+                causes=names,
                 identified=found,
                 trust_law=options.trust_law,
                 work=tl.explain.Work(jobs=require_jobs(options.jobs), report=progress.count),

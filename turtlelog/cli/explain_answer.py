@@ -18,33 +18,6 @@ if TYPE_CHECKING:
     from turtlelog.explain import Attribution, Finding, Identification
 
 
-_PLACES: Final = {
-    "start_backlog": "loop.start_backlog",
-    "pause_ticks": "law.pause_ticks",
-    "dead_time_ticks": {},
-    "gains": {"angular": "law.kp_angular", "linear": "law.kp_linear"},
-    "limits": {"speed": "limits.speed_m_s", "turn_rate": "limits.turn_rate_rad_s"},
-    "heading_tolerance": "law.heading_tolerance_rad",
-    "position_tolerance": "law.position_tolerance_m",
-    "projection": "law.projection",
-    "wrap_error": "law.wrap_error",
-    "stop_reason": "stop_reason",
-    "lost_commands": "lost_commands",
-    "queue_policy": "loop.queue_policy",
-    "command_queue": "loop.command_queue",
-    "pose_queue": "loop.pose_queue",
-    "transport_delay_ticks": "loop.transport_delay_ticks",
-    "period_ticks": "loop.period_ticks",
-    "pose_precision": "loop.pose_precision",
-    "pause": {
-        "seconds": "pause.seconds",
-        "held_turn_rate": "pause.held_turn_rate_rad_s",
-        "turned": "pause.turned_rad",
-        "burst": "pause.burst",
-    },
-}
-"""The keys of findings, by their place in the answer's `identified`."""
-
 _ROWS: Final = (
     ("initial queue", "loop.start_backlog", "poses"),
     ("pause", "law.pause_ticks", "ticks"),
@@ -85,6 +58,29 @@ _MEANING_WIDTH: Final = 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FindingAnswer:
+    """A setting of the run.
+
+    Attributes:
+        key: Its key, as in a scenario.
+        value: None if it is not identified.
+        certainty: The confidence.
+        evidence: What shows the value, or why it is not identified.
+        interval: Its bounds, if it has any.
+        candidates: All values that fit, if several do.
+        assumed: What the re-simulation uses if the value is not identified and does not show.
+    """
+
+    key: str
+    value: Any
+    certainty: str
+    evidence: str
+    interval: tuple[float, float] | None
+    candidates: tuple[Any, ...]
+    assumed: Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ExplainAnswer:
     """What made a run what it is.
 
@@ -92,9 +88,7 @@ class ExplainAnswer:
         file: As it was given.
         name: Of the run.
         metric: What is explained, as the log has it.
-        identified: Values of the findings by what they are, null where they are not identified.
-        reasons: Why a finding has no value, by its key.
-        findings: All findings with their confidence and evidence.
+        identified: The settings of the run, each with its confidence and evidence.
         resimulation: How the scenario, simulated again, compares with the log; None without one.
         tried: By key of the loop's settings, the values that were tried.
         attribution: The value divided among its causes; None where no scenario fits the log.
@@ -106,9 +100,7 @@ class ExplainAnswer:
     file: str
     name: str
     metric: Mapping[str, Any]
-    identified: Mapping[str, Any]
-    reasons: Mapping[str, str]
-    findings: tuple[Mapping[str, Any], ...]
+    identified: tuple[FindingAnswer, ...]
     resimulation: Mapping[str, Any] | None
     tried: Mapping[str, tuple[Any, ...]]
     attribution: "Attribution | None"
@@ -131,9 +123,18 @@ def build_answer(
         file=str(file),
         name=found.name,
         metric=metric.to_dict(),
-        identified=_nest(_PLACES, found) | {"dead_time_ticks": _list_dead_times(found)},
-        reasons={k: one.evidence for k, one in found.findings.items() if one.value is None},
-        findings=tuple({"key": key, **asdict(one)} for key, one in found.findings.items()),
+        identified=tuple(
+            FindingAnswer(
+                key=key,
+                value=one.value,
+                certainty=one.certainty.value,
+                evidence=one.evidence,
+                interval=one.interval,
+                candidates=one.candidates,
+                assumed=one.assumed,
+            )
+            for key, one in found.findings.items()
+        ),
         resimulation=None if again is None else asdict(again) | error,
         tried=found.tried,
         attribution=attribution,
@@ -152,15 +153,6 @@ def _list_dead_times(found: "Identification") -> dict[str, Any]:
     }
 
 
-def _nest(places: dict[str, Any], found: "Identification") -> dict[str, Any]:
-    return {
-        name: _nest(key, found)
-        if isinstance(key, dict)
-        else getattr(found.findings.get(key), "value", None)
-        for name, key in places.items()
-    }
-
-
 def _describe_causes(
     found: "Identification", attribution: "Attribution"
 ) -> Iterator[tuple[str, str]]:
@@ -169,7 +161,7 @@ def _describe_causes(
 
     scenario = found.build_scenario()
     values = flatten_scenario(scenario)
-    table = tl.explain.find_mechanisms(scenario)
+    table = tl.explain.find_causes(scenario)
     for one in attribution.contributions:
         neutral = table[one.cause].neutral
         settings = [

@@ -1,13 +1,14 @@
 """`turtlelog list`: the names that commands, checks and scenarios take; completion offers them."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import turtlelog as tl
-from turtlelog.cli.output import format_table, print_json, print_text
+from turtlelog.cli.output import fill_lines, find_width, print_json, print_text
 
 if TYPE_CHECKING:
     from cyclopts.completion import CompletionContext
@@ -16,11 +17,11 @@ Kind = Literal["metrics", "signals", "presets", "laws", "plants", "causes", "fig
 Entries = list[dict[str, Any]]
 
 _PRESETS: Final = {
-    "paper": "the paper's controller as built, with Kp = 1",
-    "textbook": "the loop of the equations: no pause, no backlog, the newest command wins",
+    "paper": "the paper's controller with all its effects, Kp = 1",
+    "textbook": "the loop of the equations: no pause, no initial queue, the newest command wins",
     "posture": "the law posture in the textbook's loop: to the goal and a heading of 90 deg",
     "track-square": "pure pursuit along a square of 5 m at 0.5 m/s",
-    "lagged": "the textbook's loop around a robot with a lag of 0.1 s and a dead time of 0.08 s",
+    "lagged": "the textbook's loop, robot model of time constant 0.1 s and dead time 0.08 s",
     "plant-impulse": "the turn rate's unit impulse, without limits: the heading stays at 1 rad",
     "plant-step": "the turn rate's unit step, without limits: the heading is t",
     "plant-ramp": "the turn rate's unit ramp, without limits: the heading is t^2 / 2, sampled",
@@ -29,7 +30,7 @@ _NOTES: Final[Mapping[str, str]] = {
     "metrics": "Of the law sequential-p. Another law has loops of other names:"
     " `turtlelog metrics FILE --all` shows the metrics of a recording.",
     "signals": "And the states of a law, by their names.",
-    "causes": "Of any loop, and of the law that is named.",
+    "causes": "effect: of the implementation; design: a design parameter.",
     "laws": "And laws of your own: FILE.py:NAME.",
 }
 
@@ -56,22 +57,45 @@ def list_(kind: Kind, /, *, json: bool = False) -> None:
         print_json(ListAnswer(kind=kind, entries=entries))
         return
     titles = [title for title in entries[0] if title not in _IN_JSON]
-    table = tl.compare.Table(
-        title=kind.capitalize(),
-        columns=tuple(tl.compare.Column(title=title) for title in titles),
-        rows=tuple(tuple(_show(entry[title]) for title in titles) for entry in entries),
-        notes=(_NOTES[kind],) if kind in _NOTES else (),
-    )
-    print_text(format_table(table))
+    rows = [row for entry in entries for row in _list_rows(entry, titles)]
+    notes = ["", fill_lines([_NOTES[kind]])] if kind in _NOTES else []
+    print_text("\n".join([f"{len(entries)} {kind}", "", *_align([tuple(titles), *rows]), *notes]))
+
+
+def _align(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Yield lines of cells; names stay whole, and the last cell has as many lines as it needs."""
+    *widths, last = (max(map(len, column)) for column in zip(*rows, strict=True))
+    indent = sum(widths) + 2 * len(widths)
+    for number, (*first, text) in enumerate(rows):
+        head = "".join(f"{cell:<{width + 2}}" for cell, width in zip(first, widths, strict=True))
+        yield textwrap.fill(
+            text,
+            find_width(),
+            initial_indent=head,
+            subsequent_indent=" " * indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        if not number:
+            yield "-" * min(indent + last, find_width())
 
 
 _IN_JSON: Final = frozenset({"scenario", "parameters"})
 """What a table has no room for."""
 
 
+def _list_rows(entry: Mapping[str, Any], titles: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Yield the row of an entry, and further ones for each further setting in its last column."""
+    *first, last = (entry[title] for title in titles)
+    if not isinstance(last, Mapping):
+        yield (*map(_show, first), _show(last))
+        return
+    settings = [f"{key} = {value}" for key, value in last.items()] or ["-"]
+    yield (*map(_show, first), settings[0])
+    yield from ((*("" for _ in first), setting) for setting in settings[1:])
+
+
 def _show(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} = {item}" for key, item in value.items()) or "-"
     return ", ".join(value) if isinstance(value, list) else str(value or "-")
 
 
@@ -94,7 +118,7 @@ def _list_presets() -> Entries:
     return [
         {
             "name": name,
-            "meaning": _PRESETS.get(name, "a run that the paper recorded, as built"),
+            "meaning": _PRESETS.get(name, "a run that the paper recorded, with all its effects"),
             "scenario": dict(tl.scenario.flatten_scenario(tl.load_scenario(name))),
         }
         for name in tl.PRESETS
@@ -128,13 +152,13 @@ def _list_plants() -> Entries:
 
 
 def _list_causes() -> Entries:
-    from turtlelog.explain.mechanisms import LOOP_MECHANISMS
-    from turtlelog.laws import LAWS, list_mechanisms
+    from turtlelog.explain.causes import LOOP_CAUSES
+    from turtlelog.laws import LAWS, list_causes
 
-    of_laws = [(name, one) for name, law in LAWS.items() for one in list_mechanisms(law)]
+    of_laws = [(name, one) for name, law in LAWS.items() for one in list_causes(law)]
     return [
         {"name": one.name, "kind": one.kind, "of": law, "without it": dict(one.neutral)}
-        for law, one in [*(("any loop", one) for one in LOOP_MECHANISMS), *of_laws]
+        for law, one in [*(("any loop", one) for one in LOOP_CAUSES), *of_laws]
     ]
 
 

@@ -112,7 +112,7 @@ def draw_table(
     shown = tl.sweep.choose_view(results, x=view.x, y=view.y, at=held, gains=gains)
     tl.sweep.require_values(shown)
     if kind == "tornado" and not tl.sweep.list_varied(results):
-        raise UsageError(f"--kind tornado: expected a key that varies, found none in {table}")
+        raise UsageError(f"--kind tornado: no key varies in {table}")
     limits = tl.sweep.find_loop_limits(shown)
     if output is not None:
         with show_progress("drawing"):
@@ -125,14 +125,16 @@ def _require_output(output: Path | None, table: Path, kind: str, where: PageOpti
     """Refuse an output that cannot be written."""
     suffix = "" if output is None else output.suffix.lower()
     if suffix not in PICTURES and where != PageOptions():
-        raise UsageError("--for, --text-width, --dpi: expected a figure to write, found none")
+        raise UsageError("--for, --text-width and --dpi need a figure to write: -o NAME.png")
     if output is None:
         return
     if suffix not in {*PICTURES, ".html", ".rrd"}:
         expected = "a name that ends in .pdf, .png, .svg, .html or .rrd"
-        raise UsageError(f"--output {output}: expected {expected}, found another")
+        raise UsageError(f"--output {output}: must be {expected}")
     if suffix in {".html", ".rrd"} and kind != "map":
-        raise UsageError(f"--kind {kind}: expected a figure to write, found {output}")
+        raise UsageError(
+            f"--kind {kind}: {output} is no figure; end its name in .pdf, .png or .svg"
+        )
     require_new_target(output, [table], suffix=suffix)
 
 

@@ -29,7 +29,7 @@ class AxisAnswer:
     """Keys that vary together, and their values."""
 
     keys: list[str]
-    unit: str
+    unit: str | None
     values: list[list[Any]]
 
 

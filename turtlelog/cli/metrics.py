@@ -56,7 +56,7 @@ class MeasureOptions:
     """How to measure. Values of a heading loop are in rad, of other loops in m.
 
     Attributes:
-        only: Ids or patterns of metrics. Example: rotate.overshoot,final.*. List: turtlelog list
+        metric: Ids or patterns of metrics. Example: rotate.overshoot,final.*. List: turtlelog list
             metrics.
         band: Half-width of the settling band, as a share of the step [1]. Default: 0.02.
         initial: Start of the step [rad or m]: NUMBER or LOOP=NUMBER. Default: the first value.
@@ -68,7 +68,7 @@ class MeasureOptions:
         dead_time: Dead time of the delayed ideal loop [samples]. Default: as measured.
     """
 
-    only: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
+    metric: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
     band: Annotated[float | None, Parameter(metavar="SHARE")] = None
     initial: Annotated[str | None, Parameter(metavar="VALUE")] = None
     final: Annotated[str | None, Parameter(metavar="VALUE")] = None
@@ -78,7 +78,7 @@ class MeasureOptions:
 
     def list_patterns(self) -> list[str] | None:
         """Return the ids and patterns that are asked for, None where none are."""
-        return None if self.only is None else split_names(self.only, "--only")
+        return None if self.metric is None else split_names(self.metric, "--metric")
 
     def build_settings(self) -> "MeasureSettings":
         """Return what is asked for as settings."""
@@ -130,14 +130,14 @@ def metrics(
     """Measure recordings: where each ends, and how its loops answer.
 
     Of one run the loops stand side by side; of several each run has a row, in order of the gains.
-    A cell without a value shows a status, and the reason is below the table. With --all or --only
+    A cell without a value shows a status, and the reason is below the table. With --all or --metric
     metrics have their ids, and up to six runs stand side by side. JSON and CSV have every metric,
     file by file in the order given. A file that cannot be read is reported on stderr; the others
     are measured, and the exit code is 2.
 
     Example: turtlelog metrics kp1.mcap kp4.mcap
 
-    Example: turtlelog metrics kp4.mcap --only "translate.*" --band 0.05
+    Example: turtlelog metrics kp4.mcap --metric "translate.*" --band 0.05
 
     Example: turtlelog metrics runs --recursive -o table.parquet
 
@@ -153,7 +153,7 @@ def metrics(
     folders = folders or FolderOptions()
     if folders.output is not None:
         if kind not in {"txt", "json"}:
-            raise UsageError("--output: expected text or --json beside it, found another format")
+            raise UsageError("--output: takes --json, no other format")
         plan = tl.sweep.plan_metric_table(
             measuring.build_settings(), only=patterns, topics=topics.build_choice()
         )
@@ -298,4 +298,4 @@ def _parse_value(option: str, text: str) -> Value:
         return float(text)
     except ValueError as err:
         words = "reference, last, a number" if option == "--final" else "a number"
-        raise UsageError(f"{option}: expected {words} or LOOP=VALUE,..., found {text!r}") from err
+        raise UsageError(f"{option} {text}: must be {words} or LOOP=VALUE,...") from err

@@ -373,8 +373,7 @@ def _format_runs(summaries: "Sequence[RunSummary]") -> str:
             fill_lines([f"{describe_count(len(summaries), 'run')}: {_describe_ends(summaries)}."]),
             _format(table),
             "",
-            "Which is best? turtlelog compare, with the same files",
-            f"All {count} metrics with their ids: --all, or --only IDS",
+            f"Which is best? turtlelog compare      All {count} metrics: --all, or --metric IDS",
         ]
     )
 

@@ -36,12 +36,11 @@ def require_movie(options: MovieOptions, files: Sequence[Path]) -> None:
     """Refuse what cannot be written, before anything is read."""
     if options.movie is None:
         if options.length is not None:
-            raise UsageError(f"--length: expected together with --movie, found {options.length:g}")
+            raise UsageError("--length: needs --movie NAME.mp4")
         return
     suffix = options.movie.suffix.lower()
     if suffix not in _SUFFIXES:
-        expected = "expected a name that ends in .mp4 or .gif"
-        raise UsageError(f"--movie {options.movie}: {expected}, found another")
+        raise UsageError(f"--movie {options.movie}: the name must end in .mp4 or .gif")
     require_new_target(options.movie, files, suffix=suffix)
     from turtlelog.draw.movie.encoding import require_encoder
 

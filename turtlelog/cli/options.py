@@ -57,7 +57,7 @@ def _read_budget(_: Any, tokens: Sequence[Token]) -> float:
         if 0.0 < float(text) < math.inf:
             return float(text)
     expected = "a time above 0 in milliseconds"
-    raise UsageError(f"--step-budget-ms: expected {expected}, found {text[:60]!r}")
+    raise UsageError(f"--step-budget-ms {text[:60]}: must be {expected}")
 
 
 StepBudgetMs = Annotated[
@@ -79,8 +79,8 @@ def _read_size(_: Any, tokens: Sequence[Token]) -> int:
     """Return a size, and let it hold for every URL of this command."""
     most = parse_size(tokens[0].value)
     if most is None:
-        found = f"found {tokens[0].value[:60]!r}"
-        raise UsageError(f"{tokens[0].keyword}: expected a size, as in 500MB or 4GiB, {found}")
+        place = f"{tokens[0].keyword} {tokens[0].value[:60]}"
+        raise UsageError(f"{place}: must be a size, as in 500MB or 4GiB")
     set_max_download(most)
     return most
 
@@ -181,7 +181,7 @@ def list_reading_words(options: ReadingOptions) -> list[str]:
 def _split_column(text: str) -> tuple[str, str]:
     name, sign, column = text.partition("=")
     if not (sign and name.strip() and column.strip()):
-        raise UsageError(f"--column: expected NAME=COLUMN, as in x=pos_x, found {text[:60]!r}")
+        raise UsageError(f"--column {text[:60]}: must be NAME=COLUMN, as in x=pos_x")
     return name.strip(), column.strip()
 
 
@@ -191,9 +191,7 @@ def _parse_aim(text: str) -> tuple[float, ...]:
     except ValueError:
         values = []
     if len(values) not in {2, 3} or not all(map(math.isfinite, values)):
-        raise UsageError(
-            f"--goal: expected X,Y in metres and perhaps a heading in degrees, found {text[:60]!r}"
-        )
+        raise UsageError(f"--goal {text[:60]}: must be X,Y in metres, or X,Y,DEG with a heading")
     return (*values[:2], *map(math.radians, values[2:]))
 
 
@@ -297,7 +295,7 @@ def count_jobs(
 def require_jobs(asked: int | None) -> int | None:
     """Return a number of processes as it was asked for; one below 1 is refused."""
     if asked is not None and asked < 1:
-        raise UsageError(f"--jobs: expected at least 1 process, found {asked}")
+        raise UsageError(f"--jobs {asked}: must be at least 1")
     return asked
 
 
@@ -314,7 +312,7 @@ def split_names(text: str, option: str) -> list[str]:
     """Return the names that an option takes, which commas separate."""
     names = [name.strip() for name in text.split(",")]
     if not all(names):
-        raise UsageError(f"{option}: expected names separated by commas, found {text[:60]!r}")
+        raise UsageError(f"{option} {text[:60]}: must be names separated by commas")
     return names
 
 

@@ -13,7 +13,7 @@ import tempfile
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, TextIO
 
@@ -70,7 +70,7 @@ class FormatOptions:
         }
         chosen = [name for name, is_asked in asked.items() if is_asked]
         if len(chosen) > 1:
-            raise UsageError(f"{chosen[1]}: expected one format, found {chosen[0]} beside it")
+            raise UsageError(f"{chosen[0]} and {chosen[1]}: choose one format")
         kinds = {"--markdown": "md", "--csv": "csv", "--latex": "tex", "--json": "json"}
         return kinds[chosen[0]] if chosen else "txt"
 
@@ -206,9 +206,21 @@ def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def format_table(table: "Table", *, indent: int = 0) -> str:
-    """Return a table that fits the terminal; as wide as it needs where a file or program reads."""
-    room = shutil.get_terminal_size().columns - indent if sys.stdout.isatty() else None
-    return tl.draw.format_table(table, width=room)
+    """Return a table that fits a line."""
+    return tl.draw.format_table(table, width=find_width() - indent)
+
+
+_MOST_ROWS: Final = 20
+"""Runs that a table shows: the answer above names the best, and all of it fits a screen."""
+
+
+def cut_rows(table: "Table") -> "Table":
+    """Return the first rows of a table of runs, and say how many more there are."""
+    more = len(table.rows) - _MOST_ROWS
+    if more <= 0:
+        return table
+    note = f"Runs not shown: {more}. --csv shows all."
+    return replace(table, rows=table.rows[:_MOST_ROWS], notes=(note, *table.notes))
 
 
 def print_note(text: str) -> None:

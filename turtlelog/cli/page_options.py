@@ -67,13 +67,13 @@ class PageOptions:
             ShowError: Where a value is out of range.
         """
         if self.text_width is not None and self.kind == "slide":
-            raise UsageError("--text-width: expected --for column or page, found slide")
+            raise UsageError("--text-width: needs --for column or page, not slide")
         for option, bound_s in (("--from", self.from_s), ("--to", self.to_s)):
             if bound_s is not None and names and TIMELESS.issuperset(names):
                 found = ", ".join(names)
-                raise UsageError(f"{option}: expected a figure over time, found {found}")
+                raise UsageError(f"{option}: needs a figure over time, not {found}")
         if self.dpi is not None and "png" not in formats:
-            raise UsageError(f"--dpi: expected png files, found {', '.join(formats)}")
+            raise UsageError(f"--dpi: is for png files, not {', '.join(formats)}")
         return draw.Page(
             kind=self.kind or usual,
             **({} if self.text_width is None else {"text_width_mm": self.text_width}),

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog import draw
+from turtlelog.charts.endings import describe_runs
 from turtlelog.cli.asked_figures import AskedOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.map import ViewOptions, draw_table, find_table
@@ -31,6 +32,7 @@ from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import UsageError
 from turtlelog.remote.urls import RemotePath
+from turtlelog.text_files import describe_missing
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -113,7 +115,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     if output is None:
         runs = _collect_runs(_require_scenes(files, movie), topics)
         film_runs(runs, movie, timeline=timeline)
-        _tell(_build_answer(files or [], {}, [], (), movie), runs, json=json)
+        _tell(_build_answer(files or [], runs, {}, [], (), movie), runs, json=json)
         return
     names = None if only is None else split_names(only, "--only")
     is_file = output.suffix.lower() in PICTURES
@@ -147,7 +149,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         print_note(f"plot: {line}")
     _tell_whole(figures.values(), page)
     film_runs(runs, movie, timeline=timeline)
-    _tell(_build_answer(files or [], figures, tables, left_out, movie), runs, json=json)
+    answer = _build_answer(files or [], runs, figures, tables, left_out, movie)
+    _tell(answer, runs, json=json)
 
 
 def _require_no_figures(table: Path, given: Mapping[str, object]) -> None:
@@ -186,10 +189,15 @@ def _tell_whole(names: Iterable[str], page: "Page") -> None:
 
 def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]:
     """Return the files of a movie without figures."""
+    for path in files or []:
+        if str(path) not in tl.PRESETS and not path.exists():
+            raise UsageError(f"{path}: {describe_missing(path, tl.PRESETS)}")
     if movie.movie is None:
         raise UsageError("plot needs a file or a folder to write: -o NAME.png or -o FOLDER")
     if not files:
-        raise UsageError("--movie: expected recordings to film, found none")
+        raise UsageError(
+            "--movie: no recordings to film; name them: turtlelog plot FILE... --movie NAME.mp4"
+        )
     return files
 
 
@@ -209,6 +217,7 @@ class PlotAnswer:
 
     Attributes:
         files: Of what, as they were given.
+        ending: How the runs ended, in words; None without runs.
         figures: The figures.
         tables: Files of tables.
         left_out: What was not drawn, and why.
@@ -216,6 +225,7 @@ class PlotAnswer:
     """
 
     files: list[str]
+    ending: str | None
     figures: list[FigureAnswer]
     tables: list[str]
     left_out: list[str]
@@ -224,6 +234,7 @@ class PlotAnswer:
 
 def _build_answer(
     files: Sequence[Path],
+    runs: "Sequence[Run]",
     figures: Mapping[Path, str],
     tables: Sequence[Path],
     left_out: Sequence[str],
@@ -231,6 +242,7 @@ def _build_answer(
 ) -> PlotAnswer:
     return PlotAnswer(
         files=[str(path) for path in files],
+        ending=describe_runs(runs) if runs else None,
         figures=[
             FigureAnswer(
                 file=str(path),
@@ -247,13 +259,14 @@ def _build_answer(
 
 
 def _tell(answer: PlotAnswer, runs: "Sequence[Run]", *, json: bool) -> None:
-    """Say what is shown, and what was written."""
+    """Say how the runs ended, what is shown, and what was written."""
     if json:
         print_json(answer)
         return
     written = [*(figure.file for figure in answer.figures), *answer.tables]
     written += [] if answer.movie is None else [answer.movie]
-    print_text("\n".join([fill_lines([_describe_shown(answer, runs)]), *list_written(written)]))
+    said = [*filter(None, [answer.ending]), _describe_shown(answer, runs)]
+    print_text("\n".join([fill_lines(said), *list_written(written)]))
 
 
 def _describe_shown(answer: PlotAnswer, runs: "Sequence[Run]") -> str:
@@ -304,26 +317,30 @@ _OVERVIEWS: Final = ("panel", "plane", "step-responses")
 
 def _require_clock(movie: MovieOptions, timeline: str) -> None:
     if movie.movie is None and timeline != "sim_time":
-        raise UsageError(f"--timeline: expected together with --movie, found {timeline}")
+        raise UsageError("--timeline: needs --movie NAME.mp4")
 
 
 def _require_folder(output: Path) -> None:
     if output.suffix.lower() in _OTHER_PICTURES:
         raise UsageError(
-            f"{output}: expected a folder, or a file that ends in .pdf, .png or .svg, found"
+            f"{output}: figures are written as .pdf, .png or .svg, or to a folder, not as"
             f" {output.suffix}"
         )
     if isinstance(output, RemotePath):
-        raise UsageError(f"{output}: expected a local folder, or one file, found a URL of neither")
+        raise UsageError(f"{output}: a URL must end in .pdf, .png or .svg; folders are local")
     if output.exists() and not output.is_dir():
-        raise UsageError(f"{output}: expected a folder to write to, found a file")
+        raise UsageError(
+            f"{output}: is a file; name a folder, or a figure that ends in .pdf, .png or .svg"
+        )
 
 
 def _require_one(output: Path, names: list[str] | None, formats: str | None) -> None:
     if names is not None and len(names) != 1:
-        raise UsageError(f"--only: expected one figure for {output}, found {', '.join(names)}")
+        raise UsageError(
+            f"--only: {output} has room for one figure; write several to a folder: -o FOLDER"
+        )
     if formats is not None:
-        raise UsageError(f"--format: expected a folder to write to, found {output}")
+        raise UsageError(f"--format: leave it out, the name {output} says it")
 
 
 def _choose_overview(runs: "Sequence[Run]") -> str:

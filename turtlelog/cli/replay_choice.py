@@ -60,7 +60,7 @@ def settle_file(file: Path | None, options: ReplayOptions) -> tuple[Path, str | 
     if file is None:
         raise UsageError("replay needs a recording: turtlelog replay FILE")
     if len(words) > 1:
-        raise UsageError(f"--law: expected at most one KIND, found {' '.join(words)}")
+        raise UsageError(f"--law: takes one KIND, not {' '.join(words)}")
     return file, words[0] if words else None
 
 
@@ -70,10 +70,10 @@ def require_sound(
     """Refuse options that do not go together."""
     by_law = options.law is not None
     if options.plant and by_law:
-        raise UsageError("--plant: expected one mode, found --law as well")
+        raise UsageError("--plant and --law: choose one")
     if (options.plant or by_law) and output is not None:
         mode = "--plant" if options.plant else "--law"
-        raise UsageError(f"--output: expected the closed loop, which makes a run, found {mode}")
+        raise UsageError(f"--output: leave out {mode}, which makes no run")
     given = {
         "--scenario": options.scenario,
         "--tolerance": options.tolerance,
@@ -83,7 +83,9 @@ def require_sound(
     }
     wrong = [name for name, value in given.items() if value is not None]
     if options.plant and wrong:
-        raise UsageError(f"--plant: expected the recorded commands as they are, found {wrong[0]}")
+        raise UsageError(
+            f"--plant: leave out {wrong[0]}; the recorded commands are used as they are"
+        )
 
 
 def choose_scenario(
@@ -153,7 +155,7 @@ def _require_keys_of_law(changes: ScenarioOptions | None) -> None:
     ):
         if key.partition(".")[0] not in _OF_LAW:
             raise UsageError(
-                f"--set: {key}: expected a key of {', '.join(_OF_LAW)}, as --law takes the poses"
+                f"--set {key}: must be a key of {', '.join(_OF_LAW)}, because --law takes the poses"
                 " from the recording"
             )
 

@@ -87,16 +87,16 @@ def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:
     """Return whether the plant reproduces the poses, its segments, and what is between them."""
     use = found.commands
     and_of_velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
+    stops = f"; the plant stopped by itself {use.stops} times" if use.stops else ""
     first, *judged = judge_rounding(found)
     sentences = [
         f"{escape_controls(file.name)}: {first[0].lower()}{first[1:]}",
         *judged,
-        f"Commands: {use.taken} taken, {use.unseen} that no pose shows;"
-        f" the plant stopped by itself {use.stops} times.",
+        f"Commands: {use.taken} taken, {use.unseen} that no pose shows{stops}.",
         "Rounding: one step of the 32 bits of a pose, for other platforms."
         if tl.plants.find_plant(run).name == tl.plants.LAGGED
-        else f"Rounding: what 32 bits of a segment's first pose{and_of_velocities} may grow to,"
-        " along the way driven.",
+        else f"Rounding: the largest error that the 32 bits of a segment's first pose"
+        f"{and_of_velocities} can cause.",
     ]
     if use.never_arrived:
         sentences.append(

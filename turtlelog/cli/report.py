@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.charts.endings import describe_runs
+from turtlelog.cli.check_answers import CountedResults, conclude
 from turtlelog.cli.options import (
     Files,
     Json,
@@ -18,7 +20,14 @@ from turtlelog.cli.options import (
     read_runs,
     require_files,
 )
-from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_lines
+from turtlelog.cli.output import (
+    EXIT_FAILED,
+    EXIT_FINE,
+    fill_lines,
+    list_written,
+    print_json,
+    print_text,
+)
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.display import format_number
@@ -58,7 +67,7 @@ def report(
         spec: Hold the runs to this specification (.toml).
         explain: Say what caused the final error of a run alone (auto), of the run that ends
             furthest from its goal (worst), or of none.
-        json: Print one JSON object instead of a line.
+        json: Print one JSON object instead of lines.
     """
     require_files(files)
     inputs = [*files, *([] if spec is None else [spec])]
@@ -80,22 +89,23 @@ def report(
             command=shlex.join(["turtlelog", "report", *words, "-o", str(output)]),
         )
     verdict = tl.check.join_verdicts(results) if results else None
+    answer = ReportAnswer(
+        ending=describe_runs(runs),
+        output=str(output),
+        bytes=output.stat().st_size,
+        runs=[
+            ReportedRun(file=str(file), name=run.name)
+            for file, run in zip(files, runs, strict=True)
+        ],
+        explained=found.run.name if found is not None and found.attribution is not None else None,
+        verdict=None if verdict is None else verdict.value,
+    )
     if json:
-        explained = found.run.name if found is not None and found.attribution is not None else None
-        print_json(
-            ReportAnswer(
-                output=str(output),
-                bytes=output.stat().st_size,
-                runs=[
-                    ReportedRun(file=str(file), name=run.name)
-                    for file, run in zip(files, runs, strict=True)
-                ],
-                explained=explained,
-                verdict=None if verdict is None else verdict.value,
-            )
-        )
+        print_json(answer)
     else:
-        print_lines([f"wrote {output}"])
+        checked = [conclude(CountedResults(results), len(files))] if results else []
+        said = fill_lines([*checked, answer.ending])
+        print_text("\n".join([said, *list_written([output])]))
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
 
 
@@ -109,8 +119,18 @@ class ReportedRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportAnswer:
-    """The report: its file and size, its runs, which is explained, and the verdict of checks."""
+    """The report.
 
+    Attributes:
+        ending: How the runs ended, in words.
+        output: The file.
+        bytes: Its size.
+        runs: The runs.
+        explained: Name of the run that is explained; None without one.
+        verdict: Of all checks; None without a specification.
+    """
+
+    ending: str
     output: str
     bytes: int
     runs: list[ReportedRun]

@@ -128,7 +128,7 @@ def run(
     _require_sound(scenario, record, live, json=json)
     if live.watch:
         if source.table is not None:
-            raise UsageError("--watch: expected a scenario that can change, found --from")
+            raise UsageError("--watch: leave out --from, whose table does not change")
         return _watch(scenario, options or LawOptions(), record, live)
     chosen = _resolve(source.load(scenario, options), options, record)
     with _open_viewer(live) as (window, url):
@@ -169,13 +169,13 @@ def _require_sound(
     require_new_target(record.output, inputs, suffix=".mcap")
     require_new_target(record.rrd, inputs, suffix=".rrd")
     if record.strip_scenario and live.realtime:
-        raise UsageError("--strip-scenario: expected a run written at its end, found --realtime")
+        raise UsageError("--strip-scenario: leave out --realtime, which writes the scenario first")
     if record.strip_scenario and record.output is None and record.rrd is None:
-        raise UsageError("--strip-scenario: expected -o or --rrd beside it, found neither")
+        raise UsageError("--strip-scenario: needs -o or --rrd")
     if live.watch and live.realtime:
-        raise UsageError("--watch: expected runs as fast as they go, found --realtime")
+        raise UsageError("--watch: leave out --realtime")
     if live.watch and json:
-        raise UsageError("--watch: expected tables, as there are many runs, found --json")
+        raise UsageError("--watch: leave out --json, as there are many runs")
 
 
 def _resolve(chosen: "Scenario", options: LawOptions | None, record: RecordOptions) -> "Scenario":

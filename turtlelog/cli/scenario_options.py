@@ -65,10 +65,10 @@ class LawOptions(ScenarioOptions):
         changes = tl.scenario.parse_assignments(self.assignments or (), source="--set")
         kind = changes.get("law.kind")
         if self.law is not None and kind not in (None, self.law):
-            raise UsageError(f"--law: expected one law, found {self.law} and --set law.kind={kind}")
+            raise UsageError(f"--law {self.law} and --set law.kind={kind}: choose one")
         named = self.law or (kind if isinstance(kind, str) else None)
         if self.commands is not None and named is not None:
-            raise UsageError(f"--commands: expected no law beside them, found {named}")
+            raise UsageError(f"--commands: leave out the law {named}")
         return named
 
 
@@ -89,12 +89,12 @@ class RowOptions:
         """Return the scenario that is to run, with the options applied."""
         if self.table is None:
             if self.row is not None:
-                raise UsageError("--row: expected --from beside it, found none")
+                raise UsageError("--row: needs --from TABLE")
             return load_changed_scenario(scenario, options)
         if scenario is not None:
-            raise UsageError(f"--from: expected no scenario beside it, found {scenario}")
+            raise UsageError(f"--from: leave out the scenario {scenario}")
         if self.row is None:
-            raise UsageError("--from: expected --row beside it, found none")
+            raise UsageError("--from: needs --row NUMBER")
         return apply_options(tl.sweep.load_row_scenario(self.table, self.row), options)
 
 
@@ -137,7 +137,7 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
         run = read_chosen_run(path, TopicOptions())
         if not run.scenario_is_complete:
             expected = "a recording with its whole scenario"
-            raise UsageError(f"{path}: expected {expected}, found none in it")
+            raise UsageError(f"{path}: is not {expected}")
         base = tl.scenario.restore_scenario(run)
         declared = None if named else run.declaration
     return apply_options(base, options, declared)
@@ -227,7 +227,7 @@ def change_scenario(
         asked = declaration or _ask_law(scenario, changes)
         gains = asked.list_gains()
         if not gains:
-            raise UsageError("--kp: expected a law that declares a gain, found none: --set does it")
+            raise UsageError("--kp: this law declares no gain; set its keys with --set")
         scenario = override_gains(scenario, gains, options.kp, source="--kp")
     if options.goal is not None:
         scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
@@ -251,5 +251,5 @@ def _parse_goal(text: str) -> dict[str, Any]:
     try:
         x_m, y_m = map(float, text.split(","))
     except ValueError as err:
-        raise UsageError(f"--goal: expected X,Y in metres, found {text!r}") from err
+        raise UsageError(f"--goal {text}: must be X,Y in metres") from err
     return {"goal.x_m": x_m, "goal.y_m": y_m}

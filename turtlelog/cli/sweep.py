@@ -79,7 +79,7 @@ class PlanOptions:
         for name, is_given in (("--seed", self.seed is not None), ("--latin", self.latin)):
             if is_given:
                 more = "; --grid seed=0:9 varies that of the scenario" if name == "--seed" else ""
-                raise UsageError(f"{name}: expected --sample beside it, found none{more}")
+                raise UsageError(f"{name}: needs --sample COUNT{more}")
         return None
 
 
@@ -90,26 +90,26 @@ class TableOptions:
 
     Attributes:
         output: Write the table to this .parquet file, or behind a URL.
-        metrics: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics);
+        metric: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics);
             otherwise the essential ones of each row's law but dead_time.
         record: Write recordings of rows to this folder, or below a URL, as row-000123.mcap.
         record_where: Only of rows for which this holds, as in "translate.settling_time > 5".
     """
 
     output: Annotated[Place, Parameter(name=("--output", "-o"))]
-    metrics: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
+    metric: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
     record: Annotated[Place | None, Parameter(metavar="DIR")] = None
     record_where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
 
     def list_patterns(self) -> list[str] | None:
         """Return the metrics that are asked for, None where none are."""
-        return None if self.metrics is None else split_names(self.metrics, "--metrics")
+        return None if self.metric is None else split_names(self.metric, "--metric")
 
     def build_records(self, work: WorkOptions) -> "RowRecords | None":
         """Return which runs are to be recorded, and where, as those at work find it."""
         if self.record is None:
             if self.record_where is not None:
-                raise UsageError("--record-where: expected --record beside it, found none")
+                raise UsageError("--record-where: needs --record DIR")
             return None
         (folder,) = work.name_files([self.record])
         return tl.sweep.RowRecords(folder=str(folder), where=self.record_where)
@@ -205,7 +205,7 @@ def _prepare(
     rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
     for key in list_given_keys(options):
         if key in rows.keys:
-            raise UsageError(f"--set: expected keys that are not varied, found {key}")
+            raise UsageError(f"--set: {key} is varied by --grid; leave one of them out")
     return tl.sweep.prepare_sweep(
         load_changed_scenario(base, options),
         rows,
@@ -223,12 +223,12 @@ def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:
     took = timedelta(seconds=max(1, round(found.seconds)))
     takes = f"{rows:,} rows: about {took}, and {found.bytes / 1e6:,.0f} MB in {output}"
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise UsageError(f"{takes}; expected --yes to go on, found no terminal to ask at")
+        raise UsageError(f"{takes}; add --yes to start it")
     print_note(takes)
     sys.stderr.write("Go on? [y/N] ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
-        raise UsageError("expected yes to go on, found another answer")
+        raise UsageError("stopped: the answer was not yes")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,7 +273,8 @@ def _answer(found: "SweepSummary", plan: "SweepPlan", elapsed_s: float, *, json:
         )
     keys = ", ".join(plan.keys)
     recorded = f" {found.recorded} runs are recorded." if found.recorded else ""
-    rows = f"{describe_count(found.rows, 'run')} over {keys}, {found.failed} failed"
+    failed = f", {found.failed} failed" if found.failed else ""
+    rows = f"{describe_count(found.rows, 'run')} over {keys}{failed}"
     print_text(
         fill_lines(
             [
@@ -301,7 +302,9 @@ def _describe_best(output: Path) -> str:
                 ends = np.nanmin(metric.values), np.nanmax(metric.values)
                 low, high = (format_short(float(end), metric.unit) for end in ends)
                 if low == high:
-                    return f"{metric.name} is {low} in every run that has a value"
+                    all_have = np.isfinite(metric.values).all()
+                    where = "every run" if all_have else "every run that has a value"
+                    return f"{metric.name} is {low} in {where}"
                 least = results.tell_row(int(np.nanargmin(metric.values)))
                 return f"{metric.name} is {low} to {high}, least with {least}"
     return "no metric has a value in any row"

@@ -49,7 +49,7 @@ def require_pictures(
     """
     for name, target in (("--plot", plot), ("--rrd", rrd)):
         if target is not None and len(drawn) > 1:
-            raise UsageError(f"{name}: expected one {of} to draw, found {len(drawn)}")
+            raise UsageError(f"{name}: draws one {of}, not {len(drawn)}")
     if plot is not None and plot.suffix.lower() not in PICTURES:
         raise UsageError(f"--plot {plot}: the name must end in .pdf, .png or .svg")
     require_new_target(plot, inputs, suffix="" if plot is None else plot.suffix.lower())
@@ -60,17 +60,17 @@ def require_new_folder(target: Path, *, file_suffixes: Sequence[str] = ()) -> No
     """Refuse a folder that could not be made, has files in it, or is named as a file."""
     with _name_target(target):
         if isinstance(target, RemotePath):
-            raise UsageError("expected the name of a new folder, found a URL, where only files are")
+            raise UsageError("a URL names a file here, not a folder")
         if target.suffix.lower() in file_suffixes:
             raise UsageError(
-                f"expected the name of a new folder, found a name that ends in {target.suffix}"
+                f"a new folder is written here, and its name must not end in {target.suffix}"
             )
         _require_place(_resolve(target))
         if target.is_dir():
             if any(target.iterdir()):
-                raise UsageError("expected the name of a new folder, found a folder with files")
+                raise UsageError("this folder has files; name a new one")
         elif target.exists() or target.is_symlink():
-            raise UsageError("expected the name of a new folder, found a file")
+            raise UsageError("this is a file; name a new folder")
 
 
 def require_apart(targets: Sequence[Path]) -> None:
@@ -79,9 +79,7 @@ def require_apart(targets: Sequence[Path]) -> None:
     for number, place in enumerate(places):
         for other in places[:number]:
             if place == other or place in other.parents or other in place.parents:
-                raise UsageError(
-                    f"{targets[number]}: expected a place of its own, found that of another output"
-                )
+                raise UsageError(f"{targets[number]}: is the place of another output, too")
 
 
 def _resolve(target: Path) -> Path:
@@ -92,13 +90,13 @@ def _resolve(target: Path) -> Path:
 def _require_replaceable(target: Path, inputs: Sequence[Path]) -> None:
     if not target.is_file():
         kind = "folder" if target.is_dir() else "device"
-        raise UsageError(f"expected the name of a file to write, found a {kind}")
+        raise UsageError(f"this is a {kind}; name a file to write")
     if not os.access(target, os.W_OK):
-        raise UsageError("expected a file that may be replaced, found it write-protected")
+        raise UsageError("this file is write-protected")
     for path in inputs:
         with suppress(OSError):  # an input that is not there is told when it is read
             if target.samefile(tl.log.split_topic(path)[0]):
-                raise UsageError("expected another file to write to, found the input itself")
+                raise UsageError("this is the input; name another file to write")
 
 
 def _require_writable(target: Path, inputs: Sequence[Path]) -> None:
@@ -116,14 +114,14 @@ def _require_url(target: RemotePath, inputs: Sequence[Path]) -> None:
 
     require_writable(target.url)
     if any(tl.log.split_topic(path)[0] == target for path in inputs):
-        raise UsageError("expected another file to write to, found the input itself")
+        raise UsageError("this is the input; name another file to write")
 
 
 def _require_place(target: Path) -> None:
     """Refuse what the folder does not take, found out with a file that is gone at once."""
     folder = target.absolute().parent
     if not folder.is_dir():
-        raise UsageError("expected a place that can be written, found no such folder")
+        raise UsageError("there is no such folder to write to")
     probe = folder / f".turtlelog-{os.urandom(6).hex()}.part"
     # Permissions alone do not tell: the disk may be read-only, or the name too long for it.
     probe.touch(exist_ok=False)
@@ -139,6 +137,4 @@ def _name_target(target: Path) -> Iterator[None]:
     except (UsageError, RemoteError) as err:
         raise UsageError(f"{target}: {err}") from err
     except OSError as err:
-        raise UsageError(
-            f"{target}: expected a place that can be written, found: {err.strerror or err}"
-        ) from err
+        raise UsageError(f"{target}: cannot be written: {err.strerror or err}") from err

@@ -20,6 +20,7 @@ from turtlelog.cli.theory_gains import (
     build_recommended,
 )
 from turtlelog.cli.theory_loops import (
+    DeclaredLoopAnswer,
     LoopAnswer,
     PidAnswer,
     answer_models,
@@ -148,11 +149,18 @@ def _name_option(text: str) -> str:
     name, colon, problem = text.partition(": ")
     if not colon or name not in _OPTIONS:
         return text
-    found = re.fullmatch(r"expected .* (> 0|from 0 to \S+), found (-?[\d.]+)", problem)
-    if found is None or (found[1] != "> 0" and not found[2].startswith("-")):
+    found = re.fullmatch(r"expected (.*?)((?:> 0|from 0 to \S+)?), found (\S+)", problem)
+    if found is None:
         return f"{_OPTIONS[name]}: {problem}"
-    bound = "greater than 0" if found[1] == "> 0" else "0 or greater"
-    return f"{_OPTIONS[name]} {found[2].removesuffix('.0')}: must be {bound}"
+    what, bound, value = found.groups()
+    is_number = re.fullmatch(r"-?[\d.]+", value) is not None
+    if is_number and not bound:
+        return f"{_OPTIONS[name]}: {problem}"
+    if is_number and (bound == "> 0" or value.startswith("-")):
+        must = "greater than 0" if bound == "> 0" else "0 or greater"
+    else:
+        must = f"{what}{bound}"
+    return f"{_OPTIONS[name]} {value.removesuffix('.0')}: must be {must}"
 
 
 _OPTIONS: Final = {
@@ -280,7 +288,7 @@ class _FileAnswer:
 
     name: str
     source: str
-    loops: list[dict[str, Any]]
+    loops: list[DeclaredLoopAnswer]
 
 
 class _Changes(NamedTuple):
@@ -299,7 +307,11 @@ def _answer_file(
     groups = wanted.recommend_for(models)
     if form.is_json:
         recommended = {loop: build_recommended(one) for one in groups for loop in one.loops}
-        loops = [build_declared_loop(one, recommended.get(one.title, [])) for one in answers]
+        loops = [
+            build_declared_loop(one.model, one.found, recommended.get(one.title, []))
+            for one in answers
+            if one.model is not None
+        ]
         print_json(_FileAnswer(name=name, source=source, loops=loops))
     else:
         label = tl.compare.name_file(word) if source == "recording" else name
@@ -314,7 +326,7 @@ def _read_models(
     if is_recording(path):
         if changes.kp is not None or changes.assignments:
             option = "--set" if changes.kp is None else "--kp"
-            raise UsageError(f"{option}: expected a scenario beside it, found a recording, {path}")
+            raise UsageError(f"{option}: needs a scenario; {path} is a recording")
         (run,) = read_runs([path], topics)
         return run.name, "recording", tl.measure.model_run_loops(run, identified=_identify(run))
     options = LawOptions(kp=_parse_one_gain(changes.kp), assignments=changes.assignments)
@@ -340,7 +352,7 @@ def _parse_one_gain(text: str | None) -> float | None:
         return None
     gains = _parse_gains(text)
     if len(gains) != 1:
-        raise UsageError(f"--kp: expected one gain beside SCENARIO, found {len(gains)}")
+        raise UsageError(f"--kp: takes one gain with SCENARIO, not {len(gains)}")
     return gains[0]
 
 
@@ -348,7 +360,9 @@ def _parse_gains(text: str) -> list[float]:
     try:
         gains = [float(word) for word in text.split(",")]
     except ValueError as err:
-        raise UsageError(f"--kp: expected gains as in 1,2,4,10, found {text[:60]!r}") from err
+        raise UsageError(
+            f"--kp {text[:60]}: must be gains with commas between, as in 1,2,4,10"
+        ) from err
     if len(gains) > _MOST_GAINS:
-        raise UsageError(f"--kp: expected at most {_MOST_GAINS} gains, found {len(gains)}")
+        raise UsageError(f"--kp: takes at most {_MOST_GAINS} gains, not {len(gains)}")
     return gains

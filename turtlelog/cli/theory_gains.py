@@ -39,10 +39,10 @@ class WishOptions:
         """
         percent, degrees = self.overshoot, self.phase_margin
         if percent is not None and not 0.0 <= percent < 100.0:
-            raise UsageError(f"--overshoot: expected percent from 0 to below 100, found {percent}")
+            raise UsageError(f"--overshoot {percent}: must be percent from 0 to below 100")
         if degrees is not None and not 0.0 < degrees < 180.0:
             expected = "degrees above 0 and below 180"
-            raise UsageError(f"--phase-margin: expected {expected}, found {degrees}")
+            raise UsageError(f"--phase-margin {degrees}: must be {expected}")
         if percent is None and degrees is None:
             return Wishes(
                 overshoot_percent=tl.theory.OVERSHOOT_PERCENT,

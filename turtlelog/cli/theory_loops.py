@@ -1,9 +1,9 @@
 """Sampled loops of any kind as tables and JSON: those of options, scenarios and recordings."""
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
 
 import turtlelog as tl
 from turtlelog.cli.theory_gains import RecommendedGains
@@ -100,23 +100,51 @@ def build_pid_loop(loop: "PidLoop") -> PidAnswer:
     )
 
 
-def build_declared_loop(answer: LoopAnswer, recommended: list[RecommendedGains]) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeclaredLoopAnswer:
+    """A loop that a law declares.
+
+    Attributes:
+        loop: Its name.
+        signal: What it controls.
+        command: By what.
+        status: `ok`, or `unknown` if its gains or its plant are not known.
+        reason: Why it is unknown.
+        sources: Where the values come from.
+        left_out: Settings that theory's linear loop leaves out.
+        most_dead_time_s: The dead time that queues may let it grow to [s].
+        sampled: The sampled loop; None if it is unknown.
+        recommended: Gains.
+    """
+
+    loop: str
+    signal: str
+    command: str
+    status: Literal["ok", "unknown"]
+    reason: str | None
+    sources: Mapping[str, str]
+    left_out: list[str]
+    most_dead_time_s: float | None
+    sampled: PidAnswer | None
+    recommended: list[RecommendedGains]
+
+
+def build_declared_loop(
+    model: "LoopModel", found: "PidLoop | None", recommended: list[RecommendedGains]
+) -> DeclaredLoopAnswer:
     """Return a declared loop for JSON: where values come from, and they, where it is known."""
-    model, found = answer.model, answer.found
-    if model is None:
-        return {}
-    return {
-        "loop": model.loop.name,
-        "signal": model.loop.signal,
-        "command": model.loop.command,
-        "status": "ok" if found else "unknown",
-        "reason": model.reason or None,
-        "from": dict(model.sources),
-        "left_out": list(model.left_out),
-        "most_dead_time_s": model.most_dead_time_s,
-        **({} if found is None else asdict(build_pid_loop(found))),
-        "recommended": recommended,
-    }
+    return DeclaredLoopAnswer(
+        loop=model.loop.name,
+        signal=model.loop.signal,
+        command=model.loop.command,
+        status="ok" if found else "unknown",
+        reason=model.reason or None,
+        sources=dict(model.sources),
+        left_out=list(model.left_out),
+        most_dead_time_s=model.most_dead_time_s,
+        sampled=None if found is None else build_pid_loop(found),
+        recommended=recommended,
+    )
 
 
 def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":

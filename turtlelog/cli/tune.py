@@ -82,14 +82,14 @@ class GoalOptions:
         """Return how many candidates there are to be."""
         found = _FOR_EACH_KEY * keys if self.evaluations is None else self.evaluations
         if found < _FEWEST:
-            raise UsageError(f"--evaluations: expected at least {_FEWEST}, found {found}")
+            raise UsageError(f"--evaluations {found}: must be at least {_FEWEST}")
         return found
 
     def choose_seed(self) -> int:
         """Return the seed."""
         seed = self.seed or 0
         if seed < 0:
-            raise UsageError(f"--seed: expected at least 0, found {seed}")
+            raise UsageError(f"--seed {seed}: must be 0 or greater")
         return seed
 
 
@@ -118,11 +118,11 @@ class RobustnessOptions:
         if self.monte_carlo is None:
             for name, is_given in (("--spread", self.spread), ("--robot", self.robot)):
                 if is_given:
-                    raise UsageError(f"{name}: expected --monte-carlo beside it, found none")
+                    raise UsageError(f"{name}: needs --monte-carlo COUNT")
             return 0
         if not 1 <= self.monte_carlo <= _MOST_VARIANTS:
             most = f"from 1 to {_MOST_VARIANTS:,}"
-            raise UsageError(f"--monte-carlo: expected {most}, found {self.monte_carlo}")
+            raise UsageError(f"--monte-carlo {self.monte_carlo}: must be {most}")
         return self.monte_carlo
 
     def list_variations(self, scenario: "Scenario", varied: list[str]) -> "list[Variation]":
@@ -141,7 +141,7 @@ class RobustnessOptions:
             ]
         for one in found:
             if one.key in varied:
-                raise UsageError(f"--spread: expected keys that are not tuned, found {one.key}")
+                raise UsageError(f"--spread: {one.key} is tuned by --grid; leave one of them out")
         return found
 
 
@@ -224,7 +224,7 @@ def _parse_keys(
     keys = tl.tune.parse_searched_keys(vary, known)
     for key in keys:
         if key.key in given:
-            raise UsageError(f"--set: expected keys that are not tuned, found {key.key}")
+            raise UsageError(f"--set: {key.key} is tuned by --grid; leave one of them out")
     lows = {key.key: key.low for key in keys if key.key not in known}
     whole = {key: int(low) if float(low).is_integer() else low for key, low in lows.items()}
     scenario = tl.override_scenario(scenario, whole, source="--grid")

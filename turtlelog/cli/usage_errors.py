@@ -33,8 +33,8 @@ _SHORT: Final = 40
 
 _OPTIONS: Final = MappingProxyType(
     {
-        "--metric": "--only", "--metrics": "--only", "--figures": "--only", "--figure": "--only",
-        "--columns": "--only", "--mechanisms": "--causes", "--effects": "--causes",
+        "--metrics": "--metric", "--only": "--metric", "--figures": "--only", "--figure": "--only",
+        "--columns": "--metric", "--mechanisms": "--causes", "--effects": "--causes",
         "--vary": "--grid", "--out": "--output", "--recover": "--partial",
         "--delay": "--dead-time-s", "--signals": "--details", "--verbose": "--details",
         "--format": "--json", "--force": "--yes", "--gain": "--kp", "--minimize": "--minimise",
@@ -131,7 +131,8 @@ def _describe_missing(err: Any) -> str:
     if err.keyword:
         return f"{_name_command(err)}: {err.keyword} needs {_describe_value(argument)}"
     name = argument.name if argument.index is None else _name_place(argument)
-    return f"{_name_command(err)} needs {name}. {_show_usage(err)}"
+    choices = f": {_describe_value(argument)}" if argument.get_choices(force=True) else ""
+    return f"{_name_command(err)} needs {name}{choices}. {_show_usage(err)}"
 
 
 def _describe_count(err: Any) -> str:

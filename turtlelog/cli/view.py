@@ -8,17 +8,27 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.charts.endings import describe_runs
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import Connect, Files, Place, ReadingOptions, read_runs, require_files
-from turtlelog.cli.output import outlive_reader, print_note, print_text
+from turtlelog.cli.output import (
+    fill_lines,
+    list_written,
+    outlive_reader,
+    print_note,
+    print_text,
+)
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import Run
 
 _LONGEST_S = 1e9
 _HOUR_S = 3600.0
@@ -102,23 +112,22 @@ def view(
             _follow(files[0], window.connect)
         return
     if movie.movie is not None:
-        _film(files, movie, picture.timeline, topics)
+        runs = _film(files, movie, picture.timeline, topics)
+        _tell([movie.movie], runs)
         if save is None and picture.snapshot is None and not window.web:
             return
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
-        rrds, span_s = _prepare_rrds(files, save, picture, Path(folder), topics)
-        if save is not None:
-            print_note(f"wrote {save}")
+        rrds, runs = _prepare_rrds(files, save, picture, Path(folder), topics)
         if picture.snapshot is not None:
             with show_progress("taking the picture"):
                 tl.draw.write_snapshot(
                     rrds[0],
                     picture.snapshot,
-                    at_s=_choose_time(picture, span_s),
+                    at_s=_choose_time(picture, _find_span(runs)),
                     timeline=picture.timeline,
                     size=width_and_height,
                 )
-            print_note(f"wrote {picture.snapshot}")
+        _tell([path for path in (save, picture.snapshot) if path is not None], runs)
         with suppress(KeyboardInterrupt):  # a look ends so, too
             if window.web:
                 _serve(rrds)
@@ -126,27 +135,34 @@ def view(
                 tl.open_viewer(rrds)
 
 
+def _tell(written: Sequence[Path], runs: "Sequence[Run]") -> None:
+    """Say how the runs ended that a file shows, and what was written."""
+    if written:
+        ending = [fill_lines([describe_runs(runs)])] if runs else []
+        print_text("\n".join([*ending, *list_written(written)]))
+
+
 def _film(
     files: list[Path], movie: MovieOptions, timeline: str, topics: ReadingOptions | None
-) -> None:
+) -> "list[Run]":
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready:
-        raise UsageError(f"--movie: expected recordings, found {ready[0]}, which is a view already")
-    film_runs(read_runs(files, topics), movie, timeline=timeline)
-    print_note(f"wrote {movie.movie}")
+        raise UsageError(f"--movie: {ready[0]} is a view already; name recordings")
+    runs = read_runs(files, topics)
+    film_runs(runs, movie, timeline=timeline)
+    return runs
 
 
 def _require_picture(picture: PictureOptions, movie: MovieOptions) -> None:
     if picture.at is not None and not abs(picture.at) < _LONGEST_S:
-        raise UsageError(f"--at: expected seconds, less than {_LONGEST_S:g}, found {picture.at:g}")
+        raise UsageError(f"--at {picture.at:g}: must be seconds below {_LONGEST_S:g}")
     if picture.at is not None and picture.snapshot is None:
-        raise UsageError(f"--at: expected together with --snapshot, found {picture.at:g}")
+        raise UsageError("--at: needs --snapshot NAME.png")
     if picture.size != _USUAL_SIZE and picture.snapshot is None:
-        raise UsageError(f"--size: expected together with --snapshot, found {picture.size}")
+        raise UsageError("--size: needs --snapshot NAME.png")
     is_timed = picture.snapshot is not None or movie.movie is not None
     if picture.timeline != "sim_time" and not is_timed:
-        expected = "expected together with --snapshot or --movie"
-        raise UsageError(f"--timeline: {expected}, found {picture.timeline}")
+        raise UsageError("--timeline: needs --snapshot NAME.png or --movie NAME.mp4")
 
 
 def _require_one_way(
@@ -154,13 +170,15 @@ def _require_one_way(
 ) -> None:
     writes = any(output is not None for output in outputs)
     if window.connect is not None and not window.follow:
-        raise UsageError(f"--connect: expected together with --follow, found {window.connect}")
+        raise UsageError("--connect: needs --follow")
     if window.follow and (window.web or writes):
-        raise UsageError("--follow: expected a window, found another option that opens none")
+        raise UsageError(
+            "--follow: leave out --save, --snapshot, --movie and --web, which open no window"
+        )
     if window.follow and (len(files) > 1 or files[0].suffix.lower() != ".mcap"):
         raise UsageError(
-            "--follow: expected one .mcap file that is being recorded,"
-            f" found {len(files) if len(files) > 1 else files[0]}"
+            "--follow: takes one .mcap file that is being recorded, not"
+            f" {len(files) if len(files) > 1 else files[0]}"
         )
 
 
@@ -183,13 +201,11 @@ def _serve(rrds: list[Path]) -> None:
 def _parse_size(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
     if found is None:
-        raise UsageError(f"--size: expected WIDTHxHEIGHT up to 9999, found {text!r}")
+        raise UsageError(f"--size {text}: must be WIDTHxHEIGHT, each up to 9999 pixels")
     width, height = int(found[1]), int(found[2])
     if width < _LEAST_SIZE[0] or height < _LEAST_SIZE[1]:
         least = "x".join(map(str, _LEAST_SIZE))
-        raise UsageError(
-            f"--size: expected at least {least}, as no curve shows below, found {text}"
-        )
+        raise UsageError(f"--size {text}: must be at least {least}, below which no curve shows")
     return width, height
 
 
@@ -199,15 +215,17 @@ def _prepare_rrds(
     picture: PictureOptions,
     folder: Path,
     topics: ReadingOptions | None,
-) -> tuple[list[Path], tuple[float, float] | None]:
-    """Return the views, and where the first pose and the longest run's end are [s], if known."""
+) -> tuple[list[Path], "list[Run]"]:
+    """Return the views, and their runs, if known."""
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready and (len(ready) < len(files) or save is not None):
-        raise UsageError(f"FILE: expected recordings, found {ready[0]}, which is a view already")
+        raise UsageError(
+            f"{ready[0]}: is a view already; name recordings, or views alone without --save"
+        )
     if len(ready) > 1 and picture.snapshot is not None:
-        raise UsageError(f"--snapshot: expected one view, found {len(ready)}")
+        raise UsageError(f"--snapshot: takes one view, not {len(ready)}")
     if ready:
-        return ready, None
+        return ready, []
     runs = read_runs(files, topics)
     rrd = save or folder / "view.rrd"
     with show_progress("drawing"):
@@ -216,8 +234,15 @@ def _prepare_rrds(
             tl.write_run_rrd(runs[0], rrd, size=size)
         else:
             tl.write_comparison_rrd(runs, rrd, size=size)
+    return [rrd], runs
+
+
+def _find_span(runs: "Sequence[Run]") -> tuple[float, float] | None:
+    """Return where the first pose and the longest run's end are [s]; None without runs."""
+    if not runs:
+        return None
     start_ns = min(int(run.poses.time_ns[0]) - run.start_ns for run in runs)
-    return [rrd], (start_ns / 1e9, max(run.end_ns - run.start_ns for run in runs) / 1e9)
+    return start_ns / 1e9, max(run.end_ns - run.start_ns for run in runs) / 1e9
 
 
 def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) -> float | None:
@@ -228,8 +253,8 @@ def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) ->
     if picture.at is None:
         return end_s
     if picture.at > end_s + _ROUNDING_S:
-        raise UsageError(f"--at: expected at most {end_s:.3f} s, where it ends, found {picture.at}")
+        raise UsageError(f"--at {picture.at}: must be at most {end_s:.3f} s, where it ends")
     if picture.at < start_s - _ROUNDING_S:
-        expected = f"expected at least {start_s:.3f} s, where it begins"
-        raise UsageError(f"--at: {expected}, found {picture.at}")
+        least = f"must be at least {start_s:.3f} s, where it begins"
+        raise UsageError(f"--at {picture.at}: {least}")
     return picture.at

@@ -39,12 +39,12 @@ def list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ..
     files = tuple(file for file in (scenario_file, law_file) if file is not None)
     if not files:
         raise UsageError(
-            "--watch: expected a law of the form path.py:Class, or a scenario file,"
-            f" found no file to watch: the law {kind}"
+            f"--watch: the law {kind} has no file to watch; name a scenario file, or a law as"
+            " path.py:Class"
         )
     for file in files:
         if not file.is_file():
-            raise UsageError(f"{file}: expected a file to watch, found none")
+            raise UsageError(f"{file}: no such file to watch")
     return files
 
 

@@ -137,7 +137,7 @@ def _describe_spans(placed: tuple[tuple[Run, int], ...]) -> str:
 def _align_by_number(reference: Run, run: Run) -> CommonClock:
     for found in (reference, run):
         if not len(found.samples):
-            raise CompareError(f"{found.name}: expected samples to align by number, found none")
+            raise CompareError(f"{found.name}: no samples to align by number")
     count = min(len(reference.samples), len(run.samples))
     return _SampleClock(time_ns=reference.samples.time_ns[:count] - reference.start_ns)
 

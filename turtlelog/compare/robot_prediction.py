@@ -219,9 +219,7 @@ def _require_sense(run: Run, scenario: Scenario, horizons_s: Sequence[float]) ->
             f"horizons_s: expected times above 0 s, found {[*map(float, horizons_s)]}"
         )
     if not len(run.commands):
-        raise CompareError(
-            f"{run.name}: expected commands to drive the simulated robot with, found none"
-        )
+        raise CompareError(f"{run.name}: no commands to drive the simulated robot with")
 
 
 def _take_part(run: Run, scenario: Scenario) -> tuple[Run, list[str]]:
@@ -231,7 +229,7 @@ def _take_part(run: Run, scenario: Scenario) -> tuple[Run, list[str]]:
     until_ns = poses.time_ns[0] + round(longest_s * 1e9)
     kept = ~poses.dropped_out & (poses.time_ns <= until_ns)
     if not kept.any():
-        raise CompareError(f"{run.name}: expected poses that were sensed, found none")
+        raise CompareError(f"{run.name}: no poses that were sensed")
     if poses.time_ns[-1] > until_ns:
         whole_s = (poses.time_ns[-1] - poses.time_ns[0]) / 1e9
         notes = [f"The first {longest_s:g} s of {whole_s:.0f} s are compared."]

@@ -308,7 +308,7 @@ def choose_columns(
         chosen |= dict.fromkeys(found)
     if only and not chosen:
         asked = ", ".join(only)
-        raise CompareError(f"{source}: expected metrics of these runs, found none for {asked}")
+        raise CompareError(f"{source}: these runs have no metric {asked}")
     return tuple(chosen)
 
 

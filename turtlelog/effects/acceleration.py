@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from turtlelog.arithmetic import clip, least, most
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Effect, Positive, absent
 
 
@@ -119,19 +119,19 @@ PART = Effect(
     tables={"limits": AccelerationKeys},
     actions={"limit": Action(step=follow)},
     State=Followers,
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="acceleration",
-            kind="property",
+            kind="design",
             neutral={
                 "limits.acceleration_m_s2": math.inf,
                 "limits.turn_acceleration_rad_s2": math.inf,
             },
             meaning="no limit of acceleration",
         ),
-        Mechanism(
+        Cause(
             name="jerk",
-            kind="property",
+            kind="design",
             neutral={"limits.jerk_m_s3": math.inf, "limits.turn_jerk_rad_s3": math.inf},
             meaning="no limit of jerk",
         ),

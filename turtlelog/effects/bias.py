@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Effect, Offset, absent
 
 
@@ -35,8 +35,8 @@ PART = Effect(
     name="bias",
     tables={"sensing": BiasKeys},
     actions={"sense": Action(step=add_bias)},
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="bias",
             kind="effect",
             neutral={"sensing.bias_position_m": 0.0, "sensing.bias_heading_rad": 0.0},

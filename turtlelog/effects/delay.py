@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from turtlelog.arithmetic import to_ns
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Complaint, Effect, Ticks, Time, absent
 
 
@@ -71,8 +71,8 @@ PART = Effect(
         "command_travel": Action(step=delay_command, keys=("loop.transport_delay_s",)),
         "pose_travel": Action(step=delay_pose, keys=("sensing.delay_s",)),
     },
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="delay",
             kind="effect",
             neutral={

@@ -7,7 +7,7 @@ from typing import Any
 
 from turtlelog.arithmetic import to_ns
 from turtlelog.effects.delay import judge_delays
-from turtlelog.loops import PUSH_KEYS, Mechanism
+from turtlelog.loops import PUSH_KEYS, Cause
 from turtlelog.parts import (
     NEVER_NS,
     Action,
@@ -109,8 +109,8 @@ PART = Effect(
         ),
         "next_push": Action(step=find_next_push),
     },
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="disturbance",
             kind="effect",
             neutral=dict.fromkeys(PUSH_KEYS, 0.0),

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Effect, Probability, Stream, absent
 
 
@@ -39,8 +39,8 @@ PART = Effect(
             ),
         )
     },
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="dropout",
             kind="effect",
             neutral={"sensing.dropout_probability": 0.0},

@@ -6,7 +6,7 @@ from typing import Any
 
 from turtlelog.arithmetic import nearest_int
 from turtlelog.effects.delay import judge_delays
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Complaint, Effect, Stream, Time, absent
 
 
@@ -68,8 +68,8 @@ PART = Effect(
             keys=("sensing.jitter_s",),
         ),
     },
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="jitter",
             kind="effect",
             neutral={"loop.jitter_s": 0.0, "sensing.jitter_s": 0.0},

@@ -6,7 +6,7 @@ from typing import Any
 
 from turtlelog.arithmetic import to_ns
 from turtlelog.effects.delay import judge_delays
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Complaint, Effect, Probability, Stream, Time, absent
 
 
@@ -58,8 +58,8 @@ PART = Effect(
             ),
         )
     },
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="late",
             kind="effect",
             neutral={"loop.late_probability": 0.0},

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Effect, Probability, Stream, absent
 
 
@@ -40,8 +40,8 @@ PART = Effect(
             ),
         )
     },
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="loss",
             kind="effect",
             neutral={"loop.loss_probability": 0.0},

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Effect, Size, Stream, absent
 
 
@@ -47,8 +47,8 @@ PART = Effect(
             ),
         )
     },
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="noise",
             kind="effect",
             neutral=_NEUTRAL,

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Complaint, Effect, Probability, Size, Stream, absent
 
 
@@ -68,8 +68,8 @@ PART = Effect(
             ),
         )
     },
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="outlier",
             kind="effect",
             neutral={"sensing.outlier_probability": 0.0},

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Effect
 
 FLOAT64: Final = 1
@@ -24,10 +24,10 @@ class PrecisionKeys:
 PART = Effect(
     name="float32",
     tables={"loop": PrecisionKeys},
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="float32",
-            kind="property",
+            kind="design",
             neutral={"loop.pose_precision": "float64"},
             meaning="poses of 64 bits",
         ),

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from turtlelog.arithmetic import round_to_step
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Effect, Size, absent
 
 
@@ -32,8 +32,8 @@ PART = Effect(
     name="quantum",
     tables={"sensing": QuantumKeys},
     actions={"sense": Action(step=round_pose)},
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="quantum",
             kind="effect",
             neutral={"sensing.quantum_position_m": 0.0, "sensing.quantum_heading_rad": 0.0},

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Count, Effect
 
 NEWEST: Final = 1
@@ -31,8 +31,8 @@ class QueueKeys:
 PART = Effect(
     name="queue",
     tables={"loop": QueueKeys},
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="queue",
             kind="effect",
             neutral={"loop.queue_policy": "newest", "loop.start_backlog": 1},

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import MAY_BE_INFINITE, Action, Effect, Positive
 
 
@@ -36,10 +36,10 @@ PART = Effect(
     name="saturation",
     tables={"limits": SaturationKeys},
     actions={"limit": Action(step=saturate)},
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="saturation",
-            kind="property",
+            kind="design",
             neutral={"limits.speed_m_s": math.inf, "limits.turn_rate_rad_s": math.inf},
             meaning="no limit of speed and turn rate",
         ),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from turtlelog.arithmetic import round_to_step
-from turtlelog.loops import Mechanism
+from turtlelog.loops import Cause
 from turtlelog.parts import Action, Complaint, Effect, Size, Time, absent
 
 
@@ -89,10 +89,10 @@ PART = Effect(
     tables={"shaping": ShapingKeys},
     actions={"shape": Action(step=shape)},
     State=Filters,
-    mechanisms=(
-        Mechanism(
+    causes=(
+        Cause(
             name="shaping",
-            kind="property",
+            kind="design",
             neutral={
                 "shaping.low_pass_s": 0.0,
                 "shaping.dead_zone_speed_m_s": 0.0,

@@ -1,8 +1,7 @@
 from .attribute import (
     attribute_run as attribute_run,
     attribute_scenario as attribute_scenario,
-    choose_metric as choose_metric,
-    require_mechanisms as require_mechanisms,
+    require_causes as require_causes,
 )
 from .attribution import (
     Attribution as Attribution,
@@ -13,6 +12,11 @@ from .attribution import (
     StartRange as StartRange,
     Together as Together,
     ValueSet as ValueSet,
+    choose_metric as choose_metric,
+)
+from .causes import (
+    find_causes as find_causes,
+    simulate_without as simulate_without,
 )
 from .game import (
     Work as Work,
@@ -35,10 +39,6 @@ from .luck import (
     Luck as Luck,
     LuckCurve as LuckCurve,
     measure_luck as measure_luck,
-)
-from .mechanisms import (
-    find_mechanisms as find_mechanisms,
-    simulate_without as simulate_without,
 )
 from .motion_facts import (
     Delays as Delays,

@@ -11,20 +11,21 @@ from turtlelog.explain.attribution import (
     Contribution,
     Together,
     ValueSet,
+    choose_metric,
     find_resolution,
+)
+from turtlelog.explain.causes import (
+    LOOP_CAUSES,
+    SAMPLING,
+    describe_no_sampling,
+    find_cause,
+    find_causes,
+    list_effects,
 )
 from turtlelog.explain.game import Coalition, Game, Outcome, Work, list_coalitions
 from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import LOOP_KEYS, Certainty, Finding, Identification
 from turtlelog.explain.identify import identify_run
-from turtlelog.explain.mechanisms import (
-    LOOP_MECHANISMS,
-    SAMPLING,
-    describe_no_sampling,
-    find_mechanism,
-    find_mechanisms,
-    list_effects,
-)
 from turtlelog.explain.seeds import describe_alone, divide_over_seeds
 from turtlelog.explain.shapley import (
     Worth,
@@ -33,28 +34,15 @@ from turtlelog.explain.shapley import (
     find_smallest,
 )
 from turtlelog.explain.starts import vary_start
-from turtlelog.laws import LAWS, find_law, list_mechanisms
-from turtlelog.loops import Declaration, Mechanism
+from turtlelog.laws import LAWS, find_law, list_causes
+from turtlelog.loops import Cause, Declaration
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 
-
-def choose_metric(declaration: Declaration) -> str:
-    """Return the metric to explain where none is named: what matters most to runs of a law.
-
-    The final position error; without a goal the rms error of the loop that is declared last, of a
-    law that tracks a path the cross-track error; without a loop the way.
-    """
-    if declaration.uses_goal:
-        return "final.position_error"
-    loops = [loop.name for loop in declaration.loops]
-    return f"{loops[-1]}.rms_error" if loops else "run.path_length"
-
-
 _MOST: Final = 6
-"""Mechanisms that take part: 64 simulations, a second or two of the paper's runs, and with random
+"""Causes that take part: 64 simulations, a second or two of the paper's runs, and with random
 effects 32 times as many; each more doubles them."""
 
 _AGREEMENT: Final = 0.1
@@ -73,12 +61,12 @@ def attribute_run(
     run: Run,
     *,
     metric: str | None = None,
-    mechanisms: Sequence[str] | None = None,
+    causes: Sequence[str] | None = None,
     identified: Identification | None = None,
     trust_law: bool = False,
     work: Work | None = None,
 ) -> Attribution:
-    """Attribute a value of a run to mechanisms of the scenario that stands for it.
+    """Attribute a value of a run to causes of the scenario that stands for it.
 
     That is the identified one, or the recorded one of a law that none is identified of, where its
     re-simulation reproduces the run. Shares are withheld where the log's value and the
@@ -88,7 +76,7 @@ def attribute_run(
     Args:
         run: Whose value it is.
         metric: Its id; None for that which `choose_metric` finds.
-        mechanisms: Those that take part; otherwise every effect that is in the scenario.
+        causes: Those that take part; otherwise every effect that is in the scenario.
         identified: What `identify_run` found, where that is known already.
         trust_law: Run the law that the recording names, where it is not built in: its code.
         work: How to simulate.
@@ -98,11 +86,11 @@ def attribute_run(
         ScenarioError: Where the recorded law is neither built in nor trusted, or not there.
     """
     metric = metric or choose_metric(run.declaration)
-    require_mechanisms(run, metric, mechanisms)
+    require_causes(run, metric, causes)
     require_trust(run, trust_law=trust_law)
     identified = identified or identify_run(run, trust_law=trust_law)
     scenario = identified.build_scenario()
-    found = attribute_scenario(scenario, metric=metric, mechanisms=mechanisms, work=work)
+    found = attribute_scenario(scenario, metric=metric, causes=causes, work=work)
     logged = measure_run(run, only=[metric])[metric]
     found = replace(found, as_logged=logged.value, reason=logged.reason or found.reason or None)
     is_identified = scenario.law.kind == DEFAULT_LAW and not identified.is_recorded
@@ -114,7 +102,7 @@ def attribute_run(
         return replace(found, withheld=obstacle, contributions=())
     if not is_identified:
         return found
-    table = find_mechanisms(scenario)
+    table = find_causes(scenario)
     acting = [table[name] for name in found.acting]
     return replace(found, doubts=tuple(_list_doubts(identified.findings, acting)))
 
@@ -123,17 +111,17 @@ def attribute_scenario(
     scenario: Scenario,
     *,
     metric: str | None = None,
-    mechanisms: Sequence[str] | None = None,
+    causes: Sequence[str] | None = None,
     work: Work | None = None,
 ) -> Attribution:
-    """Attribute a value of a scenario to mechanisms.
+    """Attribute a value of a scenario to causes.
 
-    All 2^n sets of n mechanisms are simulated, with each of 32 seeds where one that is in draws
+    All 2^n sets of n causes are simulated, with each of 32 seeds where one that is in draws
     random numbers. Of more than six, those six take part that change the value most, alone out or
     alone in; the others stay as recorded.
 
     Raises:
-        ExplainError: Where a metric or mechanism is not known, a mechanism stands twice, or there
+        ExplainError: Where a metric or cause is not known, a cause stands twice, or there
             are none.
         ScenarioError: Where the law cannot be loaded, or may not run.
         SimulationError: Where the law fails without one of them.
@@ -142,15 +130,15 @@ def attribute_scenario(
     declaration = declare_scenario(scenario)
     metric = metric or choose_metric(declaration)
     game = Game(scenario, metric, work)
-    table = game.mechanisms
+    table = game.causes
     _require_metric(declaration, metric)
-    _require_distinct(mechanisms)
-    for name in mechanisms or ():
-        find_mechanism(name, table, scenario)
+    _require_distinct(causes)
+    for name in causes or ():
+        find_cause(name, table, scenario)
     present = game.present
-    if mechanisms is None:
-        mechanisms = [name for name in list_effects(table) if name in present]
-    chosen = _choose_mechanisms(game, mechanisms)
+    if causes is None:
+        causes = [name for name in list_effects(table) if name in present]
+    chosen = _choose_causes(game, causes)
     others = [name for name in present if name not in chosen]
     game.prepare(
         [*({*chosen} - inside for inside in list_coalitions(chosen)), *([o] for o in others)]
@@ -166,7 +154,7 @@ def attribute_scenario(
         others=tuple(describe_alone(game, name) for name in others),
         resolution=find_resolution(scenario, declaration, metric, built.value or 0.0),
         reason=built.reason or None,
-        left=tuple(name for name in mechanisms if name in others),
+        left=tuple(name for name in causes if name in others),
         effects=list_effects(table),
         remarks=() if SAMPLING in table else (_write_no_sampling(scenario),),
     )
@@ -183,23 +171,23 @@ def attribute_scenario(
     return _divide(found, game, scenario, worth)
 
 
-def require_mechanisms(run: Run, metric: str, mechanisms: Sequence[str] | None) -> None:
-    """Require a metric of the run, and different mechanisms that it may have. Loads no code.
+def require_causes(run: Run, metric: str, causes: Sequence[str] | None) -> None:
+    """Require a metric of the run, and different causes that it may have. Loads no code.
 
-    The mechanisms of a law that is not built in are known when it runs.
+    The causes of a law that is not built in are known when it runs.
 
     Raises:
         ExplainError: Where they are not; with the names nearest to it.
     """
     _require_metric(run.declaration, metric)
-    _require_distinct(mechanisms)
+    _require_distinct(causes)
     kind = str(run.parameters.get("law.kind", DEFAULT_LAW))
     if kind not in LAWS:
         return
-    known = [*LOOP_MECHANISMS, *list_mechanisms(find_law(kind))]
-    table = {mechanism.name: mechanism for mechanism in known}
-    for name in mechanisms or ():
-        find_mechanism(name, table, Scenario())
+    known = [*LOOP_CAUSES, *list_causes(find_law(kind))]
+    table = {cause.name: cause for cause in known}
+    for name in causes or ():
+        find_cause(name, table, Scenario())
 
 
 def _require_metric(declaration: Declaration, metric: str) -> None:
@@ -208,11 +196,11 @@ def _require_metric(declaration: Declaration, metric: str) -> None:
         raise ExplainError(describe_no_metric(metric, known))
 
 
-def _require_distinct(mechanisms: Sequence[str] | None) -> None:
-    if mechanisms is None:
+def _require_distinct(causes: Sequence[str] | None) -> None:
+    if causes is None:
         return
-    if not mechanisms or len({*mechanisms}) < len(mechanisms):
-        raise ExplainError(f"mechanisms: expected different ones, found {', '.join(mechanisms)}")
+    if not causes or len({*causes}) < len(causes):
+        raise ExplainError(f"causes: expected different ones, found {', '.join(causes)}")
 
 
 def _write_no_sampling(scenario: Scenario) -> str:
@@ -220,21 +208,21 @@ def _write_no_sampling(scenario: Scenario) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _choose_mechanisms(game: Game, mechanisms: Sequence[str]) -> list[str]:
-    if len(mechanisms) <= _MOST:
-        return [*mechanisms]
+def _choose_causes(game: Game, causes: Sequence[str]) -> list[str]:
+    if len(causes) <= _MOST:
+        return [*causes]
 
-    every = [*mechanisms]
+    every = [*causes]
     alone = [[*filter(name.__ne__, every)] for name in every]
     game.prepare([[], every, *alone, *([name] for name in every)])
 
     def weigh(name: str) -> float:
-        others = [other for other in mechanisms if other != name]
+        others = [other for other in causes if other != name]
         out = _compare(game.take_out(), game.take_out([name]))
-        return max(out, _compare(game.take_out(others), game.take_out(mechanisms)))
+        return max(out, _compare(game.take_out(others), game.take_out(causes)))
 
-    chosen = sorted(mechanisms, key=weigh, reverse=True)[:_MOST]
-    return [name for name in mechanisms if name in chosen]
+    chosen = sorted(causes, key=weigh, reverse=True)[:_MOST]
+    return [name for name in causes if name in chosen]
 
 
 def _compare(left: Outcome, right: Outcome) -> float:
@@ -320,13 +308,13 @@ def _withhold_alone(contribution: Contribution, findings: Mapping[str, Finding])
     )
 
 
-def _list_gains(mechanism: str) -> tuple[str, ...]:
-    """Return the gains that decide what a mechanism's absence makes: of clipped commands, any."""
-    return ("law.kp_angular", "law.kp_linear") if mechanism == "saturation" else ()
+def _list_gains(cause: str) -> tuple[str, ...]:
+    """Return the gains that decide what a cause's absence makes: of clipped commands, any."""
+    return ("law.kp_angular", "law.kp_linear") if cause == "saturation" else ()
 
 
-def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[Mechanism]) -> Iterator[str]:
-    """Yield what is not proven of the settings that the acting mechanisms take out."""
+def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[Cause]) -> Iterator[str]:
+    """Yield what is not proven of the settings that the acting causes take out."""
     concerned = [(*found.neutral, *_list_gains(found.name)) for found in acting]
     keys = [key for names in concerned for key in names if key in findings]
     found = {findings[key].certainty for key in keys}

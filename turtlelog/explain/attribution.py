@@ -363,3 +363,15 @@ class Attribution:
                 rows.insert(sum(one.contribution is not None for one in self.changing), row)
         table = format_html(rows, heads=heads, title=f"What caused {self.metric}")
         return table + "".join(f"\n<p>{escape(text)}</p>" for text in self.sentences)
+
+
+def choose_metric(declaration: Declaration) -> str:
+    """Return the metric to explain where none is named: what matters most to runs of a law.
+
+    The final position error; without a goal the rms error of the loop that is declared last, of a
+    law that tracks a path the cross-track error; without a loop the way.
+    """
+    if declaration.uses_goal:
+        return "final.position_error"
+    loops = [loop.name for loop in declaration.loops]
+    return f"{loops[-1]}.rms_error" if loops else "run.path_length"

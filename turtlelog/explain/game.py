@@ -1,7 +1,7 @@
-"""A value as a game: a scenario simulated without any set of its mechanisms, over seeds.
+"""A value as a game: a scenario simulated without any set of its causes, over seeds.
 
-Where a mechanism that is in draws random numbers, one run says little of it: such a scenario is
-simulated with every one of `SEEDS`, and the same seeds with and without a mechanism.
+Where a cause that is in draws random numbers, one run says little of it: such a scenario is
+simulated with every one of `SEEDS`, and the same seeds with and without a cause.
 """
 
 import time
@@ -14,15 +14,15 @@ from statistics import fmean
 from typing import Final
 
 from turtlelog.errors import ExplainError, SimulationError
-from turtlelog.explain.law_identification import describe_phase
-from turtlelog.explain.mechanisms import (
+from turtlelog.explain.causes import (
     SAMPLING,
     draws_random,
-    find_mechanisms,
+    find_causes,
     is_present,
     simulate_finer,
     take_out,
 )
+from turtlelog.explain.law_identification import describe_phase
 from turtlelog.laws import LAWS
 from turtlelog.measure import measure_run
 from turtlelog.processes import count_cores, map_in_processes
@@ -47,10 +47,10 @@ _LONG_S: Final = 6.0
 """Work for more than one process [s]: to start one takes one or two."""
 
 Coalition = frozenset[str]
-"""The mechanisms that are in."""
+"""The causes that are in."""
 
 _Play = tuple[frozenset[str], int | None]
-"""The mechanisms that are out, and the seed; None: the scenario's own."""
+"""The causes that are out, and the seed; None: the scenario's own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,53 +90,53 @@ class Outcome:
 
 
 class Game:
-    """Plays a scenario with some of its mechanisms out, and remembers the outcomes.
+    """Plays a scenario with some of its causes out, and remembers the outcomes.
 
     Attributes:
-        mechanisms: All that may be taken out, by name.
+        causes: All that may be taken out, by name.
         present: Those that are in, in their order; to take out another changes nothing.
         is_random: Whether the scenario's run is another one with another seed.
     """
 
     def __init__(self, scenario: Scenario, metric: str, work: Work | None = None) -> None:
-        """Take the scenario with all mechanisms in."""
+        """Take the scenario with all causes in."""
         self._scenario, self._metric, self._work = scenario, metric, work or Work()
-        self.mechanisms = find_mechanisms(scenario)
+        self.causes = find_causes(scenario)
         self.present = tuple(
-            name for name, found in self.mechanisms.items() if is_present(scenario, found)
+            name for name, found in self.causes.items() if is_present(scenario, found)
         )
         self.is_random = draws_random(scenario)
         self._without: dict[Coalition, Scenario] = {}
         self._outcomes: dict[_Play, Outcome] = {}
 
-    def play(self, inside: Coalition, mechanisms: Sequence[str]) -> Outcome:
-        """Return the outcome with these mechanisms in, and all others out."""
-        return self.take_out(name for name in mechanisms if name not in inside)
+    def play(self, inside: Coalition, causes: Sequence[str]) -> Outcome:
+        """Return the outcome with these causes in, and all others out."""
+        return self.take_out(name for name in causes if name not in inside)
 
     def take_out(self, names: Iterable[str] = ()) -> Outcome:
-        """Return the outcome without these mechanisms; of random ones that of most seeds."""
+        """Return the outcome without these causes; of random ones that of most seeds."""
         found = self.take_out_each(names)
         return found[0] if len(found) == 1 else _average(found)
 
     def take_out_each(self, names: Iterable[str] = ()) -> list[Outcome]:
-        """Return the outcomes without these mechanisms, by seed; one where nothing is random."""
+        """Return the outcomes without these causes, by seed; one where nothing is random."""
         out = frozenset(names).intersection(self.present)
         self.prepare([out])
         return [self._outcomes[out, seed] for seed in self.list_seeds(out)]
 
     def play_as_recorded(self, names: Iterable[str] = ()) -> Outcome:
-        """Return the outcome without these mechanisms, with the scenario's own seed."""
+        """Return the outcome without these causes, with the scenario's own seed."""
         out = frozenset(names).intersection(self.present)
         self._simulate([(out, None)])
         return self._outcomes[out, None]
 
     def prepare(self, sets: Iterable[Iterable[str]]) -> None:
-        """Simulate without each of these sets of mechanisms."""
+        """Simulate without each of these sets of causes."""
         outs = dict.fromkeys(frozenset(names).intersection(self.present) for names in sets)
         self._simulate([(out, seed) for out in outs for seed in self.list_seeds(out)])
 
     def describe_ending(self, name: str) -> str:
-        """Return what differs in kind without a mechanism, in one clause; empty: nothing does."""
+        """Return what differs in kind without a cause, in one clause; empty: nothing does."""
         built, without = self.take_out(), self.take_out([name])
         longer = [phase for phase in built.ended if phase not in without.ended]
         sooner = [phase for phase in without.ended if phase not in built.ended]
@@ -151,8 +151,8 @@ class Game:
 
     def _take_out(self, out: Coalition) -> Scenario:
         if out not in self._without:
-            mechanisms = [found for name, found in self.mechanisms.items() if name in out]
-            self._without[out] = take_out(self._scenario, mechanisms)
+            causes = [found for name, found in self.causes.items() if name in out]
+            self._without[out] = take_out(self._scenario, causes)
         return self._without[out]
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
@@ -170,7 +170,7 @@ class Game:
                 self._work.report(len(self._outcomes), total)
 
     def build_play(self, out: Coalition, seed: int | None = None) -> "Play":
-        """Return what is simulated without these mechanisms, with this seed or its own."""
+        """Return what is simulated without these causes, with this seed or its own."""
         scenario = self._take_out(out)
         if seed is not None:
             scenario = replace(scenario, seed=seed)
@@ -268,10 +268,10 @@ def _average(outcomes: Sequence[Outcome]) -> Outcome:
     return Outcome(value=None, reason=reason, ended=phases)
 
 
-def list_coalitions(mechanisms: Sequence[str]) -> list[Coalition]:
-    """Return all sets of mechanisms, the smaller first."""
+def list_coalitions(causes: Sequence[str]) -> list[Coalition]:
+    """Return all sets of causes, the smaller first."""
     return [
         frozenset(inside)
-        for size in range(len(mechanisms) + 1)
-        for inside in combinations(mechanisms, size)
+        for size in range(len(causes) + 1)
+        for inside in combinations(causes, size)
     ]

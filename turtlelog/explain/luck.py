@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ExplainError
-from turtlelog.explain.attribute import attribute_run, choose_metric
-from turtlelog.explain.attribution import Attribution
+from turtlelog.explain.attribute import attribute_run
+from turtlelog.explain.attribution import Attribution, choose_metric
 from turtlelog.explain.game import SEEDS, Game, Outcome, Play, Work, iterate_outcomes
 from turtlelog.explain.identification import Identification
 from turtlelog.explain.identify import identify_run

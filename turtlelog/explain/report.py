@@ -13,7 +13,7 @@ from turtlelog.explain.attribution import (
     ValueSet,
     is_clear,
 )
-from turtlelog.explain.mechanisms import RANDOM_EFFECTS
+from turtlelog.explain.causes import RANDOM_EFFECTS
 
 _NAMED: Final = 0.1
 """Of the sum of the contributions' magnitudes: a cause with a larger one is named, and so is what

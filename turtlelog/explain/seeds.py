@@ -62,13 +62,13 @@ def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
 
 
 def describe_alone(game: Game, name: str, contribution: float | None = None) -> Contribution:
-    """Return what a value is without a mechanism alone."""
+    """Return what a value is without a cause alone."""
     return Contribution(
         cause=name,
         contribution=contribution,
         alone=game.take_out([name]).value,
         ending=game.describe_ending(name) or None,
-        meaning=game.mechanisms[name].meaning,
+        meaning=game.causes[name].meaning,
     )
 
 

@@ -1,7 +1,7 @@
 """The value of a game, divided in exact arithmetic among those that play it.
 
-A contribution is a Shapley value (Shapley, "A value for n-person games", 1953): what a mechanism
-adds to the value, averaged over all orders in which they can be put in. What a set of mechanisms
+A contribution is a Shapley value (Shapley, "A value for n-person games", 1953): what a cause
+adds to the value, averaged over all orders in which they can be put in. What a set of causes
 makes only together is its dividend (Harsanyi, 1963).
 """
 
@@ -15,25 +15,25 @@ Worth = Mapping[Coalition, float]
 """The value of every coalition."""
 
 
-def compute_contributions(worth: Worth, mechanisms: Sequence[str]) -> dict[str, float]:
-    """Return the contribution of each mechanism.
+def compute_contributions(worth: Worth, causes: Sequence[str]) -> dict[str, float]:
+    """Return the contribution of each cause.
 
     `math.fsum` of them is the float `worth` of all less that of none, to the last bit, except where
     the contributions cancel: it then misses by at most one step of the floats of the smallest.
     """
-    exact = [_compute_share(worth, mechanism, mechanisms) for mechanism in mechanisms]
-    total = worth[frozenset(mechanisms)] - worth[frozenset()]
-    return dict(zip(mechanisms, _round_contributions(exact, total), strict=True))
+    exact = [_compute_share(worth, cause, causes) for cause in causes]
+    total = worth[frozenset(causes)] - worth[frozenset()]
+    return dict(zip(causes, _round_contributions(exact, total), strict=True))
 
 
-def compute_dividends(worth: Worth, mechanisms: Sequence[str]) -> dict[tuple[str, ...], float]:
-    """Return what each set of two mechanisms or more adds beyond all that its subsets add."""
+def compute_dividends(worth: Worth, causes: Sequence[str]) -> dict[tuple[str, ...], float]:
+    """Return what each set of two causes or more adds beyond all that its subsets add."""
     exact: dict[Coalition, Fraction] = {}
-    for inside in list_coalitions(mechanisms):
+    for inside in list_coalitions(causes):
         subsets = sum((exact[part] for part in exact if part < inside), Fraction())
         exact[inside] = Fraction(worth[inside]) - subsets
     return {
-        tuple(mechanism for mechanism in mechanisms if mechanism in inside): float(dividend)
+        tuple(cause for cause in causes if cause in inside): float(dividend)
         for inside, dividend in exact.items()
         if len(inside) > 1
     }
@@ -45,12 +45,12 @@ def find_smallest(coalitions: Iterable[Coalition]) -> list[Coalition]:
     return [inside for inside in found if not any(other < inside for other in found)]
 
 
-def _compute_share(worth: Worth, mechanism: str, mechanisms: Sequence[str]) -> Fraction:
-    count = len(mechanisms)
+def _compute_share(worth: Worth, cause: str, causes: Sequence[str]) -> Fraction:
+    count = len(causes)
     contribution = Fraction(0)
-    for others in list_coalitions([other for other in mechanisms if other != mechanism]):
+    for others in list_coalitions([other for other in causes if other != cause]):
         orders = math.factorial(len(others)) * math.factorial(count - len(others) - 1)
-        adds = Fraction(worth[others | {mechanism}]) - Fraction(worth[others])
+        adds = Fraction(worth[others | {cause}]) - Fraction(worth[others])
         contribution += Fraction(orders, math.factorial(count)) * adds
     return contribution
 

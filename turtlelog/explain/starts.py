@@ -32,7 +32,7 @@ def spread_starts(scenario: Scenario, built: Run, count: int = _COUNT) -> NDArra
     They span the largest turn from one sample to the next, with the scenario's own in the middle.
 
     Args:
-        scenario: With all mechanisms in.
+        scenario: With all causes in.
         built: Its run.
         count: How many starts, odd.
 
@@ -55,7 +55,7 @@ def find_steady_span(values: Sequence[float | None], added: float, resolution: f
 
     Args:
         values: From each start.
-        added: What the mechanisms add to the scenario's own.
+        added: What the causes add to the scenario's own.
         resolution: The largest change that is negligible.
     """
     if abs(added) > resolution:
@@ -73,7 +73,7 @@ def ranges_over(values: Sequence[float | None], span: float) -> bool:
 def subtract_values(
     values: Sequence[float | None], without: Sequence[float | None]
 ) -> list[float | None]:
-    """Return what the mechanisms add at each start; None where one of both has no value.
+    """Return what the causes add at each start; None where one of both has no value.
 
     A value that only follows the start, as a turn's length does, follows it without them as well:
     what they add is steady.
@@ -90,11 +90,11 @@ def vary_start(
     """Return the value over starts within one sample's turn, None where the robot does not turn.
 
     Args:
-        scenario: With all mechanisms in.
+        scenario: With all causes in.
         metric: Has a value.
-        added: What the mechanisms add together.
+        added: What the causes add together.
         resolution: The largest change that is negligible.
-        acting: The mechanisms that change the value.
+        acting: The causes that change the value.
     """
     built = simulate_run(scenario)
     offsets_rad = spread_starts(scenario, built).tolist()
@@ -121,23 +121,21 @@ def vary_start(
     )
 
 
-def _divide_again(games: Sequence[Game], mechanisms: Sequence[str]) -> tuple[Part, ...]:
-    """Return the lowest and highest part of each mechanism; none unless all add alike."""
+def _divide_again(games: Sequence[Game], causes: Sequence[str]) -> tuple[Part, ...]:
+    """Return the lowest and highest part of each cause; none unless all add alike."""
     parts = []
     for game in games:
-        found = {
-            inside: game.play(inside, mechanisms).value for inside in list_coalitions(mechanisms)
-        }
+        found = {inside: game.play(inside, causes).value for inside in list_coalitions(causes)}
         worth = {inside: value for inside, value in found.items() if value is not None}
         if len(worth) < len(found):
             return ()
-        total = worth[frozenset(mechanisms)] - worth[frozenset()]
-        contributions = compute_contributions(worth, mechanisms)
+        total = worth[frozenset(causes)] - worth[frozenset()]
+        contributions = compute_contributions(worth, causes)
         if any(contribution * total <= 0.0 for contribution in contributions.values()):
             return ()
         parts.append([contribution / total for contribution in contributions.values()])
     lows, highs = np.min(parts, axis=0).tolist(), np.max(parts, axis=0).tolist()
     return tuple(
         Part(cause=name, low=low, high=high)
-        for name, low, high in zip(mechanisms, lows, highs, strict=True)
+        for name, low, high in zip(causes, lows, highs, strict=True)
     )

@@ -145,8 +145,7 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
     samples = run.samples
     if not len(samples):
         raise ExplainError(
-            f"{run.name}: expected samples that say which pose a command answers, found none:"
-            f" {run.source}"
+            f"{run.name}: no samples that tell which pose a command answers: {run.source}"
         )
     read = samples.pose_sequence
     rotating, translating = len(samples), 0

@@ -8,6 +8,7 @@ reproduces the run.
 from collections.abc import Mapping
 from typing import Final
 
+from turtlelog.explain.causes import LOOP_CAUSES
 from turtlelog.explain.identification import (
     LAW_KEYS,
     LOOP_KEYS,
@@ -16,7 +17,6 @@ from turtlelog.explain.identification import (
     miss,
     take_recorded,
 )
-from turtlelog.explain.mechanisms import LOOP_MECHANISMS
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, flatten_scenario
 
@@ -26,7 +26,7 @@ _USUAL: Final = frozenset(flatten_scenario(Scenario()))
 """Keys that every scenario has."""
 
 _NAMES: Final = {
-    **{key: found.name for found in LOOP_MECHANISMS for key in found.neutral},
+    **{key: found.name for found in LOOP_CAUSES for key in found.neutral},
     "loop.trigger": "a timer",
     "plant.kind": "another plant",
 }
@@ -36,7 +36,7 @@ _LOOKED_FOR: Final = (Certainty.EXACT, Certainty.FITTED, Certainty.BOUNDED)
 
 
 def list_unseen(run: Run) -> list[str]:
-    """Return the mechanisms of a run's own scenario that no identification looks for."""
+    """Return the causes of a run's own scenario that no identification looks for."""
     keys = [key for key in run.parameters if key.startswith(_TABLES) and key not in _USUAL]
     return list(dict.fromkeys(_NAMES[key] for key in keys if key in _NAMES))
 

@@ -5,12 +5,12 @@ from typing import Final
 
 from turtlelog.display import join_words
 from turtlelog.explain.attribution import Attribution
+from turtlelog.explain.causes import simulate_without
 from turtlelog.explain.identification import Identification
-from turtlelog.explain.mechanisms import simulate_without
 from turtlelog.run import Run
 
 _MOST_NAMED: Final = 3
-"""Mechanisms that a name holds; more are counted: a legend has no room for them."""
+"""Causes that a name holds; more are counted: a legend has no room for them."""
 
 
 def simulate_what_ifs(
@@ -19,7 +19,7 @@ def simulate_what_ifs(
     *,
     report: Callable[[int, int], None] | None = None,
 ) -> Mapping[str, Run]:
-    """Simulate the run without each mechanism that acts, and without all of them.
+    """Simulate the run without each cause that acts, and without all of them.
 
     Those are the ones that change the value, or decide whether there is one; where there is none
     with and without any, every one that takes part. None where re-simulation and log disagree: they
@@ -31,7 +31,7 @@ def simulate_what_ifs(
         report: Called with the simulations that are done, and how many there are.
 
     Returns:
-        Runs by what they lack, as `name_without` writes it: one mechanism each, in the order of the
+        Runs by what they lack, as `name_without` writes it: one cause each, in the order of the
         attribution; where there are several, the last is the run without all.
 
     Raises:
@@ -55,7 +55,7 @@ def simulate_what_ifs(
 
 
 def list_deciding(found: Attribution) -> tuple[str, ...]:
-    """Return the mechanisms that change the value, or decide whether there is one."""
+    """Return the causes that change the value, or decide whether there is one."""
     if not found.without_value:
         return found.acting
     cases = (*found.without_value, *found.with_value)
@@ -63,8 +63,8 @@ def list_deciding(found: Attribution) -> tuple[str, ...]:
     return tuple(name for name in found.causes if name in named) or found.causes
 
 
-def name_without(mechanisms: tuple[str, ...]) -> str:
+def name_without(causes: tuple[str, ...]) -> str:
     """Return what a what-if lacks in words: `queue`, `queue and pause`, `all 5 effects`."""
-    if len(mechanisms) > _MOST_NAMED:
-        return f"all {len(mechanisms)} effects"
-    return join_words(mechanisms)
+    if len(causes) > _MOST_NAMED:
+        return f"all {len(causes)} effects"
+    return join_words(causes)

@@ -91,7 +91,7 @@ def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Va
     """
     gain, dead_time_s, lag_s = model.gain, model.dead_time_s, model.lag_s
     if gain is None or dead_time_s is None or lag_s is None:
-        raise IdentifyError(f"{model.axis}: expected a model of it, found none: {model.reason}")
+        raise IdentifyError(f"{model.axis}: not identified: {model.reason}")
     commands = read_axis_motion(run, model.axis).commands
     if model.rate_limit is not None:
         commands = limit_changes(commands, gain.value / model.rate_limit.value)

@@ -60,7 +60,7 @@ def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
     """
     runs = [runs] if isinstance(runs, Run) else [*runs]
     if not runs:
-        raise IdentifyError("runs: expected at least one, found none")
+        raise IdentifyError("runs: must not be empty")
     files = tuple(run.name for run in runs)
     exact = identify_ticks(runs)
     if exact is not None:

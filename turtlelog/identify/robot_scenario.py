@@ -101,7 +101,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
     """
     runs = [runs] if isinstance(runs, Run) else [*runs]
     if not runs:
-        raise IdentifyError("runs: expected at least one, found none")
+        raise IdentifyError("runs: must not be empty")
     _require_robot(model)
     parts = (
         _list_plant(model),

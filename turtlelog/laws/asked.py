@@ -87,7 +87,7 @@ class AskedLaw:
         del start
         declaration = self._part.declare(self.parameters, goal, path)
         if declaration.uses_goal and goal is None:
-            raise LawError("expected a goal, found none")
+            raise LawError("the law needs a goal: set goal.x_m and goal.y_m")
         if goal is not None:
             heading_rad = math.nan if goal.heading_rad is None else goal.heading_rad
             self._settings.goal = _Goal(goal.x_m, goal.y_m, heading_rad)
@@ -143,7 +143,7 @@ def build_class(part: LawPart) -> type[AskedLaw]:
         "_part": part,
         "Parameters": part.Parameters,
         "declare": staticmethod(part.declare),
-        "mechanisms": part.mechanisms,
+        "causes": part.causes,
         "counts_samples": part.counts_samples,
         "list_unused": staticmethod(part.list_unused),
     }

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
 import msgspec
 
-from turtlelog.loops import Declaration, Mechanism
+from turtlelog.loops import Cause, Declaration
 from turtlelog.parts import (
     ABSENT_BY_DEFAULT as ABSENT_BY_DEFAULT,
     MAY_BE_INFINITE as MAY_BE_INFINITE,
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 _NO_TOLERANCE: Final = 1e-6
 """A pose in 32 bits comes no nearer: one step is 9.5e-7 m near 10 m, and 2.4e-7 rad near pi."""
 
-TOLERANCE: Final = Mechanism(
+TOLERANCE: Final = Cause(
     name="tolerance",
-    kind="property",
+    kind="design",
     neutral={
         "law.heading_tolerance_rad": _NO_TOLERANCE,
         "law.position_tolerance_m": _NO_TOLERANCE,
@@ -110,7 +110,7 @@ class Law(Protocol):
 
     - `declare(cls, parameters, goal, path) -> Declaration`, a class method: its loops, phases and
       states. Otherwise it has the one phase `control` and no loops.
-    - `mechanisms: tuple[Mechanism, ...]`: what it adds to the ideal loop; `explain` takes each out.
+    - `causes: tuple[Cause, ...]`: what it adds to the ideal loop; `explain` takes each out.
     - `counts_samples: tuple[str, ...]`: its parameters that count samples, which grow with a finer
       clock; otherwise `explain` leaves the clock as it is.
     - `list_unused(cls, parameters) -> tuple[str, ...]`, a class method: tables and keys of a
@@ -170,7 +170,7 @@ class LawPart:
         declare: Returns its loops, phases and states; of parameters, goal and path.
         State: A dataclass with slots and defaults. The states that it declares are fields of it.
         stops: Why it ends a run, in words: `row.stop` is the place in this list, from 1.
-        mechanisms: What it adds to the ideal loop; `explain` takes each out.
+        causes: What it adds to the ideal loop; `explain` takes each out.
         counts_samples: Its parameters that count samples.
         list_unused: Returns tables and keys of a scenario that it does not use with parameters.
         prepare: Returns the numbers that `step` reads, an object of `Numbers`; of parameters. By
@@ -187,7 +187,7 @@ class LawPart:
     declare: Callable[[Any, Goal | None, Path | None], Declaration]
     State: type[Any]
     stops: tuple[str, ...] = ()
-    mechanisms: tuple[Mechanism, ...] = ()
+    causes: tuple[Cause, ...] = ()
     counts_samples: tuple[str, ...] | None = None
     list_unused: Callable[[Any], tuple[str, ...]] = lambda _: ()
     prepare: Callable[[Any], Any] | None = None

@@ -16,7 +16,7 @@ from turtlelog.display import NamedValues
 from turtlelog.errors import LawError, TurtlelogError, describe_error, describe_unknown
 from turtlelog.expressions.tokens import KEYWORDS
 from turtlelog.laws.base import AnyLaw, Goal, LawPart
-from turtlelog.loops import Declaration, Mechanism
+from turtlelog.loops import Cause, Declaration
 from turtlelog.parts import load_parts
 from turtlelog.paths import Path as TrackedPath
 
@@ -55,7 +55,7 @@ def find_law(kind: str) -> AnyLaw:
     place, _, name = kind.rpartition(":")
     law = getattr(_load_module(place), name, None)
     if law is None:
-        raise LawError(f"expected a class {name} in {place}, found none")
+        raise LawError(f"{place} has no class {name}")
     if isinstance(law, LawPart):
         return law
     if inspect.isfunction(law):
@@ -106,7 +106,7 @@ def declare_law(
         raise LawError(f"{name_law(law)}.declare: expected a Declaration, found {found}")
     if declared != again or [*declared.phases] != [*again.phases]:
         expected = "the same Declaration for the same parameters"
-        raise LawError(f"{name_law(law)}.declare: expected {expected}, found another each time")
+        raise LawError(f"{name_law(law)}.declare: must return {expected}")
     _require_nameable(declared, f"{name_law(law)}.declare")
     return declared
 
@@ -123,17 +123,17 @@ def _require_nameable(declared: Declaration, place: str) -> None:
             raise LawError(f"{place}: state: expected {expected}, found {state!r}")
 
 
-def list_mechanisms(law: AnyLaw) -> tuple[Mechanism, ...]:
+def list_causes(law: AnyLaw) -> tuple[Cause, ...]:
     """Return what a law adds to the ideal loop.
 
     Raises:
         LawError: Where it names something else.
     """
-    mechanisms = getattr(law, "mechanisms", ())
-    if isinstance(mechanisms, tuple) and all(isinstance(one, Mechanism) for one in mechanisms):
-        return mechanisms
-    expected = "a tuple of Mechanism"
-    raise LawError(f"{name_law(law)}.mechanisms: expected {expected}, found {mechanisms!r:.60}")
+    causes = getattr(law, "causes", ())
+    if isinstance(causes, tuple) and all(isinstance(one, Cause) for one in causes):
+        return causes
+    expected = "a tuple of Cause"
+    raise LawError(f"{name_law(law)}.causes: expected {expected}, found {causes!r:.60}")
 
 
 def list_sample_counters(law: AnyLaw) -> tuple[str, ...] | None:
@@ -205,7 +205,7 @@ def require_law_name(kind: str) -> None:
 
 def _load_module(place: str) -> ModuleType:
     if place.endswith(".py") and not Path(place).is_file():
-        raise LawError(f"expected a Python file at {place}, found none")
+        raise LawError(f"no Python file {place}")
     try:
         with print_to_stderr():
             if place.endswith(".py"):

@@ -162,7 +162,7 @@ PART: Final = LawPart(
     declare=declare,
     State=PostureState,
     stops=_STOPS,
-    mechanisms=(TOLERANCE,),
+    causes=(TOLERANCE,),
     counts_samples=(),
     list_unused=lambda _: ("path",),
 )

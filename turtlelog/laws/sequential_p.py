@@ -12,7 +12,7 @@ from turtlelog.errors import LawError
 from turtlelog.laws.base import TOLERANCE, Goal, LawPart, Row
 from turtlelog.laws.schedule import DISTANCE, GainSchedule
 from turtlelog.laws.sequential import SCHEDULED, STOPS, SequentialNumbers, SequentialState, step
-from turtlelog.loops import PAUSE, ControlLoop, Declaration, Mechanism
+from turtlelog.loops import PAUSE, Cause, ControlLoop, Declaration
 from turtlelog.parts import ABSENT_BY_DEFAULT, MAY_BE_INFINITE
 from turtlelog.paths import Path
 
@@ -64,7 +64,7 @@ def declare_loops(
     if reorient:
         if goal is None or goal.heading_rad is None:
             expected = "a goal with a heading to turn to (goal.heading_rad)"
-            raise LawError(f"law.reorient: expected {expected}, found none")
+            raise LawError(f"law.reorient: needs {expected}")
         loops.append(replace(loops[0], name=REORIENT, reference="goal_heading"))
         phases[REORIENT] = (REORIENT,)
     return replace(base, loops=tuple(loops), phases=phases)
@@ -85,20 +85,20 @@ def _hide_gains(loop: ControlLoop, schedule: GainSchedule | None) -> ControlLoop
     )
 
 
-_MECHANISMS: Final = (
-    Mechanism(
+_CAUSES: Final = (
+    Cause(
         name="pause",
         kind="effect",
         neutral={"law.pause_ticks": 0},
         meaning="no pause after the rotation",
     ),
-    Mechanism(
+    Cause(
         name="projection",
-        kind="property",
+        kind="design",
         neutral={"law.projection": "heading"},
         meaning="projection on the current heading",
     ),
-    Mechanism(
+    Cause(
         name="wrap",
         kind="effect",
         neutral={"law.wrap_error": True},
@@ -216,7 +216,7 @@ PART: Final = LawPart(
     declare=declare,
     State=SequentialState,
     stops=STOPS,
-    mechanisms=_MECHANISMS,
+    causes=_CAUSES,
     counts_samples=("standstill_samples",),
     list_unused=list_unused,
     prepare=prepare,

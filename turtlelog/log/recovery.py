@@ -159,7 +159,7 @@ def _recover_mcap(
     def copy() -> _Copied:
         copied = _copy_records(_walk(source, found), found.stored_size, output, *known)
         if copied.data_end is not None and summary is None:
-            reason = "expected a sound summary, found none"
+            reason = "the summary is damaged or missing"
             copied.summary = Loss(start=copied.data_end, end=size, reason=reason)
         return copied
 
@@ -334,10 +334,10 @@ def _count_missing(
 
 def _describe_nothing(file: str, rewriter: Rewriter, lost: Sequence[Loss]) -> LogError:
     if rewriter.unknown:
-        found = f", found {rewriter.unknown.total()} of channels that nothing describes"
+        why = f"nothing describes the channels of its {rewriter.unknown.total()} messages"
     else:
-        found = f", found: {lost[0].reason}" if lost else ", found none"
-    return LogError(f"{file}: expected messages to recover{found}")
+        why = lost[0].reason if lost else "it has none"
+    return LogError(f"{file}: no message can be recovered: {why}")
 
 
 def _describe_unknown(rewriter: Rewriter, number: int) -> Loss:

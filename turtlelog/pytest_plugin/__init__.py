@@ -104,7 +104,7 @@ def turtlelog_recording(request: pytest.FixtureRequest) -> "Recording":
     """One of the recordings that the test's marker names, read when it is first asked."""
     if not hasattr(request, "param"):
         raise pytest.UsageError(
-            f'{request.node.nodeid}: expected @pytest.mark.recordings("runs/*.mcap"), found none'
+            f'{request.node.nodeid}: the test needs @pytest.mark.recordings("runs/*.mcap")'
         )
     path, settings = request.param
     return request.config.stash[SESSION].open_recording(Path(path), **settings)

@@ -34,7 +34,7 @@ def choose_recordings(
         _refuse(f"{place}: expected one of {', '.join(_SETTINGS)}, found {unknown[0]}")
     _require_settings(marker.kwargs, place)
     if not marker.args:
-        _refuse(f'{place}: expected a pattern such as "runs/*.mcap", found none')
+        _refuse(f'{place}: needs a pattern such as "runs/*.mcap"')
     folders = [metafunc.definition.path.parent, metafunc.config.rootpath]
     paths: dict[Path, None] = {}
     for pattern in marker.args:
@@ -43,7 +43,7 @@ def choose_recordings(
         found = _find_files(os.fspath(pattern), folders)
         if not found:
             where = " or ".join(dict.fromkeys(map(str, folders)))
-            _refuse(f"{place}: expected files for {os.fspath(pattern)!r} in {where}, found none")
+            _refuse(f"{place}: no files match {os.fspath(pattern)!r} in {where}")
         paths |= dict.fromkeys(found)
     return list(paths), dict(marker.kwargs)
 
@@ -97,13 +97,13 @@ def find_reference(request: pytest.FixtureRequest, stem: str | None) -> Path:
         folders = [request.node.path.parent, request.config.rootpath]
     if not isinstance(given, str | os.PathLike):
         raise pytest.UsageError(
-            f'{request.node.nodeid}: expected @pytest.mark.reference("good.mcap") or'
-            " turtlelog_reference = ... in the ini file, found none"
+            f'{request.node.nodeid}: the test needs @pytest.mark.reference("good.mcap") or'
+            " turtlelog_reference = ... in the ini file"
         )
     name = os.fspath(given)
     if "{stem}" in name and stem is None:
         raise pytest.UsageError(
-            f"{request.node.nodeid}: reference {name!r}: expected a recording beside it, found none"
+            f"{request.node.nodeid}: reference {name!r}: needs a recording beside it"
         )
     name = name.replace("{stem}", stem or "")
     places = [folder / name for folder in folders]

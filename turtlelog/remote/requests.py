@@ -226,12 +226,12 @@ _SURE: Final = (
     ),
     (_CUT, "expected all of the bytes asked for, found that the connection broke off"),
     (_WILD, "expected an answer in http, found one that breaks its rules"),
-    (_ASIDE, "expected a redirect to http or https, found one to something else, not followed"),
+    (_ASIDE, "a redirect to something other than http or https, not followed"),
 )
 _LIKELY: Final = (
-    (_LOST, "expected credentials of the object storage, found none"),
-    (_SLOW, "expected an answer within {stall_s} s, found none: the server hangs"),
-    (_AWAY, "expected a server, found none that answers at this address"),
+    (_LOST, "the credentials of the object storage are missing"),
+    (_SLOW, "the server did not answer within {stall_s} s"),
+    (_AWAY, "no server answers at this address"),
 )
 """What errors of these names mean, by their status and without one."""
 
@@ -251,7 +251,7 @@ def _describe(err: BaseException, url: str) -> str:
     if likely is not None:
         return likely.format(stall_s=STALL_S)
     if status == 404 or (isinstance(err, FileNotFoundError) and status is None):
-        return "expected an object or file, found none of this name"
+        return "no object or file of this name"
     found = hide_secrets(describe_error(err), url)
     if status is not None and status >= 400:
         found = f"the server's error {status}"

@@ -143,5 +143,5 @@ def _require_whole(run: Run) -> None:
             f"{run.name}: expected a command per sample {expected},"
             f" found {len(run.commands)} of {int(run.samples.sequence[-1]) + 1}"
             if len(run.samples)
-            else f"{run.name}: expected commands {expected}, found none"
+            else f"{run.name}: no commands {expected}"
         )

@@ -160,13 +160,15 @@ def replay_law(
 
 def _describe_nothing_read(run: Run) -> str:
     """Return why there are no samples: they are not there, or not read."""
-    expected = f"expected the samples of a controller (topic {CONTROL.name})"
     if CONTROL.name in run.notes.get(NOT_READ, ""):
         return (
-            f"{expected} in a recording of turtlelog's, found {run.notes[NOT_READ]} in a file"
-            " without its metadata record: these are not read"
+            f"{run.notes[NOT_READ]} in a file without turtlelog's metadata record are not read as"
+            " samples of a controller"
         )
-    return f"{expected}, found none: what the law read and commanded is not recorded"
+    return (
+        f"no samples of a controller (topic {CONTROL.name}): what the law read and commanded is not"
+        " recorded"
+    )
 
 
 def _answer_poses(

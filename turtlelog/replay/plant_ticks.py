@@ -71,7 +71,7 @@ def moves_as_turtlesim(run: Run) -> bool:
     return count < _FEWEST_MOVING or bool(np.count_nonzero(obeys & moves) >= _OBEYS * count)
 
 
-_OTHERS: Final = "of another robot's, turtlelog explain and turtlelog metrics say what can be told"
+_OTHERS: Final = "for another robot use turtlelog metrics and turtlelog explain"
 """What the replay of a robot's own recording is refused with."""
 
 
@@ -92,8 +92,8 @@ def read_motion(run: Run) -> RecordedMotion:
     speed, turn_rate = poses.speed_m_s, poses.turn_rate_rad_s
     if speed is None or turn_rate is None:
         raise ReplayError(
-            f"{run.name}: expected poses with the applied velocities, as turtlesim publishes them,"
-            f" found none: {run.source}; {_OTHERS}"
+            f"{run.name}: no poses with the applied velocities, which turtlesim publishes"
+            f" ({run.source}); {_OTHERS}"
         )
     step_ns = np.diff(poses.time_ns)
     usual_ns = float(np.median(step_ns)) if len(step_ns) else TICK_NS

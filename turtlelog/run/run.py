@@ -128,7 +128,7 @@ class Run:
                 raise RunError(f"{name}: expected {kind.__name__}, found {found}")
         self._require_goal()
         if not len(self.poses):
-            raise RunError("poses: expected at least one row, found none")
+            raise RunError("poses: must have at least one row")
         read = self.samples.pose_sequence
         outside = (read < 0) | (read >= len(self.poses))
         if outside.any():

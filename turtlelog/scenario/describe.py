@@ -26,9 +26,9 @@ def describe_type(hint: Any) -> str:
 
 
 def describe_value(value: Any, *, longest: int = 60) -> str:
-    """Return a value as a scenario file would have it, cut where it is long; `none` for none."""
+    """Return a value as a scenario file has it, cut where it is long; `no value` for None."""
     if value is None:
-        return "none"
+        return "no value"
     try:
         text = str(value).lower() if isinstance(value, bool) else repr(value)
     except ValueError:

@@ -23,7 +23,7 @@ def nest_parameters(parameters: "Mapping[str, Parameter]") -> dict[str, Any]:
         set_nested(tables, key, value)
     lost = parameters.keys() - flatten_tables(tables).keys()
     if lost:
-        raise ScenarioError(f"{min(lost)}: expected a value, found another for part of its key")
+        raise ScenarioError(f"{min(lost)}: part of this key has a value already")
     return tables
 
 

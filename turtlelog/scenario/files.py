@@ -114,7 +114,7 @@ def read_scenario(path: str | Path) -> Scenario:
     try:
         text = read_text_file(path)
     except UnicodeDecodeError as err:
-        raise ScenarioError(f"{path}: expected TOML, found bytes that are no text") from err
+        raise ScenarioError(f"{path}: not TOML, not even text") from err
     except FileNotFoundError as err:
         raise ScenarioError(f"{path}: {describe_missing(path, PRESETS)}") from err
     except (OSError, ValueError) as err:
@@ -139,7 +139,7 @@ def _build(text: str, source: str, path: Path | None) -> Scenario:
     try:
         tables = parse_toml(text)
     except ValueError as err:
-        raise ScenarioError(f"{source}: expected TOML, found: {err}") from err
+        raise ScenarioError(f"{source}: not TOML: {err}") from err
     tables = tables if path is None else embed_files(tables, path)
     return build_scenario(tables, source=source, trust_law=True)
 

@@ -156,7 +156,7 @@ def replay_commands(scenario: Scenario, run: Run) -> Scenario:
     """
     commands = run.commands
     if not len(commands):
-        raise ScenarioError(f"{run.name}: expected a run with commands, found none")
+        raise ScenarioError(f"{run.name}: the run has no commands")
     if commands.lateral_speed_m_s.any():
         expected = "commands along the heading, as laws give them"
         raise ScenarioError(f"{run.name}: expected {expected}, found one to the side")

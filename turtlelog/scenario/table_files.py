@@ -149,7 +149,7 @@ def _read_rows(lines: Any, names: list[str], kind: TableFile, path: Path) -> dic
             found = f"{kind.columns[0]}: expected {expected}, found {rising[-1]}"
             raise ScenarioError(f"{place}: {found}")
     if not rising:
-        raise ScenarioError(f"{path}: line 2: expected a row of numbers, found none")
+        raise ScenarioError(f"{path}: line 2: no row of numbers")
     return columns
 
 

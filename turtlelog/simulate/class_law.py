@@ -183,7 +183,7 @@ class ClassLaw:
     def _require_reference(self, reference: Pose | None, phase: str) -> None:
         if reference is None:
             if phase in self._with_reference:
-                raise SimulationError(f"expected a reference pose in phase {phase}, found none")
+                raise SimulationError(f"no reference pose in phase {phase}, which had one before")
             return
         if not self._has_reference:
             raise SimulationError(

@@ -125,8 +125,8 @@ class RunCollector:
         scenario = self._scenario
         if not self.has_samples:
             raise SimulationError(
-                f"{scenario.name}: expected a pose answered within max_duration_s ="
-                f" {scenario.max_duration_s}, found none: {_describe_wait(scenario)}"
+                f"{scenario.name}: no pose is answered within max_duration_s ="
+                f" {scenario.max_duration_s}: {_describe_wait(scenario)}"
             )
         has_goal = self._declaration.uses_goal
         return Run(

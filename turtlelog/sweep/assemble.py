@@ -196,6 +196,6 @@ def load_row_scenario(path: str | Path, row: int) -> Scenario:
         keys, tables = json.loads(table.facts["varied"]), parse_toml(table.facts["base"])
         values = table.read_row(place, keys)
     except (KeyError, ValueError) as err:
-        raise LogError(f"{path}: expected the base scenario of a sweep, found none") from err
+        raise LogError(f"{path}: not a table of turtlelog sweep: it has no base scenario") from err
     base = build_scenario(tables, source=f"{path}")
     return build_row_scenario(base, keys, values, row, source=f"{path}", trust_law=False)

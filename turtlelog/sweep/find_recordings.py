@@ -87,9 +87,7 @@ def find_recordings(
                 found[place] = FoundRecording(str(one), label, size, mtime_ns)
         if not count:
             endings = ", ".join(ENDINGS)
-            raise LogError(
-                f"{path}: expected recordings in the folder ({endings} or bags), found none"
-            )
+            raise LogError(f"{path}: no recordings in this folder ({endings} or bags)")
     return list(found.values())
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Final, overload
 
-from turtlelog.errors import ScenarioError, SweepError
+from turtlelog.errors import ScenarioError, SweepError, quote_name
 from turtlelog.scenario import parse_assignments
 from turtlelog.sweep.result_table import choose_type
 
@@ -87,6 +87,10 @@ def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> Key
         raise SweepError(f"{source}: expected {_EXPECTED}, found {text[:60]!r}")
     place = f"{source}: {key}"
     found = _RANGE.fullmatch(rest)
+    if found is None and _is_meant_as_range(rest):
+        wrong = next(end for end in rest.split(":") if not re.fullmatch(_NUMBER, end.strip()))
+        what = f"{quote_name(wrong)} is not a finite number" if wrong else "a bound is missing"
+        raise SweepError(f"{place}={rest[:60]}: {what}; a range is A:B or A:B:STEP")
     if found is not None:
         is_any = is_sampled and found[3] is None and not _are_whole(*found.groups())
         steps = (_span if is_any else _build_steps)(*found.groups(), place=place)
@@ -97,13 +101,20 @@ def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> Key
     return KeyValues(key=key, text=rest, values=values)
 
 
+def _is_meant_as_range(text: str) -> bool:
+    """Return whether one end is a number at least: path.py:Class is a value."""
+    words = [word.strip() for word in text.split(":")]
+    is_number = re.compile(rf"{_NUMBER}|[-+]?(?:nan|inf)", re.IGNORECASE).fullmatch
+    return 1 < len(words) < 4 and any(map(is_number, words))
+
+
 def _build_steps(first: str, last: str, step: str | None, *, place: str) -> Steps:
     low, high, width = Fraction(first), Fraction(last), Fraction(step or 1)
     if not width:
         raise SweepError(f"{place}: expected a step other than 0, found {step}")
     steps, rest = divmod(high - low, width)
     if steps < 0:
-        raise SweepError(f"{place}: expected at least one value, found none from {first} to {last}")
+        raise SweepError(f"{place}: no value from {first} to {last}")
     if steps >= MOST_ROWS:
         raise SweepError(f"{place}: expected at most {MOST_ROWS:,} values, found {steps + 1:,}")
     if rest:
@@ -132,5 +143,5 @@ def _parse_value(text: str, *, place: str) -> Any:
     try:
         (value,) = parse_assignments([f"value={text}"], source=place).values()
     except ScenarioError as err:
-        raise SweepError(f"{place}: expected a value between commas, found none") from err
+        raise SweepError(f"{place}: a value is missing between commas") from err
     return value

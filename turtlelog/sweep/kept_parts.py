@@ -144,8 +144,7 @@ class KeptParts(Generic[T]):
             if not _lock(stream):
                 stream.close()
                 raise SweepError(
-                    f"{self._output}: expected a file of its own,"
-                    " found another command at work on it"
+                    f"{self._output}: another command is writing it; choose another name or wait"
                 )
             if self.path.exists() and os.path.samestat(os.fstat(descriptor), self.path.stat()):
                 return stream
@@ -158,7 +157,8 @@ class KeptParts(Generic[T]):
         # A head that was cut holds nothing of anybody; anything else is not ours to replace.
         if not _MAGIC.startswith(head):
             raise SweepError(
-                f"{self.path}: expected what an interrupted command left, found another file"
+                f"{self.path}: is in the way, and not left by an interrupted command;"
+                " delete or rename it"
             )
         parts = self._iterate_parts() if head == _MAGIC else iter(())
         packed = next(parts, (0, b""))[1]

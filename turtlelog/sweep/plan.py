@@ -162,7 +162,7 @@ def build_plan(
 def _require_sound(plan: SweepPlan) -> None:
     keys = plan.keys
     if not keys:
-        raise SweepError("--grid: expected a key to vary, found none")
+        raise SweepError("--grid: name a key to vary, for example --grid law.kp_linear=1:12")
     for number, key in enumerate(keys):
         if key in keys[:number]:
             raise SweepError(f"{key}: expected each key once, found it twice")
@@ -219,7 +219,7 @@ def build_row_scenario(
     values: Sequence[Any],
     row: int,
     *,
-    source: str = "grid",
+    source: str = "--grid",
     trust_law: bool | None = None,
 ) -> Scenario:
     """Return the scenario of a row, named after it. Loads no code.

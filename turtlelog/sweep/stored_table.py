@@ -178,7 +178,7 @@ class StoredTable:
         if number in numbers:
             return numbers.index(number)
         if not numbers:
-            raise SweepError(f"{self._path}: expected at least one row, found none")
+            raise SweepError(f"{self._path}: the table has no rows")
         ends = f"{min(numbers)} to {max(numbers)}"
         raise SweepError(f"{self._path}: expected a row from {ends}, found {number}")
 

@@ -208,7 +208,7 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
     columns = {one.name: one for one in stored.read(list(dict.fromkeys(wanted)))}
     count = stored.row_count
     if not count:
-        raise LogError(f"{path}: expected at least one row, found none")
+        raise LogError(f"{path}: the table has no rows")
     has_failed = _find_failed(columns.get("failed"), count)
     with name_file(path, expected="a table of a sweep"):
         metrics = [_build_metric(columns, name, has_failed) for name in asked]
@@ -244,7 +244,7 @@ def _parse_facts(
         axes = [*((key,) for key in plan["grid"]), *([tuple(plan["zip"])] if plan["zip"] else [])]
         is_sampled = plan["sample"] is not None
     except (KeyError, TypeError, ValueError, RecursionError) as err:
-        raise LogError(f"{path}: expected the plan and the base of a sweep, found none") from err
+        raise LogError(f"{path}: not a table of turtlelog sweep: it has no plan") from err
     missing = [key for keys in axes for key in keys if key not in stored.names]
     if missing:
         raise LogError(f"{path}: expected a column of every key that varies, found no {missing[0]}")
@@ -302,7 +302,7 @@ def _build_metric(
 ) -> SweptMetric:
     column, statuses = columns.get(name), columns.get(f"{name}{STATUS}")
     if column is None or statuses is None or column.type != "real":
-        raise LogError(f"{name}: expected a column of numbers with their statuses, found none")
+        raise LogError(f"{name}: no column of numbers with statuses")
     cells: Any = column.cells
     codes: Any = statuses.cells
     values = np.array(cells.to_numpy(), np.float64)

@@ -148,7 +148,7 @@ def _hold(results: SweptResults, at: Mapping[str, Any]) -> dict[SweptAxis, int]:
             if all(one[column] == wish for column, wish in wanted)
         ]
         if not places:
-            raise SweepError(f"--at: expected values of {axis.name} in one row, found none")
+            raise SweepError(f"--at: no row has these values of {axis.name}")
         held[axis] = places[0]
     return held
 
@@ -219,7 +219,7 @@ def _hold_others(
         chosen &= axis.places == place
     rows = np.flatnonzero(chosen)
     if not len(rows):
-        raise SweepError("--at: expected values that a row has together, found none")
+        raise SweepError("--at: no row has all these values")
     return SweptView(
         results=results,
         x=shown[0],
@@ -281,9 +281,9 @@ def require_values(view: SweptView) -> None:
     """
     metrics, path = view.results.metrics, view.results.path
     if view.results.failed == view.results.row_count:
-        raise SweepError(f"{path}: expected a row with a run, found that all of them failed")
+        raise SweepError(f"{path}: all rows failed")
     if not metrics:
-        raise SweepError(f"{path}: expected a metric, found none")
+        raise SweepError(f"{path}: the table has no metric")
     if any(np.isfinite(metric.values[view.rows]).any() for metric in metrics):
         return
     reasons = dict.fromkeys(str(one.reasons[row]) for one in metrics for row in view.rows.tolist())

@@ -122,7 +122,7 @@ def read_intervals(path: Path, scenario: Scenario) -> tuple[Variation, ...]:
         }
     except (ValueError, KeyError, TypeError, RecursionError) as err:
         expected = "what `turtlelog identify --json` prints"
-        raise TuneError(f"{path}: expected {expected}, found another file") from err
+        raise TuneError(f"{path}: is not {expected}") from err
     parameters = flatten_scenario(scenario)
     known = {
         key: (float(low), float(high))
@@ -133,7 +133,7 @@ def read_intervals(path: Path, scenario: Scenario) -> tuple[Variation, ...]:
         expected = (
             "intervals of a robot that the scenario drives, as `identify --scenario` writes it"
         )
-        raise TuneError(f"{path}: expected {expected}, found none")
+        raise TuneError(f"{path}: has no {expected}")
     # A dead time of 0 is as likely as the interval around it; below 0 there is none.
     return tuple(
         Variation(key=key, low=max(low, 0.0), high=max(high, 0.0))

@@ -98,7 +98,7 @@ def search_best(
     found = sum_up(candidates, keys, is_maximised=is_maximised)
     if found.best.objective is None:
         reason = found.best.failed or found.best.missing
-        raise TuneError(f"expected a candidate with a value to compare, found none: {reason}")
+        raise TuneError(f"no candidate has a value to compare: {reason}")
     return found
 
 

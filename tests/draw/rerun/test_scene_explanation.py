@@ -172,7 +172,7 @@ def test_a_bar_begins_where_the_one_above_it_ends(kp10_rrd: Path) -> None:
     assert (left[0], left[1]) == pytest.approx((total[0], pause[0]), abs=1e-3)
 
 
-def test_the_main_ghost_is_grey_and_the_others_have_their_mechanisms_colours(
+def test_the_main_ghost_is_grey_and_the_others_have_their_causes_colours(
     kp10_rrd: Path,
 ) -> None:
     colors = palette.choose_cause_colors(explain("paper-kp10")[0].causes)
@@ -377,7 +377,7 @@ def test_a_gap_is_measured_at_the_same_time_after_the_start() -> None:
     np.testing.assert_allclose(gap_m, expected_m, atol=1e-12)
 
 
-def test_six_mechanisms_with_long_words_stay_in_the_picture(tmp_path: Path) -> None:
+def test_six_causes_with_long_words_stay_in_the_picture(tmp_path: Path) -> None:
     shares = dict.fromkeys(("disturbance", "quantum", "dropout", "outlier", "repeat"), 0.01)
     found = make_attribution(RUN, {**shares, "jitter": -0.02})
     write_explanation_rrd(RUN, found, {}, tmp_path / "why.rrd")

@@ -97,7 +97,7 @@ def test_a_type_may_be_named_in_several_ways(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("Missing a\n", "schema test/Missing: expected its definition, found none"),
+        ("Missing a\n", "schema test/Missing: its definition is missing"),
         (f"A a\n{LINE}MSG: test/A\nKind b\n", "found one that holds itself"),
         ("int32\n", "expected a type and a name, found 'int32'"),
         ("int32 a\nint32 a\n", "expected names that differ, found one twice"),

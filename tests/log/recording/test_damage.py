@@ -86,7 +86,7 @@ def test_a_file_cut_short_is_one_line(length: int, sound: bytes, tmp_path: Path)
 def test_a_file_cut_short_anywhere_is_one_line(sound: bytes, tmp_path: Path) -> None:
     for length in Random(0).sample(range(len(sound)), 150):
         message = read_damaged(tmp_path / "run.mcap", sound[:length])
-        assert "expected" in message
+        assert "\n" not in message
         if length >= 8:
             advice = ADVICE if can_recover(tmp_path / "run.mcap") else NO_ADVICE
             assert message.endswith(f": {advice}")
@@ -148,7 +148,7 @@ def test_an_index_that_leaves_a_message_out_is_found(sound: bytes, tmp_path: Pat
 @pytest.mark.parametrize("data", [b"", b"\0" * 4000, b"time,x\n0,1\n" * 300, b"{}"])
 def test_other_files_are_no_recordings(data: bytes, tmp_path: Path) -> None:
     message = read_damaged(tmp_path / "run.mcap", data)
-    assert "byte 0: expected an MCAP file (0x894d434150300d0a), found" in message
+    assert "byte 0: not an MCAP file: " in message
 
 
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
@@ -180,13 +180,13 @@ def test_a_format_that_never_was_is_refused(version: str, tmp_path: Path) -> Non
 
 def test_an_mcap_without_our_record_is_no_recording(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "other.mcap", {})
-    with pytest.raises(LogError, match="expected a metadata record turtlelog, found none"):
+    with pytest.raises(LogError, match="it has no metadata record turtlelog"):
         read_recording(path)
 
 
 def test_a_recording_without_poses_is_refused(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "empty.mcap", HEAD)
-    with pytest.raises(LogError, match="topic /turtle1/pose: expected messages, found none"):
+    with pytest.raises(LogError, match="topic /turtle1/pose: no messages"):
         read_recording(path)
 
 
@@ -205,7 +205,7 @@ def test_a_changed_entry_is_told_by_its_checksum(tmp_path: Path, sound: bytes) -
 
 def test_a_missing_or_wrong_entry_is_named(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "odd.mcap", {"format_version": "1", "source": "test"})
-    with pytest.raises(LogError, match="expected an entry name, found none"):
+    with pytest.raises(LogError, match="the entry name is missing"):
         read_recording(path)
     path = write_mcap(tmp_path / "odd.mcap", HEAD | {"notes": "[1]"})
     with pytest.raises(LogError, match=r"notes: Expected `object`, got `array`, found '\[1\]'"):
@@ -224,5 +224,5 @@ def test_a_missing_or_wrong_entry_is_named(tmp_path: Path) -> None:
     ],
 )
 def test_other_peoples_recordings_are_no_runs(name: str) -> None:
-    with pytest.raises(LogError, match="not a recording by turtlelog"):
+    with pytest.raises(LogError, match="not a recording of turtlelog"):
         read_recording(find_shared("ros2", *name.split("/")))

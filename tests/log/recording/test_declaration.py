@@ -169,7 +169,9 @@ def test_what_is_written_can_be_read(tmp_path: Path) -> None:
 
 def test_format_2_without_a_declaration_is_named(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "odd.mcap", HEAD | {"format_version": "2"})
-    with pytest.raises(LogError, match=r"mcap: metadata turtlelog: expected an entry declaration"):
+    with pytest.raises(
+        LogError, match=r"mcap: metadata turtlelog: the entry declaration is missing"
+    ):
         read_recording(path)
 
 

@@ -125,7 +125,7 @@ def test_a_lost_summary_costs_no_row(sound: bytes, run: Run, tmp_path: Path) -> 
 
 def test_what_is_no_recording_is_not_read_in_part(tmp_path: Path) -> None:
     (tmp_path / "run.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
-    with pytest.raises(LogError, match="not a recording by turtlelog"):
+    with pytest.raises(LogError, match="not a recording of turtlelog"):
         read_recording(tmp_path / "run.mcap", allow_partial=True)
 
 

@@ -236,7 +236,7 @@ def test_no_topic_at_all_is_a_file_that_is_whole(tmp_path: Path) -> None:
         (make_topic({"data": ["x"]}, [0, 1]), "/a: data: expected 2 rows, found 1"),
         (make_topic({"data": [3.0]}, [0]), "/a: row 0: expected values of the type's kinds, found"),
         (make_texts([-1]), "/a: log_time_ns: expected values from 0 to .* found -1"),
-        (make_topic({}, [0], kind="a/msg/B"), "/a: expected a definition of a/msg/B, found none"),
+        (make_topic({}, [0], kind="a/msg/B"), "/a: no definition of a/msg/B"),
         (
             make_topic({"small": [128]}, [0], kind=MIXED),
             "/a: row 0: expected values of the type's kinds",

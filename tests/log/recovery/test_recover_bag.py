@@ -103,7 +103,7 @@ def test_rows_that_are_no_messages_are_named_and_left_out(whole: Path, tmp_path:
     assert [loss.reason for loss in report.lost] == [
         "messages: row 7: timestamp: expected nanoseconds from 0 on, found -5",
         "messages: row 9: data: expected a blob, found text",
-        "messages: row 11: expected a row in topics of topic_id 12, found none",
+        "messages: row 11: the table topics has no topic_id 12",
     ]
 
 

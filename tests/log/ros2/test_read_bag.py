@@ -258,7 +258,7 @@ def test_a_bag_that_cannot_be_read_says_why(
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("", "expected an entry rosbag2_bagfile_information, found none"),
+        ("", "the entry rosbag2_bagfile_information is missing"),
         ("rosbag2_bagfile_information:\n  version: 5\n", "relative_file_paths: expected a list"),
         ("rosbag2_bagfile_information:\n  ? x\n", r"line 2: expected key: value, found '\? x'"),
     ],

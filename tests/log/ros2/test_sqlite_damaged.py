@@ -59,7 +59,7 @@ NULLS = (
         ),
         (
             ("UPDATE messages SET topic_id = 9 WHERE id = 2",),
-            "messages: row 2: expected a row in topics of topic_id 9, found none",
+            "messages: row 2: the table topics has no topic_id 9",
         ),
         (
             (*NULLS, "UPDATE messages SET topic_id = NULL WHERE id = 2"),

@@ -33,7 +33,7 @@ from turtlelog.explain import (
     attribute_run,
     choose_metric,
     identify_run,
-    require_mechanisms,
+    require_causes,
     simulate_what_ifs,
 )
 from turtlelog.loops import SIGNAL_WORDS
@@ -102,7 +102,7 @@ def explain_for_figure(
         raise ShowError(f"figure attribution: expected one recording, found {len(runs)}")
     (run,) = runs
     chosen = metric or choose_metric(run.declaration)
-    require_mechanisms(run, chosen, None)
+    require_causes(run, chosen, None)
     identified = identify_run(run)
     if identified.scenario is None:
         reason = next(iter(identified.notes), "no scenario stands for this log").rstrip(".")

@@ -21,7 +21,7 @@ from turtlelog.charts.luck import (
 from turtlelog.charts.palette import Color
 from turtlelog.draw.figures.direct_labels import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ExplainError, ShowError
-from turtlelog.explain import Luck, Work, choose_metric, measure_luck, require_mechanisms
+from turtlelog.explain import Luck, Work, choose_metric, measure_luck, require_causes
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -76,7 +76,7 @@ def measure_luck_for_figure(
         raise ShowError(f"figure luck: expected one recording, found {len(runs)}")
     (run,) = runs
     chosen = metric or choose_metric(run.declaration)
-    require_mechanisms(run, chosen, None)
+    require_causes(run, chosen, None)
     try:
         return measure_luck(run, metric=chosen, work=work)
     except ExplainError as err:

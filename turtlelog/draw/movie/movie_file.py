@@ -44,7 +44,7 @@ def write_movie(
     suffix = path.suffix.lower()
     require_encoder(suffix)
     if not runs:
-        raise ShowError(f"{path}: expected at least one run, found none")
+        raise ShowError(f"{path}: no run to film")
     longest_s = LONGEST_S[suffix]
     if length_s is not None and not SHORTEST_S <= length_s <= longest_s:
         raise ShowError(

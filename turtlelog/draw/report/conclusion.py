@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from turtlelog.charts.close_up import format_length
+from turtlelog.charts.endings import describe_runs
 from turtlelog.charts.many_runs import group_equal
 from turtlelog.compare import judge_runs, summarise_run
 from turtlelog.display import describe_count, join_words
@@ -24,8 +25,8 @@ def conclude(
     """
     found = list_misses(runs, metrics)
     sentences = []
-    if len(runs) == 1 and found:
-        sentences.append(f"{names[0]} ends {format_length(found[0])} from its goal.")
+    if len(runs) == 1 or not found:
+        sentences.append(describe_runs(runs))
     elif len(found) == 1:
         ((number, miss_m),) = found.items()
         sentences.append(f"Only {names[number]} has a goal; it ends {format_length(miss_m)} off.")

@@ -222,7 +222,7 @@ class Catalogue:
         if encoding not in _SCHEMAS:
             return {**found, "reason": _describe_encoding(encoding)}
         if schema is None:
-            return {**found, "reason": "a schema expected, found none"}
+            return {**found, "reason": "it has no schema"}
         if schema.encoding not in _SCHEMAS[encoding]:
             expected = " or ".join(filter(None, _SCHEMAS[encoding][:2]))
             reason = f"a schema in {expected} expected, found {schema.encoding!r}"

@@ -97,18 +97,16 @@ def find_wrong_start(start: bytes) -> str | None:
     """Return why the first bytes of a file are none of MCAP, and what may help; None if sound."""
     if start.startswith(MCAP0_MAGIC):
         return None
-    found = f"0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "an empty file"
+    found = f"it begins with 0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "it is empty"
     if start.startswith(_SQLITE):
-        found = "a bag in SQLite"
+        found = "it is a bag in SQLite"
     elif start.startswith(_RERUN):
-        found = "a Rerun recording: turtlelog view shows it"
+        found = "it is a Rerun recording, which turtlelog view shows"
     elif start.startswith(_BAG_DESCRIPTION):
-        found = "the metadata.yaml of a bag: the folder that it stands in is the bag"
+        found = "it is the metadata.yaml of a bag: name the folder that it is in"
     elif start and _is_text(start.removeprefix(_BYTE_ORDER_MARK)):
-        found = (
-            "text: logs and tables are read where the name ends in .csv, .json, .tsv, .tum, .txt"
-        )
-    return f"expected an MCAP file (0x{MCAP0_MAGIC.hex()}), found {found}"
+        found = "it is text; names of logs and tables end in .csv, .json, .tsv, .tum or .txt"
+    return f"not an MCAP file: {found}"
 
 
 def _is_text(start: bytes) -> bool:
@@ -166,7 +164,7 @@ def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
     opcode, length = _read_head(window, place)
     end = place + RECORD.size + length
     if end > window.size:
-        raise LogError(f"expected {length} bytes in a record, found the end of the file within it")
+        raise LogError(f"the file ends within a record of {length} bytes")
     found = measure_record(window, place, opcode, end)
     if found > end or (found < end and not is_padding(window, found, end, opcode)):
         found -= place + RECORD.size
@@ -174,7 +172,7 @@ def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
     # What its fields do not bear out, the next record must.
     is_borne_out = opcode in _SHAPES or opcode in _EXACT
     if not is_borne_out and not is_record_start(window, end, after=opcode):
-        raise LogError(f"expected another record after one of {length} bytes, found none")
+        raise LogError(f"no record follows the one of {length} bytes")
     return opcode, end
 
 

@@ -326,7 +326,7 @@ class _Printer:
             found = "::".join((*kind.scope[:count], name))
             if found in self._types.structs or found in self._types.others:
                 return found
-        raise LogError(f"schema {self._name}: expected a definition of {kind.name}, found none")
+        raise LogError(f"schema {self._name}: no definition of {kind.name}")
 
 
 def _rename(scoped: str) -> str:

@@ -73,7 +73,7 @@ def read_json_schema(name: str, data: bytes) -> tuple[JsonField, ...]:
     fields: dict[str, JsonField] = {}
     for field in _Schema(name, schema).list_fields(schema, ()):
         if not field.path or field.name.startswith("#"):
-            found = repr(field.name[:40]) if field.path else "none"
+            found = repr(field.name[:40]) if field.path else "no field"
             raise LogError(f"schema {name}: expected an object with named fields, found {found}")
         if field.name in fields:
             raise LogError(f"schema {name}: expected names that differ, found {field.name} twice")
@@ -164,9 +164,7 @@ class _Schema:
         for part in parts:
             found = found.get(part) if isinstance(found, dict) else None
         if found is None or not reference.startswith("#"):
-            raise LogError(
-                f"schema {self._name}: expected what {reference[:60]!r} names, found nothing"
-            )
+            raise LogError(f"schema {self._name}: no definition at {reference[:60]!r}")
         return found
 
 

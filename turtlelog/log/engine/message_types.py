@@ -181,7 +181,7 @@ def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
     for part in others:
         heading = _HEADING.match(part)
         if heading is None:
-            raise LogError(f"schema {name}: expected MSG: and a type after =====, found none")
+            raise LogError(f"schema {name}: no MSG: and type after =====")
         definitions[shorten_type(heading[1])] = part[heading.end() :]
     # The first definition may carry its own heading.
     own = _HEADING.match(first)
@@ -205,7 +205,7 @@ class _Resolver:
         if name in inside or len(inside) > _DEEPEST:
             raise LogError(f"schema {name}: expected types that end, found one that holds itself")
         if name not in self._definitions:
-            raise LogError(f"schema {name}: expected its definition, found none")
+            raise LogError(f"schema {name}: its definition is missing")
         fields, count = [], 0
         for found in _parse_lines(name, self._definitions[name]):
             length = int(found["length"]) if found["length"] and not found["bound"] else None

@@ -92,7 +92,7 @@ class Source:
                 raise DamageError(f"byte {byte}: expected what the summary names, found {found[1]}")
             yield record
         for byte, (_, name) in named.items():
-            raise DamageError(f"byte {byte}: expected a record named {name}, found another")
+            raise DamageError(f"byte {byte}: not the record named {name}")
 
     @property
     def summary_start(self) -> int:

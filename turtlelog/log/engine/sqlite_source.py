@@ -221,7 +221,7 @@ class SqliteSource:
         if not isinstance(topic_id, int):
             return f"topic_id: expected a whole number, found {_name_kind(topic_id)}"
         if topic_id not in self._numbers:
-            return f"expected a row in topics of topic_id {topic_id}, found none"
+            return f"the table topics has no topic_id {topic_id}"
         if not isinstance(timestamp, int) or timestamp < 0:
             found = timestamp if isinstance(timestamp, int) else _name_kind(timestamp)
             return f"timestamp: expected nanoseconds from 0 on, found {found}"
@@ -253,7 +253,7 @@ class SqliteSource:
             return DamageError(f"{place}: data: expected a blob, found {held}")
         if named != "integer":
             return DamageError(f"{place}: topic_id: expected a whole number, found {named}")
-        return DamageError(f"{place}: expected a row in topics of topic_id {topic_id}, found none")
+        return DamageError(f"{place}: the table topics has no topic_id {topic_id}")
 
     def _count_steps(self) -> bool:
         self._steps_left -= _STEPS

@@ -90,7 +90,7 @@ def _describe_table(execute: Execute, table: str, needed: Collection[str]) -> Ba
     try:
         execute(f"SELECT {free[0]} FROM {table} NOT INDEXED LIMIT 0")
     except sqlite3.OperationalError as err:
-        raise LogError(f"{table}: expected rows with numbers, found none: {err}") from err
+        raise LogError(f"{table}: its rows have no numbers: {err}") from err
     return BagTable(columns, free[0])
 
 

@@ -255,7 +255,7 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Loss], i
         if start <= end <= min(window.size, start + LARGEST_CHUNK)
     ]
     after = [end for end in ends if agree or is_record_start(window, end, after=Opcode.CHUNK)]
-    reason = f"expected a chunk of {length} bytes, found {window.size - start} to come"
+    reason = f"the file ends {window.size - start} bytes into a chunk of {length}"
     for end in filter(lambda end: end in after or (checksum and window.spend(end - start)), ends):
         try:
             packed = window.read(start, end - start)
@@ -270,9 +270,7 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Loss], i
         # The checksum holds, so it is the header that is wrong, or what follows.
         reason = f"expected a chunk of {len(data)} bytes, found a header that says otherwise"
         if len(data) == size:
-            reason = (
-                "expected a chunk with lengths that agree, or a sound record after it, found none"
-            )
+            reason = "the chunk's lengths disagree, and no sound record follows"
         return [section, Loss(start=place, end=start, reason=reason)], end
     if not after:
         raise LogError(reason)

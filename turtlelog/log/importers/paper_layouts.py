@@ -96,7 +96,7 @@ def _refuse_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _require_table(place: str, value: object) -> Mapping[str, Any]:
     if not isinstance(value, dict):
-        found = "none" if value is None else type(value).__name__
+        found = "no value" if value is None else type(value).__name__
         raise LogError(
             f"{place}: expected a JSON object, as the paper's logs have it, found {found}"
         )
@@ -106,7 +106,7 @@ def _require_table(place: str, value: object) -> Mapping[str, Any]:
 def _require_list(name: str, data: Mapping[str, Any]) -> list[object]:
     values = data.get(name)
     if not isinstance(values, list):
-        found = type(values).__name__ if name in data else "none"
+        found = type(values).__name__ if name in data else "no value"
         raise LogError(f"data.{name}: expected a list, found {found}")
     return values
 

@@ -102,7 +102,7 @@ def build_columns(
         LogError: Where there is no row, or a value is wrong.
     """
     if not lists["time"]:
-        raise LogError(f"{places['time']}: expected at least one row, found none")
+        raise LogError(f"{places['time']}: no rows")
     columns = {}
     for name in NUMBERS:
         place = places[name]

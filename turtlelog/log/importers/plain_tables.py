@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import format_utc
+from turtlelog.display import format_utc, join_words
 from turtlelog.errors import LogError, RunError
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.importers.table_cells import Cells, Times, Values
@@ -26,6 +26,9 @@ _NEVER: Final = (
 )
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
 _NEEDED: Final = ("t", "x", "y", "heading")
+
+_SHOWN_NAMES: Final = 12
+"""Columns that an error names."""
 
 _OTHERS: Final = ("z", "speed", "turn_rate", "command_speed", "command_turn_rate")
 
@@ -63,9 +66,12 @@ def _require_columns(table: PlainTable, chosen: Mapping[str, Choice]) -> None:
         if name not in chosen and not (name == "heading" and has_quaternion)
     ]
     if missing:
-        found = ", ".join(table.names)[:160]
+        if {"row", "failed"} <= {*table.names}:
+            raise LogError("a table of turtlelog sweep, not a run: turtlelog plot shows it")
+        found = ", ".join(table.names[:_SHOWN_NAMES])
+        more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
         raise LogError(
-            f"expected columns for {', '.join(missing)}, found {found}:"
+            f"no column for {join_words(missing)}; there are {found}{more}:"
             f" --column {missing[0]}='NAME [UNIT]' says which"
         )
 
@@ -81,7 +87,7 @@ def _build_run(path: Path, cells: Cells) -> Run:
     places = np.column_stack([values[name] for name in ("x", "y", "heading")])
     has_pose = np.asarray(np.isfinite(places).all(axis=1))
     if not has_pose.any():
-        raise LogError("expected rows with x, y and heading, found none")
+        raise LogError("no row has x, y and heading")
     commands = _build_commands(time_ns, values)
     start_ns = int(min([time_ns[has_pose][0], *commands.time_ns[:1]]))
     poses = {name: column[has_pose] for name, column in values.items()}

@@ -110,7 +110,7 @@ def _parse_text(text: str, size: int) -> PlainTable:
     if is_first:
         has_header, header = _find_names(comments, delimiter, len(header))
     elif not has_more:
-        raise LogError(f"expected rows below the header {_list(header)}, found none")
+        raise LogError(f"no rows below the header {_list(header)}")
     return PlainTable(
         names=tuple(header),
         columns=_TextColumns(text, delimiter, len(header), size, is_first=is_first),
@@ -276,7 +276,7 @@ def _read_parquet(path: Path) -> PlainTable:
     file = ParquetFile(path)
     file.require_rows()
     if not file.row_count:
-        raise LogError("expected rows, found none")
+        raise LogError("no rows")
     require_few_columns(len(file.leaves))
     columns = _StoredColumns(file)
     return PlainTable(

@@ -218,9 +218,7 @@ def _find_head(records: Collection[Any]) -> Head:
     """Return the last one: a live recording says at its end how it ended."""
     heads = [found for found in records if isinstance(found, Metadata) and found.name == HEAD]
     if not heads:
-        raise ForeignFileError(
-            f"expected a metadata record {HEAD}, found none: not a recording by turtlelog"
-        )
+        raise ForeignFileError(f"not a recording of turtlelog: it has no metadata record {HEAD}")
     return parse_head(heads[-1].metadata)
 
 

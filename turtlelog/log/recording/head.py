@@ -314,7 +314,7 @@ def _encode(value: object) -> str:
 
 def _get(record: Mapping[str, str], key: str) -> str:
     if key not in record:
-        raise LogError(f"metadata {HEAD}: expected an entry {key}, found none")
+        raise LogError(f"metadata {HEAD}: the entry {key} is missing")
     return record[key]
 
 

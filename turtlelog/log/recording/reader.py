@@ -288,7 +288,7 @@ def build_run(contents: Contents) -> Run:
 def _build_poses(columns: dict[str, TopicColumns], head: Head) -> PoseColumns:
     pose = columns.pop(POSE.name)
     if not len(pose):
-        raise LogError(f"topic {POSE.name}: expected messages, found none")
+        raise LogError(f"topic {POSE.name}: no messages")
     position = _prefer(columns.pop(POSE64.name), pose).fields
     velocity = _prefer(columns.pop(VELOCITY64.name), pose).fields
     speed = velocity["linear.x" if "linear.x" in velocity else "linear_velocity"]
@@ -343,7 +343,7 @@ def _build_sensed(
     missing = ~np.isin(read, rows)
     if missing.any():
         number = read[missing.argmax()]
-        raise LogError(f"{place}: expected pose {number}, which a sample read, found none")
+        raise LogError(f"{place}: pose {number} is missing, which a sample read")
     exact = _prefer(columns.pop(SENSED64.name), sensed)
     return _spread(exact, rows, len(pose))
 

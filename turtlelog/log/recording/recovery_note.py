@@ -65,7 +65,7 @@ def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
 
 def _describe(record: Mapping[str, str]) -> str:
     if record.get(CHECKSUM) != sum_up(record):
-        raise LogError(f"metadata {RECOVERY}: expected its checksum, found another: it is damaged")
+        raise LogError(f"metadata {RECOVERY}: damaged, its checksum does not match")
     lost = _decode(record, "lost", tuple[Loss, ...])
     missing = _decode(record, "missing", dict[str, int] | None)
     if missing is None:

@@ -272,7 +272,7 @@ def describe_topics(
     pairs = []
     for number, (topic, kind) in enumerate(topics, start=1):
         if kind not in definitions:
-            raise LogError(f"topic {topic}: expected a definition of {kind}, found none")
+            raise LogError(f"topic {topic}: no definition of {kind}")
         if kind not in schemas:
             data = definitions[kind].encode()
             schemas[kind] = Schema(id=len(schemas) + 1, name=kind, encoding="ros2msg", data=data)

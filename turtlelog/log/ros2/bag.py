@@ -61,7 +61,6 @@ def open_bag(path: str | Path) -> Bag:
     for file, info in infos.items():
         if not info.complete:
             raise LogError(
-                f"{file}: expected the end of an MCAP file, found none: cut short, or never"
-                f" finished: {info.notes['partial']}"
+                f"{file}: no end of an MCAP file: truncated or unfinished: {info.notes['partial']}"
             )
     return Bag(path=path, infos=infos)

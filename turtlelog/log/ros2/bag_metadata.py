@@ -251,9 +251,9 @@ def _read_below(number: int, under: str, value: str) -> dict[str, str]:
 def _require_entries(values: Mapping[str, str], files: Sequence[str]) -> None:
     if not files:
         found = values.get(_FILES, "")[:60].replace("[]", "")
-        raise LogError(f"{_FILES}: expected a list of files, found {found or 'none'}")
+        raise LogError(f"{_FILES}: expected a list of files, found {found or 'no file'}")
     if "storage_identifier" not in values:
-        raise LogError("storage_identifier: expected mcap or sqlite3, found none")
+        raise LogError("storage_identifier: missing; it must be mcap or sqlite3")
 
 
 def _parse_duration(text: str) -> int | None:
@@ -280,7 +280,7 @@ def _iterate_entries(text: str, root: str) -> Iterator[tuple[int, str, str]]:
                 raise LogError(f"line {number}: expected key: value, found {content[:60]!r}")
             yield number, entry["key"], entry["value"] or ""
     if depth is None:
-        raise LogError(f"expected an entry {root}, found none")
+        raise LogError(f"the entry {root} is missing")
 
 
 def _iterate_body(text: str, root: str) -> Iterator[tuple[int, int, bool, str]]:

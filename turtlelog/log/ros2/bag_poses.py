@@ -145,7 +145,7 @@ def _pick_transforms(topics: Collection[TopicInfo]) -> Pick:
     fitting = [topic for topic in topics if topic.type == TRANSFORMS and topic.count]
     moving = [topic for topic in fitting if not _is_static(topic.topic)]
     if not moving:
-        raise LogError("expected transforms (/tf), found none")
+        raise LogError("no transforms (/tf)")
     return Pick(topic=min(moving, key=lambda topic: (topic.topic.count("/"), topic.topic)))
 
 

@@ -70,7 +70,7 @@ def _join(found: list[TopicColumns]) -> tuple[Times, dict[str, Any]]:
             for name in names
         }
     except KeyError as err:
-        raise LogError(f"expected a field {err.args[0]}, found none") from err
+        raise LogError(f"the field {err.args[0]} is missing") from err
     order = np.argsort(fields["sequence"], kind="stable")
     time_ns = np.concatenate([columns.log_time_ns for columns in found])[order]
     numbers = fields["sequence"][order].astype(np.int64)

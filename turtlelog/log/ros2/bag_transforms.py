@@ -253,7 +253,7 @@ def _find_world(tree: Tree, robot: str) -> str:
     """
     above = _climb(tree, robot)
     if not above:
-        raise LogError(f"pose_frame {robot}: expected a transform from another frame, found none")
+        raise LogError(f"pose_frame {robot}: no transform leads to it from another frame")
     worlds = [name for name in above if _is_world(name)]
     return worlds[-1] if worlds else above[-1]
 
@@ -326,7 +326,7 @@ def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
                     waiting.append(there)
     if end not in ways:
         raise LogError(
-            f"transforms: expected some that join {start} and {end}, found none; frames:"
+            f"transforms: none join {start} and {end}; frames:"
             f" {', '.join(sorted({name for names in tree for name in names}))[:300]}"
         )
     return ways[end]

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ExplainError, describe_unknown
-from turtlelog.laws import find_law, list_mechanisms, list_sample_counters, name_law
-from turtlelog.loops import Mechanism
+from turtlelog.laws import find_law, list_causes, list_sample_counters, name_law
+from turtlelog.loops import Cause
 from turtlelog.run import Run
 from turtlelog.scenario import (
     Scenario,
@@ -29,11 +29,11 @@ FINER: Final = 8
 SAMPLING: Final = "sampling"
 """The property that no setting is: without it the plant has a finer clock."""
 
-LOOP_MECHANISMS: Final = (
-    *(mechanism for effect in EFFECTS for mechanism in effect.mechanisms),
-    Mechanism(
+LOOP_CAUSES: Final = (
+    *(cause for effect in EFFECTS for cause in effect.causes),
+    Cause(
         name=SAMPLING,
-        kind="property",
+        kind="design",
         neutral={},
         meaning=f"a clock {FINER} times finer, each pose answered, delays unchanged",
     ),
@@ -41,7 +41,7 @@ LOOP_MECHANISMS: Final = (
 """What lies between law and plant, whatever the law. Dead time and lag of a robot are its own."""
 
 RANDOM_EFFECTS: Final = frozenset(
-    one.name for one in LOOP_MECHANISMS if not RANDOM_KEYS.isdisjoint(one.neutral)
+    one.name for one in LOOP_CAUSES if not RANDOM_KEYS.isdisjoint(one.neutral)
 )
 """Names of those that draw random numbers."""
 
@@ -57,54 +57,54 @@ def draws_random(scenario: Scenario) -> bool:
     )
 
 
-def find_mechanisms(scenario: Scenario) -> Mapping[str, Mechanism]:
-    """Return what a scenario may have, by name: the loop's mechanisms, then those of its law.
+def find_causes(scenario: Scenario) -> Mapping[str, Cause]:
+    """Return what a scenario may have, by name: the loop's causes, then those of its law.
 
     Without `sampling` where the clock cannot be made finer.
 
     Raises:
         ScenarioError: Where the law cannot be loaded, or may not run.
-        ExplainError: Where two mechanisms have one name.
+        ExplainError: Where two causes have one name.
     """
     law = find_law(resolve_scenario(scenario).law.kind)
     is_offered = not describe_no_sampling(scenario)
-    found = {one.name: one for one in LOOP_MECHANISMS if is_offered or one.name != SAMPLING}
-    for mechanism in list_mechanisms(law):
-        if mechanism.name in found or mechanism.name == SAMPLING:
+    found = {one.name: one for one in LOOP_CAUSES if is_offered or one.name != SAMPLING}
+    for cause in list_causes(law):
+        if cause.name in found or cause.name == SAMPLING:
             raise ExplainError(
-                f"{name_law(law)}.mechanisms: expected a name that no other mechanism has,"
-                f" found {mechanism.name!r}"
+                f"{name_law(law)}.causes: expected a name that no other cause has,"
+                f" found {cause.name!r}"
             )
-        found[mechanism.name] = mechanism
+        found[cause.name] = cause
     return MappingProxyType(found)
 
 
-def list_effects(table: Mapping[str, Mechanism]) -> tuple[str, ...]:
+def list_effects(table: Mapping[str, Cause]) -> tuple[str, ...]:
     """Return those that share a deviation among themselves."""
     return tuple(name for name, found in table.items() if found.kind == "effect")
 
 
-def is_present(scenario: Scenario, mechanism: Mechanism) -> bool:
-    """Return whether a mechanism is in a scenario: whether taking it out changes a setting."""
-    return mechanism.name == SAMPLING or take_out(scenario, [mechanism]) != scenario
+def is_present(scenario: Scenario, cause: Cause) -> bool:
+    """Return whether a cause is in a scenario: whether taking it out changes a setting."""
+    return cause.name == SAMPLING or take_out(scenario, [cause]) != scenario
 
 
 def simulate_without(scenario: Scenario, names: Iterable[str]) -> Run:
-    """Simulate a scenario without some of its mechanisms.
+    """Simulate a scenario without some of its causes.
 
     Raises:
-        ExplainError: Where the scenario has no mechanism of that name.
+        ExplainError: Where the scenario has no cause of that name.
         ScenarioError: Where the law cannot be loaded, or may not run.
     """
     names = [*names]
     scenario = resolve_scenario(scenario)
-    table = find_mechanisms(scenario)
-    changed = take_out(scenario, [find_mechanism(name, table, scenario) for name in names])
+    table = find_causes(scenario)
+    changed = take_out(scenario, [find_cause(name, table, scenario) for name in names])
     return simulate_finer(changed) if SAMPLING in names else simulate_run(changed)
 
 
-def find_mechanism(name: str, table: Mapping[str, Mechanism], scenario: Scenario) -> Mechanism:
-    """Return a mechanism of a scenario by its name.
+def find_cause(name: str, table: Mapping[str, Cause], scenario: Scenario) -> Cause:
+    """Return a cause of a scenario by its name.
 
     Raises:
         ExplainError: Where the table has none of that name.
@@ -112,7 +112,7 @@ def find_mechanism(name: str, table: Mapping[str, Mechanism], scenario: Scenario
     if name in table:
         return table[name]
     if name == SAMPLING:
-        raise ExplainError(f"mechanism: {describe_no_sampling(scenario)}")
+        raise ExplainError(f"cause: {describe_no_sampling(scenario)}")
     raise ExplainError(describe_unknown("cause", name, table, place="turtlelog list causes"))
 
 
@@ -131,11 +131,11 @@ def describe_no_sampling(scenario: Scenario) -> str:
     return ""
 
 
-def take_out(scenario: Scenario, mechanisms: Iterable[Mechanism]) -> Scenario:
-    """Return a scenario with the settings that it has without some mechanisms."""
-    for mechanism in mechanisms:
-        source = f"{scenario.name} without {mechanism.name}"
-        scenario = override_scenario(scenario, mechanism.neutral, source=source)
+def take_out(scenario: Scenario, causes: Iterable[Cause]) -> Scenario:
+    """Return a scenario with the settings that it has without some causes."""
+    for cause in causes:
+        source = f"{scenario.name} without {cause.name}"
+        scenario = override_scenario(scenario, cause.neutral, source=source)
     return resolve_scenario(scenario)
 
 
