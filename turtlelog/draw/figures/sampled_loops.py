@@ -439,10 +439,10 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
         poles = compute_pid_poles(replace(gains, kp=end), **settings)
         at = poles[np.abs(np.abs(poles) - 1.0) < 1e-6]
         axes.plot(at.real, at.imag, "s", ms=4.0, mfc="none", color="black", label="limit of Kp")
-    poles = [
+    marked = [
         Pole(values=curve.found.poles, color=curve.color, label=names[curve.run]) for curve in group
     ]
-    draw_poles(axes, poles)
+    draw_poles(axes, marked)
     dead_time = f"{1e3 * first.found.dead_time_s:.4g} ms"
     axes.set_title(f"{SIGNAL_WORDS[first.model.loop.signal]}, dead time {dead_time}")
     axes.set(xlabel="real part of z", ylabel="imaginary part of z", aspect="equal")
