@@ -1,6 +1,7 @@
 """The plane: paths from start to goal, and how each run ends or leaves its path."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -8,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from turtlelog.charts.close_up import (
@@ -18,6 +20,12 @@ from turtlelog.charts.close_up import (
     find_tolerance,
     list_miss_labels,
     list_ring_labels,
+)
+from turtlelog.charts.far_origin import (
+    LEAST_SHOWN_M,
+    find_origin,
+    label_coordinate,
+    tell_still,
 )
 from turtlelog.charts.many_runs import find_restless
 from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path
@@ -67,6 +75,8 @@ _OF_MANY: Final[Mapping[str, Any]] = MappingProxyType(
 _RESTLESS: Final[Mapping[str, Any]] = MappingProxyType({"alpha": 0.45, "zorder": 1.7})
 """Paths of runs that never come to rest, where others do."""
 
+_MOST_TICKS: Final = 5
+
 _PLANE: Final = "plane"
 """The label of axes that show where runs drove."""
 
@@ -81,8 +91,9 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
     grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
     draw_paths(grid[0], runs)
     show_all(grid[0], runs)
-    if len(grid) > 1 or not lack_samples(runs):
-        grid[0].set(title="whole paths")
+    still = tell_still(runs)
+    if still or len(grid) > 1 or not lack_samples(runs):
+        grid[0].set(title=still or "whole paths")
     if close_up is not None:
         draw_paths(grid[1], runs)
         _close_up(grid[1], runs, close_up, _measure_letters(figure))
@@ -115,7 +126,12 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     goals = _list_goals(runs)
     if len(goals):
         axes.plot(*goals.T, "x", ms=6.0, mew=1.4, color="black", label="goal", zorder=3)
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", label=_PLANE)
+    axes.set(aspect="equal", label=_PLANE)
+    for axis, name, origin_m in zip((axes.xaxis, axes.yaxis), "xy", find_origin(runs), strict=True):
+        axis.set_label_text(label_coordinate(name, origin_m))
+        if origin_m:
+            axis.set_major_locator(_FromOrigin(origin_m))
+            axis.set_major_formatter(partial(_tell_from, origin_m))
 
 
 def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
@@ -195,7 +211,9 @@ def show_all(axes: Axes, runs: Sequence[Run]) -> None:
             *map(outline_path, list_paths(runs)),
         ]
     )
-    _show_square(axes, points.min(axis=0), points.max(axis=0), 0.08)
+    low, high = points.min(axis=0), points.max(axis=0)
+    missing_m = max(0.5 * (LEAST_SHOWN_M - float((high - low).max())), 0.0)
+    _show_square(axes, low - missing_m, high + missing_m, 0.08)
 
 
 def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Lettering) -> None:
@@ -256,6 +274,23 @@ def _list_aims(runs: Sequence[Run]) -> list[Values]:
 def _list_goals(runs: Sequence[Run]) -> Values:
     goals = sorted({run.goal_xy_m for run in runs if run.goal_xy_m is not None})
     return np.array(goals).reshape(-1, 2)
+
+
+class _FromOrigin(MaxNLocator):
+    """Ticks at round distances from an origin."""
+
+    def __init__(self, origin_m: float) -> None:
+        super().__init__(nbins=_MOST_TICKS, steps=[1, 2, 2.5, 5, 10])
+        self._origin_m = origin_m
+
+    def tick_values(self, vmin: float, vmax: float) -> Values:
+        """Return where ticks are between two ends [m]."""
+        from_origin = super().tick_values(vmin - self._origin_m, vmax - self._origin_m)
+        return np.asarray(from_origin, dtype=np.float64) + self._origin_m
+
+
+def _tell_from(origin_m: float, value_m: float, _: int | None = None) -> str:
+    return f"{round(value_m - origin_m, 6):g}"
 
 
 def _show_square(axes: Axes, low: Values, high: Values, margin: float = 0.0) -> None:
