@@ -37,7 +37,7 @@ def test_the_offset_is_named_once_and_ticks_are_short_and_apart() -> None:
         figure = tl.draw.draw_figure("plane", [FAR])
         figure.draw_without_rendering()
         axes = figure.axes[0]
-        assert axes.get_xlabel() == "x from 448,262 m [m]"
+        assert axes.get_xlabel() == "x from 448,262 m"
         assert axes.get_ylabel() == label_coordinate("y", 4_500_001.0)
         low, high = axes.get_xlim()
         ticks = [tick for tick in axes.get_xticks() if low <= tick <= high]

@@ -29,8 +29,8 @@ def find_origin(runs: Sequence[Run]) -> tuple[float, float]:
 
 
 def label_coordinate(name: str, origin_m: float) -> str:
-    """Return the name of an axis: `x [m]`, or `x from 448,262 m [m]`."""
-    return f"{name} from {origin_m:,.0f} m [m]" if origin_m else f"{name} [m]"
+    """Return the name of an axis: `x [m]`, or `x from 448,262 m`."""
+    return f"{name} from {origin_m:,.0f} m" if origin_m else f"{name} [m]"
 
 
 def tell_still(runs: Sequence[Run]) -> str:
