@@ -444,7 +444,7 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
     ]
     draw_poles(axes, marked)
     dead_time = f"{1e3 * first.found.dead_time_s:.4g} ms"
-    axes.set_title(f"{SIGNAL_WORDS[first.model.loop.signal]}, dead time {dead_time}")
+    axes.set_title(f"{SIGNAL_WORDS[first.model.loop.signal]}\ndead time {dead_time}")
     axes.set(xlabel="real part of z", ylabel="imaginary part of z", aspect="equal")
     axes.set(xlim=(-1.35, 1.35), ylim=(-1.35, 1.35))
 
