@@ -14,16 +14,16 @@ Color = tuple[int, int, int]
 
 FEW: Final[tuple[Color, ...]] = (
     (0, 114, 178),
-    (198, 136, 0),
-    (17, 155, 88),
-    (178, 95, 134),
+    (184, 125, 2),
+    (17, 157, 92),
+    (228, 108, 160),
     (141, 80, 45),
     (0, 160, 206),
-    (123, 109, 0),
+    (108, 102, 0),
 )
 """After Okabe and Ito, for colour-blind readers, with 3:1 and more to white paper and dark ground.
 
-The first four differ in grey by 0.05 of white, as far as that contrast leaves room.
+The first four differ in grey by at least 0.08 of white.
 """
 
 _OF_CAUSES: Final[tuple[Color, ...]] = (
@@ -39,11 +39,11 @@ them, that stand out from white and from black."""
 
 _RAMP: Final[tuple[Color, ...]] = (
     (38, 69, 247),
-    (70, 97, 208),
-    (68, 118, 172),
-    (46, 137, 137),
-    (108, 148, 84),
-    (174, 146, 33),
+    (62, 88, 216),
+    (64, 110, 184),
+    (62, 134, 146),
+    (106, 147, 84),
+    (176, 145, 33),
 )
 """Of many runs: rises in lightness from end to end, so that order can be read from it, also in
 grey. With 3:1 to white paper and to dark ground it has half of the range between them."""

@@ -19,8 +19,9 @@ from tests.draw.rerun.rrds import (
     simulate_preset,
     verify,
 )
-from turtlelog.charts import palette, write_run_rrd
+from turtlelog.charts import palette
 from turtlelog.charts.palette import Color, choose_run_colors
+from turtlelog.draw import write_run_rrd
 from turtlelog.draw.rerun import timelines
 from turtlelog.run.columns import take_rows
 

@@ -20,8 +20,9 @@ from tests.draw.rerun.rrds import (
     verify,
 )
 from tests.known import known
-from turtlelog.charts import palette, write_explanation_rrd, write_run_rrd
+from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import StepScale
+from turtlelog.draw import write_explanation_rrd, write_run_rrd
 from turtlelog.draw.rerun.ghosts import build_ideal_ghost, find_ideal_poses, list_gaps, measure_gap
 from turtlelog.draw.rerun.turtles import MOST_SEGMENTS, choose_size, count_segments
 from turtlelog.draw.rerun.waterfall import choose_ticks, write_tick
