@@ -66,7 +66,7 @@ def test_paths_of_more_than_24_runs_are_grey_and_their_ends_lie_above_them() -> 
         axes = tl.draw.draw_figure("plane", runs).axes[0]
         colors = [looks["color"] for looks in choose_lines(len(runs))]
         dots = [line for line in axes.get_lines() if line.get_marker() == "o"]
-        paths = [line for line in axes.get_lines() if line.get_label().startswith("paper-")]
+        paths = [line for line in axes.get_lines() if str(line.get_label()).startswith("paper-")]
         is_grey = len(runs) > MANY_PATHS
         assert {line.get_color() for line in paths} == ({"0.8"} if is_grey else {*colors})
         assert {dot.get_color() for dot in dots} == {*colors}

@@ -138,8 +138,8 @@ def test_a_run_has_its_colour_and_a_loop_its_dashes_of_which_the_broader_lie_bel
     name: str,
 ) -> None:
     figure = tl.draw.draw_figure(name, [KP2, KP10])
-    lines = [one for one in figure.axes[0].get_lines() if one.get_label().startswith("paper-")]
-    seen = {one.get_label().partition(":")[0]: one for one in lines}
+    labelled = {str(one.get_label()): one for one in figure.axes[0].get_lines()}
+    seen = {label.partition(":")[0]: one for label, one in labelled.items()}
     for run, looks in zip(("paper-kp2", "paper-kp10"), choose_lines(2), strict=True):
         upper, lower = seen[f"{run} rotate"], seen[f"{run} translate"]
         assert upper.get_color() == lower.get_color() == looks["color"]

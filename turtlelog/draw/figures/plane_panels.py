@@ -283,10 +283,10 @@ class _FromOrigin(MaxNLocator):
         super().__init__(nbins=_MOST_TICKS, steps=[1, 2, 2.5, 5, 10])
         self._origin_m = origin_m
 
-    def tick_values(self, vmin: float, vmax: float) -> Values:
+    def tick_values(self, vmin: float, vmax: float) -> list[float]:
         """Return where ticks are between two ends [m]."""
         from_origin = super().tick_values(vmin - self._origin_m, vmax - self._origin_m)
-        return np.asarray(from_origin, dtype=np.float64) + self._origin_m
+        return [float(tick) + self._origin_m for tick in from_origin]
 
 
 def _tell_from(origin_m: float, value_m: float, _: int | None = None) -> str:
