@@ -58,5 +58,7 @@ def test_a_plane_shows_half_a_metre_at_least() -> None:
 def test_a_robot_that_did_not_move_is_said_to_be_so() -> None:
     still = move(1.0, 2.0, 1e-4)
     assert tell_still([FAR]) == ""
-    assert tell_still([FAR, still]) == "1 of 2 runs did not move"
-    assert tl.draw.draw_figure("plane", [still]).axes[0].get_title() == "did not move"
+    assert tell_still([FAR, still]) == "1 of 2 runs stayed at their start"
+    assert tl.draw.draw_figure("plane", [still]).axes[0].get_title() == "turned on the spot"
+    poses = dataclasses.replace(still.poses, heading_rad=0.0 * still.poses.heading_rad)
+    assert tell_still([dataclasses.replace(still, poses=poses)]) == "did not move"

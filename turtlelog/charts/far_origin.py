@@ -16,6 +16,8 @@ LEAST_SHOWN_M: Final = 0.5
 _STILL_M: Final = 1e-3
 """A robot that stays within this has not moved; poses have their resolution and noise."""
 
+_STILL_RAD: Final = 1e-3
+
 
 def find_origin(runs: Sequence[Run]) -> tuple[float, float]:
     """Return from where x and y are counted [m]: the first start in whole metres, or 0 where near.
@@ -34,11 +36,14 @@ def label_coordinate(name: str, origin_m: float) -> str:
 
 
 def tell_still(runs: Sequence[Run]) -> str:
-    """Return that runs did not move, empty where all did."""
-    still = sum(bool(np.ptp(run.poses.xy_m, axis=0).max() < _STILL_M) for run in runs)
+    """Return that runs did not leave their start, empty where all did."""
+    still = [run for run in runs if np.ptp(run.poses.xy_m, axis=0).max() < _STILL_M]
     if not still:
         return ""
-    return "did not move" if len(runs) == 1 else f"{still} of {len(runs)} runs did not move"
+    if len(runs) > 1:
+        return f"{len(still)} of {len(runs)} runs stayed at their start"
+    has_turned = np.ptp(np.unwrap(runs[0].poses.heading_rad)) > _STILL_RAD
+    return "turned on the spot" if has_turned else "did not move"
 
 
 def _round_far(coordinate_m: float) -> float:
