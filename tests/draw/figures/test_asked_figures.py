@@ -456,3 +456,9 @@ def test_violated_words_stay_on_the_narrowest_page() -> None:
     left, _, right, _ = figure.get_tightbbox().extents
     assert left > -0.01
     assert right < figure.get_figwidth() + 0.01
+
+
+def test_gains_show_a_metric_of_the_whole_run_once() -> None:
+    labels = [axes.get_ylabel() for axes in tl.draw.draw_figure("gains", RUNS).axes if axes.axison]
+    assert labels.count("final position error [mm]") == 1
+    assert labels.count("overshoot [%]") == 2
