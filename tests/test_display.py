@@ -131,6 +131,13 @@ def test_value_is_a_table_in_a_notebook(name: str, texts: list[str]) -> None:
     assert [text for text in texts if text not in html] == []
 
 
+def test_metrics_in_a_notebook_begin_with_those_of_the_command() -> None:
+    first, every = tl.measure_run(RUN)._repr_html_().split("<details>")
+    assert first.count("<tr>") - 1 == len(tl.measure.list_essential_metrics(RUN)) == 22
+    assert "All 131 metrics" in every
+    assert every.count("<tr>") - 1 == 131
+
+
 def test_check_of_a_recording_is_a_table_in_a_notebook() -> None:
     outcome = tl.Recording(FILE).holds("run.duration < 1")
     for text in ("<table", "FAIL", "12.6", "run.duration &lt; 1"):

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -120,6 +121,23 @@ def test_run_is_a_table_in_a_notebook() -> None:
     assert "&lt;b&gt;bold" in html
     for text in ("(2, 10) m", "12.61 s", "standstill", "770 rows", "rotate 2.46 s"):
         assert text in html
+
+
+def test_run_has_a_picture_of_its_path_in_a_notebook() -> None:
+    svg = ElementTree.fromstring(RUN._repr_html_().splitlines()[-1])
+    line, start, end, goal = svg
+    points = np.array(
+        [[float(part) for part in pair.split(",")] for pair in line.get("points", "").split()]
+    )
+    assert [float(end.get(name, "")) for name in ("cx", "cy")] == points[-1].tolist()
+    assert [float(start.get(name, "")) + 4.0 for name in "xy"] == points[0].tolist()
+    assert goal.get("d", "").startswith("M")
+    # Along the path x falls and y rises by 3.5 and 4.5 m, and the picture points downward.
+    across, down = points[-1] - points[0]
+    way_m = RUN.poses.xy_m[-1] - RUN.poses.xy_m[0]
+    assert across / way_m[0] == pytest.approx(-down / way_m[1], rel=1e-3)
+    assert points.min() >= 0.0
+    assert points.max() <= 220.0
 
 
 @pytest.mark.parametrize(

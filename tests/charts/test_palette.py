@@ -1,4 +1,5 @@
-from itertools import combinations, product
+from collections.abc import Callable
+from itertools import combinations, pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,38 @@ from turtlelog.charts.palette import (
     Color,
     choose_cause_colors,
     choose_run_colors,
+    choose_shades,
 )
 from turtlelog.draw.figures.page import choose_lines
 from turtlelog.scenario import PAPER_RUNS
 
-LEAST_CONTRAST = 2.2
-"""What the palette of Okabe and Ito gives its orange on white."""
+LEAST_CONTRAST = 3.0
+"""What WCAG 2.2 asks of graphics (1.4.11)."""
+
+LEAST_STEP = 2.3
+"""In CIELAB: what the eye just tells from one patch to the next (Mahy and others, 1994)."""
+
+LEAST_STEP_OF_FEW = 12.0
+
+EYES = {
+    "usual": np.eye(3),
+    "protanopia": np.array(
+        [
+            [0.152286, 1.052583, -0.204868],
+            [0.114503, 0.786281, 0.099216],
+            [-0.003882, -0.048116, 1.051998],
+        ]
+    ),
+    "deuteranopia": np.array(
+        [
+            [0.367322, 0.860646, -0.227968],
+            [0.280085, 0.672501, 0.047413],
+            [-0.011820, 0.042940, 0.968881],
+        ]
+    ),
+}
+"""Of linear sRGB: Machado, Oliveira and Fernandes, "A physiologically-based model for simulation of
+color vision deficiency", IEEE TVCG 15 (2009), severity 1."""
 
 LEAST_BAR_CONTRAST = 1.9
 """Of a broad bar, whose words stand beside it."""
@@ -33,17 +60,54 @@ def test_every_run_has_a_colour_of_its_own(count: int) -> None:
     assert len(set(choose_run_colors(count))) == count
 
 
-@pytest.mark.parametrize("count", [7, 20])
-def test_colours_are_legible_on_dark_ground(count: int) -> None:
-    for red, green, blue in choose_run_colors(count):
-        assert 0.2126 * red + 0.7152 * green + 0.0722 * blue > 85
-
-
 @pytest.mark.parametrize("ground", [GROUND, (255, 255, 255)], ids=["screen", "paper"])
-def test_colours_of_a_few_runs_stand_out_on_both_grounds(ground: Color) -> None:
-    for color in choose_run_colors(7):
-        bright, dark = sorted((measure_luminance(color), measure_luminance(ground)), reverse=True)
-        assert (bright + 0.05) / (dark + 0.05) > LEAST_CONTRAST, color
+@pytest.mark.parametrize("count", [7, 8, 20, 200])
+def test_colours_of_runs_stand_out_on_both_grounds(count: int, ground: Color) -> None:
+    for color in choose_run_colors(count):
+        assert measure_contrast(color, ground) >= LEAST_CONTRAST, color
+
+
+def test_the_range_between_the_grounds_is_used_up() -> None:
+    first, *_, last = choose_run_colors(20)
+    assert measure_contrast(first, GROUND) < 1.1 * LEAST_CONTRAST
+    assert measure_contrast(last, (255, 255, 255)) < 1.1 * LEAST_CONTRAST
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_neighbours_on_the_ramp_are_told_apart_by_any_eye(eye: str) -> None:
+    steps = [
+        measure_difference(see(one, eye), see(other, eye))
+        for one, other in pairwise(choose_run_colors(20))
+    ]
+    assert min(steps) > 2.0 * LEAST_STEP
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_hues_of_a_few_runs_are_told_apart_by_any_eye(eye: str) -> None:
+    few = [see(color, eye) for color in choose_run_colors(7)]
+    assert min(measure_difference(*pair) for pair in combinations(few, 2)) > LEAST_STEP_OF_FEW
+
+
+def measure_contrast(one: Color, other: Color) -> float:
+    """Return the contrast ratio of two colours, as WCAG defines it."""
+    bright, dark = sorted((measure_luminance(one), measure_luminance(other)), reverse=True)
+    return (bright + 0.05) / (dark + 0.05)
+
+
+def see(color: Color, eye: str) -> Color:
+    """Return a colour as an eye of `EYES` sees it."""
+    parts = np.array(color) / 255.0
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(EYES[eye] @ linear, 0.0, 1.0)
+    red, green, blue = 255.0 * np.where(
+        seen <= 0.0031308, 12.92 * seen, 1.055 * seen ** (1 / 2.4) - 0.055
+    )
+    return red, green, blue
+
+
+def see_grey(color: Color) -> float:
+    """Return the grey that a printer makes of a colour, 1 for white."""
+    return float(1.055 * measure_luminance(color) ** (1 / 2.4) - 0.055)
 
 
 def measure_luminance(color: Color) -> float:
@@ -53,9 +117,10 @@ def measure_luminance(color: Color) -> float:
     return float(linear @ [0.2126, 0.7152, 0.0722])
 
 
-def test_colours_of_many_runs_rise_in_lightness() -> None:
-    lightness = [0.3 * r + 0.6 * g + 0.1 * b for r, g, b in choose_run_colors(20)]
-    assert lightness == sorted(lightness)
+@pytest.mark.parametrize("choose", [choose_run_colors, choose_shades])
+def test_ramps_rise_in_grey(choose: Callable[[int], tuple[Color, ...]]) -> None:
+    greys = [see_grey(color) for color in choose(20)]
+    assert min(after - before for before, after in pairwise(greys)) > 0.004
 
 
 @pytest.mark.parametrize("count", [1, 4, 7, 30])
@@ -98,10 +163,7 @@ def test_a_cause_has_no_colour_of_a_run_or_a_ghost() -> None:
 def test_bars_of_causes_stand_out_on_both_grounds() -> None:
     for color in choose_cause_colors("abcdef").values():
         for ground in (GROUND, (255, 255, 255)):
-            bright, dark = sorted(
-                (measure_luminance(color), measure_luminance(ground)), reverse=True
-            )
-            assert (bright + 0.05) / (dark + 0.05) > LEAST_BAR_CONTRAST, color
+            assert measure_contrast(color, ground) > LEAST_BAR_CONTRAST, color
 
 
 def test_more_than_six_causes_begin_again() -> None:

@@ -16,7 +16,6 @@ SIGNATURES = {
     ".pdf": b"%PDF",
     ".svg": b"<?xml",
     ".html": b"<!DOCTYPE html>",
-    ".rrd": b"RRF2",
 }
 
 
@@ -174,7 +173,8 @@ def test_a_value_is_held_where_at_says(call: Call, table: Path) -> None:
         (["-o", "m.gif"], "--output m.gif: must be a name that ends in .pdf, .png, .svg"),
         (["-o", "none/m.png"], "none/m.png: there is no such folder"),
         (["--dpi", "100"], "--for, --text-width and --dpi need a figure to write: -o NAME.png"),
-        (["-o", "m.rrd", "--for", "slide"], "--for, --text-width and --dpi need a figure"),
+        (["-o", "m.rrd"], "--output m.rrd: a table becomes a figure or a report (.html); view"),
+        (["-o", "m.html", "--for", "slide"], "--for, --text-width and --dpi need a figure"),
         (["-o", "m.svg", "--dpi", "100"], "--dpi: is for png files, not svg"),
         (["-o", "m.html", "--kind", "tornado"], "--kind tornado: m.html is no figure"),
     ],

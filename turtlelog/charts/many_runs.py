@@ -147,6 +147,20 @@ def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
     return GainScale(word=word, values=tuple(numbers), unit=unit)
 
 
+def group_by_gain(runs: Sequence[Run]) -> dict[float, list[int]]:
+    """Return the numbers of runs by their gain, where each has one; empty where one has not."""
+    keys = {key for run in runs for key in run.declaration.list_gains()}
+    if not keys or not all(map(has_one_gain, runs)):
+        return {}
+    groups: dict[float, list[int]] = {}
+    for number, run in enumerate(runs):
+        gain = run.parameters.get(min(keys))
+        if not isinstance(gain, int | float):
+            return {}
+        groups.setdefault(float(gain), []).append(number)
+    return groups
+
+
 def find_gain_unit(runs: Sequence[Run], key: str) -> str:
     """Return the unit of a key that is the gain of a loop; empty where loops differ, or of none."""
     loops = [loop for run in runs for loop in run.declaration.loops if loop.gain == key]

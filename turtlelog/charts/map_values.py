@@ -1,4 +1,4 @@
-"""What maps of a sweep share, on paper and on screen: ends of cells, ranges of values, limits."""
+"""What maps of a sweep and their report share: ends of cells, ranges of values, limits."""
 
 import math
 from collections.abc import Sequence
@@ -48,13 +48,6 @@ class ValueRange:
     high: float
     is_logarithmic: bool = False
     extend: str = "neither"
-
-    def share(self, values: Values) -> Values:
-        """Return where values stand between the ends, 0 to 1; NaN stays."""
-        low, high = self.low, self.high
-        if self.is_logarithmic:
-            values, low, high = np.log(values), math.log(low), math.log(high)
-        return np.clip((values - low) / (high - low), 0.0, 1.0)
 
 
 def find_value_range(values: Values) -> ValueRange:

@@ -13,17 +13,16 @@ Color = tuple[int, int, int]
 
 FEW: Final[tuple[Color, ...]] = (
     (0, 114, 178),
-    (230, 159, 0),
-    (0, 165, 120),
-    (190, 112, 160),
-    (213, 94, 0),
-    (86, 180, 233),
-    (156, 154, 0),
+    (184, 125, 2),
+    (17, 157, 92),
+    (228, 108, 160),
+    (141, 80, 45),
+    (0, 160, 206),
+    (108, 102, 0),
 )
-"""After Okabe and Ito, for colour-blind readers.
+"""After Okabe and Ito, for colour-blind readers, with 3:1 and more to white paper and dark ground.
 
-An olive stands for their yellow and black, of which one ground or the other swallows each; green
-and purple are a shade off, so that the first four differ in grey by at least 0.08 of white.
+The first four differ in grey by at least 0.08 of white.
 """
 
 _OF_CAUSES: Final[tuple[Color, ...]] = (
@@ -38,14 +37,25 @@ _OF_CAUSES: Final[tuple[Color, ...]] = (
 them, that stand out from white and from black."""
 
 _RAMP: Final[tuple[Color, ...]] = (
+    (38, 69, 247),
+    (62, 88, 216),
+    (64, 110, 184),
+    (62, 134, 146),
+    (106, 147, 84),
+    (176, 145, 33),
+)
+"""Of many runs: rises in lightness from end to end, so that order can be read from it, also in
+grey. With 3:1 to white paper and to dark ground it has half of the range between them."""
+
+_SHADES: Final[tuple[Color, ...]] = (
     (94, 73, 190),
     (32, 138, 204),
-    (12, 193, 160),
+    (12, 172, 155),
     (108, 194, 92),
     (188, 200, 42),
     (250, 206, 60),
 )
-"""Rises in lightness from end to end, so that order can be read from it, also in grey."""
+"""Of values in cells, which need no contrast to the ground: twice the range of lightness."""
 
 _OKABE_ITO: Final[tuple[Color, ...]] = (
     (86, 180, 233),
@@ -119,7 +129,12 @@ def choose_run_colors(count: int) -> tuple[Color, ...]:
     """Return one colour per run: distinct hues for a few, a ramp in the order given for many."""
     if count <= len(FEW):
         return FEW[:count]
-    return tuple(_mix_ramp(index / (count - 1)) for index in range(count))
+    return _mix(_RAMP, count)
+
+
+def choose_shades(count: int) -> tuple[Color, ...]:
+    """Return colours of rising values, for cells and broad strokes."""
+    return _mix(_SHADES, count)
 
 
 def choose_cause_colors(names: Sequence[str]) -> dict[str, Color]:
@@ -181,15 +196,13 @@ def pack_colors(colors: Sequence[Color]) -> NDArray[np.uint32]:
     return (red << 24 | green << 16 | blue << 8 | 255).astype(np.uint32)
 
 
-def _mix_ramp(share: float) -> Color:
-    place = share * (len(_RAMP) - 1)
-    low = min(int(place), len(_RAMP) - 2)
-    part = place - low
-    red, green, blue = (
-        round(first + part * (second - first))
-        for first, second in zip(_RAMP[low], _RAMP[low + 1], strict=True)
+def _mix(ramp: Sequence[Color], count: int) -> tuple[Color, ...]:
+    places = np.linspace(0.0, len(ramp) - 1.0, count)
+    reds, greens, blues = (
+        np.interp(places, range(len(ramp)), part).round().astype(int).tolist()
+        for part in zip(*ramp, strict=True)
     )
-    return red, green, blue
+    return tuple(zip(reds, greens, blues, strict=True))
 
 
 MAIN: Final[Color] = choose_run_colors(1)[0]

@@ -98,7 +98,7 @@ def draw_table(
 
     Args:
         table: What `turtlelog sweep` wrote.
-        output: A figure, a report (.html) or a Rerun recording (.rrd); None: nothing is drawn.
+        output: A figure or a report (.html); None: nothing is drawn.
         view: What is shown.
         where: Where a figure will stand.
         patterns: Metrics; None: up to four of them.
@@ -124,14 +124,17 @@ def draw_table(
 def _require_output(output: Path | None, table: Path, kind: str, where: PageOptions) -> None:
     """Refuse an output that cannot be written."""
     suffix = "" if output is None else output.suffix.lower()
+    if suffix == ".rrd":
+        need = "view shows the recordings of rows, which sweep --record keeps"
+        raise UsageError(f"--output {output}: a table becomes a figure or a report (.html); {need}")
     if suffix not in PICTURES and where != PageOptions():
         raise UsageError("--for, --text-width and --dpi need a figure to write: -o NAME.png")
     if output is None:
         return
-    if suffix not in {*PICTURES, ".html", ".rrd"}:
-        expected = "a name that ends in .pdf, .png, .svg, .html or .rrd"
+    if suffix not in {*PICTURES, ".html"}:
+        expected = "a name that ends in .pdf, .png, .svg or .html"
         raise UsageError(f"--output {output}: must be {expected}")
-    if suffix in {".html", ".rrd"} and kind != "map":
+    if suffix == ".html" and kind != "map":
         raise UsageError(
             f"--kind {kind}: {output} is no figure; end its name in .pdf, .png or .svg"
         )
@@ -147,9 +150,7 @@ def _write(
     words: Sequence[str],
 ) -> None:
     suffix = output.suffix.lower()
-    if suffix == ".rrd":
-        tl.draw.write_map_rrd(view, limits, output)
-    elif suffix == ".html":
+    if suffix == ".html":
         command = ["turtlelog", "plot", str(view.results.path), *words, "-o", str(output)]
         tl.draw.write_map_report(view, limits, output, command=shlex.join(command))
     else:

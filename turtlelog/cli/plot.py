@@ -69,7 +69,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     them, theory's limits of its loop are lines over it. One key makes curves. The other keys are
     held at the values of the scenario that was varied, or in the middle; --at holds others. Over
     seeds values are means. The lines name the best row of each metric, and the command that runs
-    it again; without -o they are all. OUT may be a report (.html) or a Rerun recording (.rrd).
+    it again; without -o they are all. OUT may be a report (.html).
 
     Example: turtlelog plot kp4.mcap -o kp4.png
 

@@ -25,7 +25,6 @@ from .rerun.live_viewer import (
     follow_recording as follow_recording,
     open_window as open_window,
 )
-from .rerun.map_scene import write_map_rrd as write_map_rrd
 from .rerun.prediction_scene import write_prediction_rrd as write_prediction_rrd
 from .rerun.robot_scene import write_robot_rrd as write_robot_rrd
 from .rerun.run_scene import write_run_rrd as write_run_rrd

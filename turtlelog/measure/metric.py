@@ -2,11 +2,11 @@
 
 import enum
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from turtlelog.display import format_html, format_number
+from turtlelog.display import describe_count, format_html, format_number
 
 
 class Status(enum.StrEnum):
@@ -70,14 +70,28 @@ class Metric:
 
 
 class Metrics(dict[str, Metric]):
-    """Metrics by id; a table in a notebook."""
+    """Metrics by id; in a notebook a table of those to look at first, and below it all.
+
+    Attributes:
+        first: Ids of those to look at first; all where empty.
+    """
+
+    def __init__(self, found: Iterable[tuple[str, Metric]], *, first: Sequence[str] = ()) -> None:
+        super().__init__(found)
+        self.first = tuple(first)
 
     def __repr__(self) -> str:
         known = sum(metric.value is not None for metric in self.values())
         return f"<Metrics: {len(self)}, of which {known} have a value>"
 
     def _repr_html_(self) -> str:
-        return format_metrics_html(self.values(), title=repr(self))
+        shown = [self[name] for name in self.first if name in self]
+        if len(shown) in {0, len(self)}:
+            return format_metrics_html(self.values(), title=repr(self))
+        title = f"{len(shown)} of {describe_count(len(self), 'metric')}"
+        every = format_metrics_html(self.values(), title="")
+        summary = f"<summary>All {len(self)} metrics</summary>"
+        return f"{format_metrics_html(shown, title=title)}\n<details>{summary}{every}</details>"
 
 
 def format_metrics_html(metrics: Iterable[Metric], *, title: str) -> str:

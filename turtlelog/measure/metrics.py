@@ -236,10 +236,15 @@ def measure_run(
     with np.errstate(all="ignore"):
         return Metrics(
             (
-                name,
-                _measure(context, name, kinds[name]) if name in kinds else _miss_metric(run, name),
-            )
-            for name in names
+                (
+                    name,
+                    _measure(context, name, kinds[name])
+                    if name in kinds
+                    else _miss_metric(run, name),
+                )
+                for name in names
+            ),
+            first=list_essential_metrics(run),
         )
 
 

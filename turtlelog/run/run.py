@@ -22,6 +22,7 @@ from turtlelog.run.columns import (
     list_fields,
     rebuild,
 )
+from turtlelog.run.path_picture import format_path_svg
 from turtlelog.run.slicing import locate_stretch, slice_run
 from turtlelog.run.tables import TABLES, build_arrow, build_pandas
 
@@ -315,7 +316,8 @@ class Run:
             *((table, f"{len(getattr(self, table))} rows") for table in TABLES),
             ("not recorded", ", ".join(self.absent) or "nothing"),
         ]
-        return format_html(rows, title=repr(self))
+        picture = format_path_svg(self.poses.xy_m, self.goal_xy_m) if len(self.poses) else ""
+        return f"{format_html(rows, title=repr(self))}\n{picture}"
 
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
         """Return the phases in order; the silence after a phase's last sample is its pause.

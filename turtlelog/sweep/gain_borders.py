@@ -9,11 +9,15 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import TurtlelogError
-from turtlelog.loops import ControlLoop
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
-from turtlelog.sweep.swept_results import SweptAxis, SweptMetric, SweptResults
+from turtlelog.sweep.swept_results import (
+    SweptAxis,
+    SweptMetric,
+    SweptResults,
+    list_declared_loops,
+)
 from turtlelog.sweep.swept_views import SweptView, fill_cells, is_gain
 from turtlelog.theory import LoopModel, find_stable_gains, hides_stability, model_loops
 from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
@@ -82,14 +86,7 @@ class Border:
 
 def list_gain_keys(results: SweptResults) -> tuple[str, ...]:
     """Return the keys of the gains that the law declares; () of a law whose code is not loaded."""
-    return tuple(loop.gain for loop in _list_loops(results) if loop.gain)
-
-
-def _list_loops(results: SweptResults) -> Sequence[ControlLoop]:
-    try:
-        return declare_scenario(resolve_scenario(results.build_scenario(0))).loops
-    except TurtlelogError:
-        return ()
+    return tuple(loop.gain for loop in list_declared_loops(results) if loop.gain)
 
 
 def find_loop_limits(view: SweptView) -> list[LoopLimits]:
@@ -98,7 +95,7 @@ def find_loop_limits(view: SweptView) -> list[LoopLimits]:
         return []
     found = []
     gains = list_gain_keys(view.results)
-    for loop in _list_loops(view.results):
+    for loop in list_declared_loops(view.results):
         axis = next((axis for axis in view.axes if loop.gain in axis.keys), None)
         if axis is None or not axis.is_number or loop.gain is None or not is_gain(axis, gains):
             continue

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError, SweepError, TurtlelogError, describe_unknown
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.parquet_file import list_cells
-from turtlelog.scenario import Scenario, build_scenario, flatten_scenario
+from turtlelog.loops import ControlLoop
+from turtlelog.scenario import Scenario, build_scenario, flatten_scenario, resolve_scenario
+from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.assemble import STATUS
 from turtlelog.sweep.plan import build_row_scenario
 from turtlelog.sweep.result_table import ROW, ResultColumn
@@ -215,7 +217,7 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
     if patterns is None:
         metrics = _choose_usual(metrics)
     shown = [metric.name for metric in metrics]
-    return SweptResults(
+    results = SweptResults(
         path=path,
         axes=tuple(_build_axis([columns[key] for key in keys]) for keys in axes),
         metrics=tuple(metrics),
@@ -226,6 +228,19 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
         row_numbers=_list_row_numbers(columns.get(ROW), count),
         base=base,
     )
+    units = {loop.gain: loop.gain_unit for loop in list_declared_loops(results)}
+    axes_with_units = (
+        replace(axis, unit=axis.unit or units.get(axis.keys[0])) for axis in results.axes
+    )
+    return replace(results, axes=tuple(axes_with_units))
+
+
+def list_declared_loops(results: SweptResults) -> Sequence[ControlLoop]:
+    """Return the loops that the law of the first row declares; () where its code is not loaded."""
+    try:
+        return declare_scenario(resolve_scenario(results.build_scenario(0))).loops
+    except TurtlelogError:
+        return ()
 
 
 def format_value(value: Any) -> str:

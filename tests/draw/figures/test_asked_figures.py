@@ -15,6 +15,7 @@ from matplotlib.patches import Rectangle
 import turtlelog as tl
 from tests.draw.rerun.rrds import make_foreign_run
 from tests.identify.robots import Log, make_run
+from turtlelog.charts.command_changes import find_changes
 from turtlelog.charts.shared_curves import Curve
 from turtlelog.check import Verdict
 from turtlelog.check.violation import find_judged_signal
@@ -33,7 +34,7 @@ from turtlelog.draw.figures.metric_panels import (
     set_ticks_at,
     set_value_scale,
 )
-from turtlelog.draw.figures.rates_figure import draw_rates, find_step
+from turtlelog.draw.figures.rates_figure import draw_rates
 from turtlelog.draw.figures.strip_figure import draw_strips, group_runs
 from turtlelog.draw.figures.violation_figure import draw_violation
 from turtlelog.errors import ShowError
@@ -396,12 +397,41 @@ def test_an_axis_that_is_not_identified_is_drawn_with_the_reason(robot: tl.Run) 
     assert "not identified: " in figure.axes[0].get_title()
 
 
-def test_the_step_to_look_at_is_large_and_lasts() -> None:
-    time_ns = np.array([0, 1, 2, 6, 12], dtype=np.int64) * 1_000_000_000
-    values = np.array([0.0, 1.0, 0.2, 0.9, 0.9])
-    command = Curve(start_ns=0, time_ns=time_ns, values=values, holds=True)
-    assert find_step(command, 0.5) == 1.0
-    assert find_step(command, 3.0) == 2.0
+@pytest.mark.parametrize(
+    ("times_s", "values", "expected"),
+    [
+        ([0, 1, 2, 6], [0.0, 1.0, 0.0, 1.0], [(1, 0, 1), (2, 1, 0), (6, 0, 1)]),
+        ([0, 1.0, 1.1, 1.2, 5], [0.0, 0.3, 0.6, 0.9, 0.9], [(1.1, 0, 0.9)]),
+        ([0, 1, 3, 9], [0.0, 1.0, 0.81, 0.81], [(1, 0, 1)]),
+        ([0, 1, 3, 9], [0.0, 1.0, 0.79, 0.79], [(1, 0, 1), (3, 1, 0.79)]),
+        ([0, 1, 2], [0.5, 0.7, 0.9], [(0, 0, 0.5), (1, 0.5, 0.7), (2, 0.7, 0.9)]),
+        ([0, 1], [0.0, 0.0], []),
+    ],
+    ids=["steps", "ramp", "small", "large-enough", "held", "none"],
+)
+def test_changes_of_a_command_are_those_in_one_direction(
+    times_s: list[float], values: list[float], expected: list[tuple[float, float, float]]
+) -> None:
+    time_ns = np.array(np.array(times_s) * 1e9, dtype=np.int64)
+    command = Curve(start_ns=0, time_ns=time_ns, values=np.array(values), holds=True)
+    found = [(one.half_s, one.before, one.after) for one in find_changes(command)]
+    assert found == [pytest.approx(one) for one in expected]
+
+
+def test_the_motion_after_every_change_lies_under_its_model_and_shows_the_spread() -> None:
+    """The queue of paper-kp10 lets the first command through at once, the others late."""
+    figure = make_figure()
+    draw_rates(figure, [read(10)])
+    (axes,) = [one for one in figure.axes if "speed: 4 changes" in one.get_title()]
+    motions = [one for one in axes.get_lines() if one.get_color() == "0.6"]
+    models = [one for one in axes.get_lines() if one.get_zorder() == 2.4]
+    assert len(motions) == len(models) == 4
+    halves_s = [
+        float(np.asarray(one.get_xdata())[np.argmax(np.asarray(one.get_ydata()) >= 0.5)])
+        for one in motions
+    ]
+    assert halves_s[0] < 0.02
+    assert min(halves_s[1:]) > 0.07
 
 
 def test_without_commands_there_are_no_rates(robot: tl.Run) -> None:
@@ -426,3 +456,9 @@ def test_violated_words_stay_on_the_narrowest_page() -> None:
     left, _, right, _ = figure.get_tightbbox().extents
     assert left > -0.01
     assert right < figure.get_figwidth() + 0.01
+
+
+def test_gains_show_a_metric_of_the_whole_run_once() -> None:
+    labels = [axes.get_ylabel() for axes in tl.draw.draw_figure("gains", RUNS).axes if axes.axison]
+    assert labels.count("final position error [mm]") == 1
+    assert labels.count("overshoot [%]") == 2

@@ -232,7 +232,8 @@ def test_many_lines_are_whole_and_more_are_thin(count: int, width: float | None)
 def test_runs_stay_apart_in_grey(count: int) -> None:
     red_green_blue = np.array([to_rgb(look["color"]) for look in choose_lines(count)])
     greys = np.sort(red_green_blue @ [0.299, 0.587, 0.114])
-    assert np.diff(greys).min() > (0.08 if count <= 4 else 0.02)
+    # With 3:1 to paper and to the viewer's ground, 20 runs share a quarter of the greys.
+    assert np.diff(greys).min() > (0.08 if count <= 4 else 0.008)
     assert greys.max() < 0.8  # of white
 
 

@@ -9,12 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from tests.draw.words import list_clipped
 from tests.sweep.swept_tables import Compute, write_table
 from tests.sweep.test_gain_borders import GRID, is_stable, view_table
 from turtlelog.charts.map_values import find_edges, is_logarithmic
 from turtlelog.draw.figures.map_figure import draw_map
-from turtlelog.draw.figures.page import Page
-from turtlelog.draw.figures.sweep_figures import write_map_figure
+from turtlelog.draw.figures.page import Page, use_looks
+from turtlelog.draw.figures.sweep_figures import MapKind, lay_out, write_map_figure
 from turtlelog.draw.figures.swept_curves import draw_curves
 from turtlelog.draw.figures.value_scale import build_scale, group_reasons
 from turtlelog.errors import ShowError
@@ -46,8 +47,8 @@ def test_theorys_line_stands_at_each_columns_limit(tmp_path: Path) -> None:
     assert [*named] == [
         "stable",
         "not stable",
-        "translate: instability (theory)",
-        "translate: overshoot begins (theory)",
+        "instability (theory)",
+        "overshoot begins (theory)",
     ]
     (line,) = [one for one in axes.lines if one.get_color() == "#b3261e"]
     x, y = (np.asarray(part, dtype=float) for part in line.get_data())
@@ -127,6 +128,52 @@ def test_curves_have_a_line_for_each_value_and_its_limits(tmp_path: Path) -> Non
     # Of 0 ticks both limits lie beyond the largest gain.
     assert any(one == pytest.approx(15.07, abs=0.01) for one in found)
     assert all(2.0 <= one <= 24.0 for one in found)
+
+
+def draw_series(path: Path, count: int, compute: Compute) -> tuple[Axes, list[str]]:
+    """Draw curves over one gain for some values of the other."""
+    plan = [f"{KP}=1:4", f"law.kp_angular=1:{count}"]
+    view = view_table(write_table(path / "t.parquet", plan, {"run.duration": compute}))
+    axes = Figure().subplots()
+    return axes, [*draw_curves(axes, view, view.results.metrics[0], [])]
+
+
+@pytest.mark.parametrize(
+    ("count", "left_out"),
+    [(12, ""), (13, "left out: 7"), (40, "left out: 28 of 40 values, in between")],
+)
+def test_values_of_a_second_key_have_a_ramp_and_those_without_a_line_are_said(
+    tmp_path: Path, count: int, left_out: str
+) -> None:
+    axes, named = draw_series(tmp_path, count, lambda kp, angular: angular * kp)
+    greys = [0.3 * r + 0.6 * g + 0.1 * b for r, g, b in (line.get_color() for line in axes.lines)]
+    assert greys == sorted(greys)
+    assert len({*greys}) == 12
+    assert named[12:] == ([left_out] if left_out else [])
+
+
+@pytest.mark.parametrize(
+    ("apart", "said"), [(0.0, "12 curves coincide in 1 line"), (1.0, "")], ids=["one", "apart"]
+)
+def test_curves_that_coincide_are_counted(tmp_path: Path, apart: float, said: str) -> None:
+    axes, _ = draw_series(tmp_path, 12, lambda kp, angular: kp + apart * angular)
+    assert axes.get_title(loc="right") == said
+
+
+def test_a_gain_has_the_unit_that_its_law_declares(tmp_path: Path) -> None:
+    axes, _ = draw(view_metric(tmp_path, "translate.overshoot", lambda delay, kp: kp + delay))
+    assert axes.get_ylabel() == f"{KP} [1/s]"
+
+
+@pytest.mark.parametrize("kind", ["map", "curves", "tornado"])
+@pytest.mark.parametrize("page", [Page(), Page(kind="page"), Page(text_width_mm=120.0)])
+def test_all_words_lie_within_the_page(tmp_path: Path, kind: MapKind, page: Page) -> None:
+    path = write_table(tmp_path / "t.parquet", GRID, {"translate.overshoot": lambda d, kp: d * kp})
+    view = view_table(path)
+    with use_looks():
+        figure = lay_out(view, find_loop_limits(view), kind, page)
+        figure.draw_without_rendering()
+        assert list_clipped(figure) == []
 
 
 def test_curves_of_a_sample_have_a_dot_for_each_row(tmp_path: Path) -> None:

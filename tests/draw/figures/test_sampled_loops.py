@@ -1,5 +1,6 @@
 """Figures of sampled loops: what is drawn is what theory says of them."""
 
+import dataclasses
 import functools
 import math
 from pathlib import Path
@@ -11,11 +12,13 @@ from matplotlib.axes import Axes
 
 import turtlelog as tl
 from turtlelog.draw.figures.figure_kinds import list_usual_figures
+from turtlelog.draw.figures.page import choose_lines
 from turtlelog.errors import ShowError
 from turtlelog.theory import PidGains, Process, analyse_pid_loop, compute_pid_poles
 
 EXTRA = ("bode", "nyquist", "step")
 KP10 = tl.simulate_run(tl.load_scenario("paper-kp10"))
+KP2 = tl.simulate_run(tl.load_scenario("paper-kp2"))
 LOOPS = {
     "rotate": analyse_pid_loop(PidGains(kp=10.0), period_s=0.016, dead_time_ticks=4),
     "translate": analyse_pid_loop(PidGains(kp=10.0), period_s=0.016, dead_time_ticks=6),
@@ -87,14 +90,14 @@ def test_nyquist_marks_where_the_loops_cross_circle_and_axis() -> None:
 
 def test_a_root_locus_holds_the_poles_and_where_they_leave_the_unit_circle() -> None:
     _, axes, _ = draw("root-locus", KP10).axes
-    drawn = find_line(axes, "rotate: Kp = 10")
+    drawn = find_line(axes, "Kp = 10")
     np.testing.assert_allclose(drawn[0] + 1j * drawn[1], LOOPS["rotate"].poles)
     limit = find_line(axes, "limit of Kp")
     assert np.hypot(*limit) == pytest.approx(1.0)
     ((_, most),) = LOOPS["rotate"].stable_gains
     poles = compute_pid_poles(PidGains(kp=most), period_s=0.016, dead_time_ticks=4)
     assert limit[0] == pytest.approx(poles[:2].real, abs=1e-6)
-    assert axes.get_title() == "heading, dead time 64 ms"
+    assert axes.get_title() == "heading\ndead time 64 ms"
 
 
 def test_a_root_locus_shows_the_ideal_loop_only_where_there_is_one() -> None:
@@ -106,10 +109,13 @@ def test_a_root_locus_shows_the_ideal_loop_only_where_there_is_one() -> None:
 
 
 def test_loops_that_differ_in_kp_alone_share_a_root_locus() -> None:
-    runs = [KP10, tl.simulate_run(tl.load_scenario("paper-kp2"))]  # 4 and 6 ticks late, both
+    runs = [KP10, KP2]  # 4 and 6 ticks late, both
     figure = tl.draw.draw_figure("root-locus", runs)
     assert len(figure.axes) == 3  # the ideal one and two dead times
-    assert len([name for name in list_legend(figure) if "Kp = 2" in name]) == 3
+    assert [name for name in list_legend(figure) if "Kp" in name][1:3] == [
+        "paper-kp2: Kp = 2",
+        "paper-kp10: Kp = 10",
+    ]
 
 
 def test_a_step_response_is_theorys_and_an_unstable_one_is_said_to_be_so_and_cut() -> None:
@@ -124,7 +130,47 @@ def test_a_step_response_is_theorys_and_an_unstable_one_is_said_to_be_so_and_cut
     assert np.isnan(values[beyond.argmax() + 1 :]).all()
     assert "rotate: unstable" in list_legend(tl.draw.draw_figure("bode", [wild]))
     locus = list_legend(tl.draw.draw_figure("root-locus", [wild]))
-    assert "rotate: Kp = 150, unstable" in locus
+    assert "Kp = 150 (unstable)" in locus
+
+
+@pytest.mark.parametrize("name", EXTRA)
+def test_a_run_has_its_colour_and_a_loop_its_dashes_of_which_the_broader_lie_below(
+    name: str,
+) -> None:
+    figure = tl.draw.draw_figure(name, [KP2, KP10])
+    labelled = {str(one.get_label()): one for one in figure.axes[0].get_lines()}
+    seen = {label.partition(":")[0]: one for label, one in labelled.items()}
+    for run, looks in zip(("paper-kp2", "paper-kp10"), choose_lines(2), strict=True):
+        upper, lower = seen[f"{run} rotate"], seen[f"{run} translate"]
+        assert upper.get_color() == lower.get_color() == looks["color"]
+        assert (upper.get_linestyle(), lower.get_linestyle()) == ("-", "--")
+        assert lower.get_linewidth() >= 2.0 * upper.get_linewidth()
+        assert lower.get_zorder() < upper.get_zorder()
+
+
+def test_poles_have_the_colours_of_their_runs_in_every_plane_and_equal_ones_are_rings() -> None:
+    figure = tl.draw.draw_figure("root-locus", [KP10, dataclasses.replace(KP10, name="again")])
+    colors = [looks["color"] for looks in choose_lines(2)]
+    for axes in figure.axes:
+        lower, upper = [one for one in axes.get_lines() if one.get_marker() == "o"]
+        assert [lower.get_color(), upper.get_color()] == colors
+        assert lower.get_markersize() >= 1.4 * upper.get_markersize()
+
+
+def test_bode_says_which_runs_have_one_phase() -> None:
+    _, phase = tl.draw.draw_figure("bode", [KP2, KP10]).axes
+    (said,) = [text.get_text() for text in phase.texts]
+    assert said.splitlines() == [
+        "2 runs have one phase of rotate (64 ms)",
+        "2 runs have one phase of translate (96 ms)",
+    ]
+
+
+def test_many_runs_are_named_by_a_bar_and_their_loops_by_dashes() -> None:
+    runs = [dataclasses.replace(KP10, name=f"run {number}") for number in range(8)]
+    figure = tl.draw.draw_figure("step", runs)
+    assert list_legend(figure) == ["rotate", "translate", "2 % band"]
+    assert figure.axes[-1].get_xlabel() == "8 runs, from run 0 to run 7"
 
 
 def test_figures_of_sampled_loops_come_only_where_they_are_asked_for(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from tests.draw.rerun.rrds import (
     simulate_preset,
 )
 from turtlelog.charts import palette
-from turtlelog.charts.palette import choose_run_colors
+from turtlelog.charts.palette import choose_shades
 from turtlelog.draw import write_run_rrd
 
 RUN = simulate_preset("paper-kp10")
@@ -44,9 +44,7 @@ def test_the_trace_by_speed_is_the_path_brightest_where_it_is_fast(run_rrd: Path
     colors = read_static(run_rrd, "/plane/path_by_speed", "LineStrips2D:colors")
     lengths = [len(s) for s in read_static(run_rrd, "/plane/path_by_speed", "LineStrips2D:strips")]
     # Most of the way it drives at the limit.
-    assert colors[int(np.argmax(lengths[1:])) + 1] == palette.pack_colors(
-        [choose_run_colors(16)[-1]]
-    )
+    assert colors[int(np.argmax(lengths[1:])) + 1] == palette.pack_colors([choose_shades(16)[-1]])
 
 
 def test_the_error_arrow_points_from_the_turtle_to_the_goal(run_rrd: Path) -> None:

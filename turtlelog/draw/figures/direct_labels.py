@@ -20,8 +20,14 @@ _RING_WAYS: Final = np.radians(90.0 + 22.5 * np.array([0, 8, 1, -1, 7, -7, 4, -4
 _AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0)
 """How far words may stand from their dot, best first."""
 
-_DENSE: Final = 400
-"""Points of a line that words avoid: one in a third of a millimetre of a panel."""
+_APART_MM: Final = 0.1
+"""Between points of a line that words avoid: words that a curve strikes through cover hundreds."""
+
+_MOST_POINTS: Final = 4_000
+"""On a line that swings."""
+
+_OF_A_DOT: Final = 400
+"""Points of a mark, which words avoid as 40 mm of a line."""
 
 
 def measure_text_mm(text: str, points: float = 7.0) -> float:
@@ -55,15 +61,16 @@ class WordSpace:
         if not len(inside):
             return
         part = points[max(inside[0] - 1, 0) : inside[-1] + 2]
-        way = np.concatenate([[0.0], np.cumsum(np.hypot(*(np.diff(part, axis=0) / self.half).T))])
-        at = np.linspace(0.0, way[-1], _DENSE)
+        steps_mm = np.diff(part, axis=0) / self.half * self.half_mm
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(*steps_mm.T))])
+        at = np.linspace(0.0, way[-1], min(int(way[-1] / _APART_MM) + 2, _MOST_POINTS))
         self.taken.append(np.stack([np.interp(at, way, part[:, i]) for i in (0, 1)], axis=1))
 
     def avoid_point(self, point: Values, radius_mm: float = 0.0) -> None:
         """Keep words off a dot, or a mark of some size."""
         ring = np.stack([np.cos(_WAYS), np.sin(_WAYS)], axis=1) * radius_mm
         marks = point + ring * self.half / self.half_mm
-        self.taken.append(np.repeat(marks, _DENSE // len(_WAYS), axis=0))
+        self.taken.append(np.repeat(marks, _OF_A_DOT // len(_WAYS), axis=0))
 
     def find_room(
         self,

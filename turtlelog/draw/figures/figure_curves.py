@@ -1,6 +1,8 @@
 """Curves of figures: of runs, thinned, of the ideal loop beside them, and of theory alone."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import cycle
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +16,7 @@ from turtlelog.charts.shared_curves import (
     choose_rows,
 )
 from turtlelog.draw.figures.legend import name_some
-from turtlelog.draw.figures.page import REFERENCE, choose_lines
+from turtlelog.draw.figures.page import DASHES, REFERENCE, choose_lines
 from turtlelog.run import Run
 from turtlelog.theory import (
     PLANT_INPUTS,
@@ -27,8 +29,27 @@ from turtlelog.theory import (
 
 Values = NDArray[np.float64]
 
+_RING_POINTS: Final = 2.4
+"""Poles of several loops at one place are rings of half this width."""
+_MOST_RINGS: Final = 4
+
 PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
 _LAST_S: Final = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pole:
+    """The poles of a closed loop, drawn as dots.
+
+    Attributes:
+        values: In the plane of s [1/s] or z, shape (n,).
+        color: Of the run.
+        label: In the legend.
+    """
+
+    values: NDArray[np.complex128]
+    color: Any
+    label: str
 
 
 def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
@@ -86,7 +107,9 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
     axes.axhline(1.0, **REFERENCE)
     names = name_some(axes, [f"Kp = {gain:g}" for gain in gains])
-    for gain, name, looks in zip(gains, names, choose_lines(len(gains)), strict=True):
+    styled = _style_gains(runs) if runs else dict(zip(gains, choose_lines(len(gains)), strict=True))
+    for gain, name in zip(gains, names, strict=True):
+        looks = styled[gain]
         values = compute_closed_loop_response(gain, time_s)
         axes.plot(time_s, values, label=name, **looks)
         settled_s = compute_settling_time(gain)
@@ -96,20 +119,45 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
 
 
-def draw_ideal_locus(axes: Axes, gains: Sequence[float]) -> None:
-    """Draw the ideal closed loop's pole s = -Kp, from the plant's at the origin leftward."""
-    left = -1.25 * max(gains)
+def _style_gains(runs: Sequence[Run]) -> dict[float, Mapping[str, Any]]:
+    """Return how each gain looks: the colour of the first run with it, dashes for its others."""
+    styled: dict[float, Mapping[str, Any]] = {}
+    for run, looks in zip(runs, choose_lines(len(runs)), strict=True):
+        for gain, dashes in zip(find_gains([run]), cycle(DASHES), strict=False):
+            styled.setdefault(gain, {**looks, "linestyle": dashes})
+    return styled
+
+
+def draw_ideal_locus(axes: Axes, poles: Sequence[Pole]) -> None:
+    """Draw the ideal closed loops' poles s = -Kp, from the plant's at the origin leftward."""
+    left = 1.25 * min(float(pole.values.real.min()) for pole in poles)
     axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
     axes.text(-0.12 * left, 0.82, "unstable", ha="center", fontsize=7.0, color="0.4")
     branch = compute_root_locus([0.0, -left])
     axes.plot(branch.real, branch.imag, color="0.3", label="s = -Kp")
     axes.plot([0.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="pole of 1/s", zorder=3)
-    poles = compute_root_locus(gains)
-    names = name_some(axes, [f"Kp = {gain:g}" for gain in gains])
-    for name, pole, looks in zip(names, poles, choose_lines(len(gains)), strict=True):
-        axes.plot([pole.real], [pole.imag], "o", ms=4.5, color=looks["color"], label=name)
+    draw_poles(axes, poles)
     axes.set(xlabel="real part [1/s]", ylabel="imaginary part [1/s]", xlim=(left, -0.24 * left))
     axes.set_ylim(-1.0, 1.0)
+
+
+def list_paper_poles() -> list[Pole]:
+    """Return the poles of the ideal loops with the gains of the paper."""
+    styled = zip(PAPER_GAINS, choose_lines(len(PAPER_GAINS)), strict=True)
+    return [
+        Pole(values=compute_root_locus([kp]), color=looks["color"], label=f"Kp = {kp:g}")
+        for kp, looks in styled
+    ]
+
+
+def draw_poles(axes: Axes, poles: Sequence[Pole]) -> None:
+    """Draw poles; of equal ones those that come first are larger discs below."""
+    labels = name_some(axes, [pole.label for pole in poles])
+    for number, (pole, label) in enumerate(zip(poles, labels, strict=True)):
+        later = sum(np.array_equal(pole.values, other.values) for other in poles[number + 1 :])
+        size = 4.5 + _RING_POINTS * min(later, _MOST_RINGS)
+        looks: dict[str, Any] = {"ms": size, "color": pole.color, "zorder": 2.9 - 0.001 * later}
+        axes.plot(pole.values.real, pole.values.imag, "o", label=label, **looks)
 
 
 def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:

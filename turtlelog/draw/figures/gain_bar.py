@@ -8,7 +8,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
-from turtlelog.charts.many_runs import find_gain_scale
+from turtlelog.charts.many_runs import find_gain_scale, group_by_gain
 from turtlelog.charts.palette import FEW
 from turtlelog.draw.figures.page import choose_lines, label_runs
 from turtlelog.run import Run
@@ -50,6 +50,14 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
         bar.set_ticks(shown.tolist(), labels=[f"{scale.values[row]:g}" for row in shown])
         unit = f" [{scale.unit}]" if scale.unit else ""
         bar.set_label(f"{scale.word} of {count} runs{unit}")
+    elif len(groups := group_by_gain(runs)) > 1:
+        gains = sorted(groups)
+        shown = np.unique(np.linspace(0, len(gains) - 1, min(len(gains), _MOST_TICKS)).round())
+        told = [gains[int(row)] for row in shown]
+        bar.set_ticks(
+            [float(np.mean(groups[kp])) for kp in told], labels=[f"{kp:g}" for kp in told]
+        )
+        bar.set_label(f"Kp of {count} runs")
     else:
         bar.set_ticks([])
         bar.set_label(f"{count} runs, from {names[0]} to {names[-1]}")

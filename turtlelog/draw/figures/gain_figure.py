@@ -104,15 +104,18 @@ def draw_gains(
     grid = figure.subplots(*shape, squeeze=False)
     for column, loop in enumerate(columns):
         own_axes = grid[column * len(rows) :, 0] if is_stacked else grid[:, column]
-        for row, (axes, name) in enumerate(zip(own_axes, rows, strict=False)):
-            one = _find_values(found, name, loop)
+        values = [_find_values(found, name, loop) for name in rows]
+        # A metric of the whole run stands once, over the first gain.
+        shown = [one if one and (one.loop or column == 0) else None for one in values]
+        last = max(row for row, one in enumerate(shown) if one is not None)
+        for row, (axes, one) in enumerate(zip(own_axes, shown, strict=False)):
             if one is None:
                 axes.set_axis_off()
                 continue
             _draw_panel(axes, runs, loop, one, is_first=row == 0)
-            axes.tick_params(labelbottom=row + 1 == len(rows))
-            axes.set_ylabel(one.label if column == 0 or one.loop or is_stacked else "")
-        own_axes[len(rows) - 1].set_xlabel(f"Kp of {loop.name} [1/s]")
+            axes.tick_params(labelbottom=row == last)
+            axes.set_ylabel(one.label)
+        own_axes[last].set_xlabel(f"Kp of {loop.name} [1/s]")
         own_axes[0].set_title(_name_loop(loop), pad=12.0)
     figure.align_ylabels()
 

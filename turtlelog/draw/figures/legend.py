@@ -52,7 +52,7 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
         return
     entries = _join_alike(named)
     width, height = figure.get_size_inches()
-    columns = _count_columns(list(entries), width * _POINTS_PER_INCH)
+    columns = count_columns(list(entries), width * _POINTS_PER_INCH)
     lines = ceil(len(entries) / columns)
     line_points = _LINE_HEIGHT * rcParams["legend.fontsize"]
     figure.set_size_inches(width, height + (lines + 0.5) * line_points / _POINTS_PER_INCH)
@@ -94,7 +94,7 @@ def _describe_looks(label: str, handle: Any) -> Any:
     return (alike, handle.get_color(), handle.get_linewidth(), handle.get_marker())
 
 
-def _count_columns(labels: Sequence[str], width_points: float) -> int:
+def count_columns(labels: Sequence[str], width_points: float) -> int:
     """Return how many columns of the widest entry there is room for."""
     size = rcParams["legend.fontsize"]
     font = FontProperties(family=rcParams["font.family"], size=size)

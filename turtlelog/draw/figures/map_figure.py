@@ -97,7 +97,7 @@ def draw_map(
     axes.grid(visible=False)
     found = choose_limits(limits, metric)
     if found is not None:
-        named |= _draw_limits(axes, view, found, ends)
+        named |= _draw_limits(axes, view, metric, found, ends)
     return named
 
 
@@ -244,7 +244,11 @@ def _join_cells(edges: tuple[Values, Values], cells: NDArray[np.int64]) -> list[
 
 
 def _draw_limits(
-    axes: Axes, view: SweptView, found: LoopLimits, ends: Sequence[tuple[float, float]]
+    axes: Axes,
+    view: SweptView,
+    metric: SweptMetric,
+    found: LoopLimits,
+    ends: Sequence[tuple[float, float]],
 ) -> dict[str, Any]:
     """Draw theory's limits of a gain in the columns, or rows, of the other axis."""
     is_upright = found.gain is view.x
@@ -263,5 +267,10 @@ def _draw_limits(
             line = (values, at) if is_upright else (at, values)
             axes.plot(*line, color="white", linewidth=looks["linewidth"] + _HALO, zorder=2.9)
             axes.plot(*line, **looks, zorder=3.0)
-            named[f"{found.loop}: {name}"] = Line2D([], [], **looks)
+            named[name_limit(found, metric, name)] = Line2D([], [], **looks)
     return named
+
+
+def name_limit(found: LoopLimits, metric: SweptMetric, name: str) -> str:
+    """Return what a legend says of a limit; the metric of a loop tells the loop."""
+    return name if metric.loop == found.loop else f"{found.loop}: {name}"

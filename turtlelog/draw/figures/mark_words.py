@@ -25,11 +25,11 @@ _LEADER_MM: Final = 4.0
 _GUIDE_POINTS: Final = 40
 """Points of a guide line that words avoid: a tenth of a curve's, as it may rather be covered."""
 
-_AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0, 19.0, 25.0, 32.0)
+_AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 12.0, 14.0, 16.0, 19.0, 22.0, 25.0, 28.0, 32.0, 38.0)
 """How far words may stand from their dot, best first: marks of one phase end in one corner."""
 
 _MOST_COVERED: Final = 12.0
-"""Points of curves that a table may cover, of 400 on each: 3 % of one."""
+"""Points of curves that a table may cover: 1.2 mm of a curve."""
 
 _PLACES: Final = np.linspace(0.0, 1.0, 15)
 """Where a table may stand, from one side of what is free to the other."""
@@ -122,6 +122,7 @@ def _write_beside(axes: Axes, place: WordSpace, word: Word, dot: Values) -> None
         ends = np.stack([dot, np.clip(dot, middle - half, middle + half)], axis=1)
         looks: dict[str, Any] = {"color": word.color, "linewidth": 0.4, "zorder": 3.1}
         axes.plot(*ends, transform=axes.transAxes, scalex=False, scaley=False, **looks)
+        place.avoid_line(ends.T)
     _write(axes, word, middle)
 
 

@@ -93,7 +93,7 @@ _MOST_BROAD: Final = 24
 """Lines of the usual width: in a column of 40 mm more of them leave no ground between."""
 _THIN: Final = 0.7
 
-_DASHES: Final[tuple[Any, ...]] = ("-", (0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
+DASHES: Final[tuple[Any, ...]] = ("-", (0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
 """Patterns of lines: what tells runs apart where colours are gone."""
 
 REFERENCE: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.45", "linewidth": 0.7})
@@ -226,7 +226,7 @@ def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
     """
     colors = [tuple(part / 255.0 for part in color) for color in choose_run_colors(count)]
     lines = [
-        {"color": color, "linestyle": _DASHES[index % len(_DASHES)]}
+        {"color": color, "linestyle": DASHES[index % len(DASHES)]}
         for index, color in enumerate(colors)
     ]
     if count <= len(FEW):

@@ -1,6 +1,7 @@
 """The plane: paths from start to goal, and how each run ends or leaves its path."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -8,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from turtlelog.charts.close_up import (
@@ -19,7 +21,15 @@ from turtlelog.charts.close_up import (
     list_miss_labels,
     list_ring_labels,
 )
+from turtlelog.charts.far_origin import (
+    LEAST_SHOWN_M,
+    find_origin,
+    label_coordinate,
+    tell_still,
+)
+from turtlelog.charts.many_runs import find_restless
 from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path
+from turtlelog.charts.run_ends import MANY_PATHS, find_gain_ends
 from turtlelog.charts.shared_curves import (
     REFERENCE as AIMED,
 )
@@ -57,6 +67,16 @@ _RING: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.75", "linewidth": 0.5, "zorder": 1.2}
 )
 
+_OF_MANY: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.8", "linewidth": 0.4, "linestyle": "-", "zorder": 1.6}
+)
+"""Paths of very many runs: their ends have the colours."""
+
+_RESTLESS: Final[Mapping[str, Any]] = MappingProxyType({"alpha": 0.45, "zorder": 1.7})
+"""Paths of runs that never come to rest, where others do."""
+
+_MOST_TICKS: Final = 5
+
 _PLANE: Final = "plane"
 """The label of axes that show where runs drove."""
 
@@ -71,8 +91,9 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
     grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
     draw_paths(grid[0], runs)
     show_all(grid[0], runs)
-    if len(grid) > 1 or not lack_samples(runs):
-        grid[0].set(title="whole paths")
+    still = tell_still(runs)
+    if still or len(grid) > 1 or not lack_samples(runs):
+        grid[0].set(title=still or "whole paths")
     if close_up is not None:
         draw_paths(grid[1], runs)
         _close_up(grid[1], runs, close_up, _measure_letters(figure))
@@ -90,25 +111,59 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw the way of every run, where it begins and ends, its goal and what it tracks."""
     draw_tracked_paths(axes, runs)
     draw_ways_to_reference(axes, runs)
-    for run, looks in style_runs(runs):
-        xy_m = run.poses.xy_m
+    for run, looks in _style_paths(runs):
         driven_m = part_path(run)
         draw_thinned(axes, driven_m[:, 0], driven_m[:, 1], driven_m, **looks)
         if len(runs) == 1 and run.poses.sensed_xy_m is not None:
             draw_points(axes, *run.poses.sensed_xy_m.T, **SENSED)
-        (end,) = axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
-        if lack_samples(runs) and len(runs) == 1:
-            end.set_label("end")
         for aims_m in _list_aims([run]) if has_own_way(run) else ():
             draw_thinned(
                 axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM, "label": AIMED}
             )
+    _draw_ends(axes, runs)
     starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
     axes.plot(*starts.T, "s", ms=4.0, color="0.3", label="start", zorder=3)
     goals = _list_goals(runs)
     if len(goals):
         axes.plot(*goals.T, "x", ms=6.0, mew=1.4, color="black", label="goal", zorder=3)
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", label=_PLANE)
+    axes.set(aspect="equal", label=_PLANE)
+    for axis, name, origin_m in zip((axes.xaxis, axes.yaxis), "xy", find_origin(runs), strict=True):
+        axis.set_label_text(label_coordinate(name, origin_m))
+        if origin_m:
+            axis.set_major_locator(_FromOrigin(origin_m))
+            axis.set_major_formatter(partial(_tell_from, origin_m))
+
+
+def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
+    """Return runs with how their paths look: of very many grey, and faint where one never rests."""
+    if len(runs) > MANY_PATHS:
+        return [(run, {**looks, **_OF_MANY}) for run, looks in style_runs(runs)]
+    restless = find_restless(runs)
+    return [
+        (run, {**looks, **(_RESTLESS if number in restless else {})})
+        for number, (run, looks) in enumerate(style_runs(runs))
+    ]
+
+
+def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
+    """Draw where runs end, above all paths; of many of a gain also the median and an outline."""
+    ends_m = np.array([run.poses.xy_m[-1] for run in runs])
+    colors = [looks["color"] for looks in choose_lines(len(runs))]
+    is_many = len(runs) > MANY_PATHS
+    # In the order of gains the last would cover the others.
+    order = np.random.default_rng(0).permutation(len(runs)) if is_many else range(len(runs))
+    for number in order:
+        looks: dict[str, Any] = {"color": colors[number], "ms": 2.2 if is_many else 3.0}
+        (end,) = axes.plot(*ends_m[number], "o", zorder=2.95, mew=0.0, **looks)
+        if lack_samples(runs) and len(runs) == 1:
+            end.set_label("end")
+    for group in find_gain_ends(runs) if is_many else ():
+        color = colors[group.runs[len(group.runs) // 2]]
+        outline = np.append(group.outline_xy_m, group.outline_xy_m[:1], axis=0)
+        label = "90 % of the ends of a gain"
+        axes.plot(*outline.T, color=color, linewidth=0.8, label=label, zorder=2.96)
+        look = {"color": color, "mec": "white", "mew": 0.7, "ms": 5.5, "label": "median end"}
+        axes.plot(*group.median_xy_m, "D", **look, zorder=2.97)
 
 
 def stress_window(
@@ -125,7 +180,7 @@ def stress_window(
         return
     planes = [axes for axes in figure.axes if axes.get_label() == _PLANE]
     for axes in planes:
-        for run, looks in style_runs(runs):
+        for run, looks in _style_paths(runs):
             _fade_outside(axes, run, looks, window_s)
     if planes:
         from_s, to_s = window_s
@@ -156,7 +211,9 @@ def show_all(axes: Axes, runs: Sequence[Run]) -> None:
             *map(outline_path, list_paths(runs)),
         ]
     )
-    _show_square(axes, points.min(axis=0), points.max(axis=0), 0.08)
+    low, high = points.min(axis=0), points.max(axis=0)
+    missing_m = max(0.5 * (LEAST_SHOWN_M - float((high - low).max())), 0.0)
+    _show_square(axes, low - missing_m, high + missing_m, 0.08)
 
 
 def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Lettering) -> None:
@@ -217,6 +274,23 @@ def _list_aims(runs: Sequence[Run]) -> list[Values]:
 def _list_goals(runs: Sequence[Run]) -> Values:
     goals = sorted({run.goal_xy_m for run in runs if run.goal_xy_m is not None})
     return np.array(goals).reshape(-1, 2)
+
+
+class _FromOrigin(MaxNLocator):
+    """Ticks at round distances from an origin."""
+
+    def __init__(self, origin_m: float) -> None:
+        super().__init__(nbins=_MOST_TICKS, steps=[1, 2, 2.5, 5, 10])
+        self._origin_m = origin_m
+
+    def tick_values(self, vmin: float, vmax: float) -> list[float]:
+        """Return where ticks are between two ends [m]."""
+        from_origin = super().tick_values(vmin - self._origin_m, vmax - self._origin_m)
+        return [float(tick) + self._origin_m for tick in from_origin]
+
+
+def _tell_from(origin_m: float, value_m: float, _: int | None = None) -> str:
+    return f"{round(value_m - origin_m, 6):g}"
 
 
 def _show_square(axes: Axes, low: Values, high: Values, margin: float = 0.0) -> None:

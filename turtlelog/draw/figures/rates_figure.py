@@ -11,8 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from turtlelog.charts.command_changes import CommandChange, find_changes
 from turtlelog.charts.robot_curves import read_measured
 from turtlelog.charts.shared_curves import Curve, read_applied, read_command
+from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.page import REFERENCE, choose_lines, label_runs
 from turtlelog.errors import ShowError
@@ -38,14 +40,11 @@ _ROW_INCH: Final = 1.25
 _LEFT_INCH: Final = 0.75
 
 _BEFORE_S: Final = 0.25
-"""Shown before the step [s]: that the robot was at rest, or on its way."""
+"""Shown before the change [s]."""
 
 _LEAST_AFTER_S: Final = 0.8
 _LENGTHS: Final = 6.0
 """Dead times and lags that are shown after a step: after 5 lags it has followed to 1 %."""
-
-_LARGE: Final = 0.5
-"""Share of the largest change from which a command's change is a step to be looked at."""
 
 _FINE: Final = 600
 """Points of the model in the close-up."""
@@ -56,6 +55,9 @@ _SHOWN_MS: Final = 2.0
 _REASON_LETTERS: Final = 58
 
 _COMMAND: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.3", "linewidth": 0.9})
+_EACH: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.6", "linewidth": 0.7, "zorder": 2.0, "label": "motion after each change"}
+)
 _OUTLIER: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "#c62828", "markersize": 4.5, "label": "left out of the fit"}
 )
@@ -232,47 +234,50 @@ def _name_outliers(axes: Axes, time_s: Values, values: Values, unit: str) -> Non
 
 
 def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
-    """Draw the step of a command that shows best how the robot follows."""
-    measured, modelled = choose_lines(2)
+    """Draw all large changes of the command over each other, and how robot and model follow."""
+    _, modelled = choose_lines(2)
     dead_s, lag_s = _read(one.model.dead_time_s), _read(one.model.lag_s)
+    longest_s = 0.0 if one.model.dead_time_s is None else max(one.model.dead_time_s.high, 0.0)
     after_s = max(_LENGTHS * (dead_s + lag_s), _LEAST_AFTER_S)
-    step_s = find_step(one.command, after_s)
-    low_s, high_s = step_s - _BEFORE_S * max(after_s, 1.0), step_s + after_s
     if one.model.is_known:
         if dead_s > 0.0:
-            axes.axvspan(step_s, step_s + dead_s, **_DEAD)
+            axes.axvspan(0.0, dead_s, **_DEAD)
         if one.model.dead_time_s is not None:
-            _draw_interval(axes, one.model.dead_time_s, step_s)
+            _draw_interval(axes, one.model.dead_time_s)
         if lag_s > 0.0:
-            axes.axvspan(step_s + dead_s, step_s + dead_s + lag_s, **_LAG)
-    command = _hold_to_end(one.command, run)
-    axes.plot(command.time_s, command.values, drawstyle="steps-post", **_COMMAND)
-    shown = [_cut(command.time_s, command.values, low_s, high_s, holds=True)]
-    if one.measured is not None:
-        # Unlike the whole run's, these are not joined to tenths of a second: delays are shorter.
-        time_s, values = _read_fine(one, run)
-        axes.plot(time_s, values, **measured, marker=".", markersize=3.0)
-        shown.append(_cut(time_s, values, low_s, high_s))
-    if one.traces is not None:
-        fine_s = np.linspace(low_s, high_s, _FINE) + run.start_ns / 1e9
-        _, rate = predict_axis(one.model, run, fine_s)
-        axes.plot(fine_s - run.start_ns / 1e9, rate, **modelled)
-        shown.append(rate)
-    known = np.concatenate([*shown, [0.0]])
-    low, high = float(known.min()), float(known.max())
-    room = 0.12 * (high - low or 1.0)
-    axes.set(xlim=(low_s, high_s), ylim=(low - room, high + room))
-    axes.set_title(tell_model(one.model), fontsize=7.0)
-    axes.set_xlabel(_tell_time(run))
-    axes.set_ylabel(f"{COMMAND_WORDS[one.model.axis]} [{COMMAND_UNITS[one.model.axis]}]")
+            axes.axvspan(dead_s, dead_s + lag_s, **_LAG)
+    changes = find_changes(one.command)
+    axes.plot([-_BEFORE_S, 0.0, 0.0, after_s], [0.0, 0.0, 1.0, 1.0], **_COMMAND)
+    for change in changes:
+        until_s = min(change.end_s + longest_s, change.half_s + after_s)
+        if one.measured is not None:
+            # Not joined to tenths of a second, as those of the whole run: delays are shorter.
+            _draw_followed(axes, change, *_read_fine(one, run), until_s, **_EACH)
+        if one.traces is not None:
+            fine_s = np.linspace(change.begin_s, until_s, _FINE)
+            _, rate = predict_axis(one.model, run, fine_s + run.start_ns / 1e9)
+            looks = {**modelled, "linewidth": 0.9, "zorder": 2.4}
+            _draw_followed(axes, change, fine_s, rate, until_s, **looks)
+    axes.set(xlim=(-_BEFORE_S, after_s), ylim=(-0.35, 1.45))
+    axes.set_title(tell_model(one.model, len(changes)), fontsize=7.0)
+    axes.set_xlabel("time from the change [s]")
+    axes.set_ylabel(f"part of the change\nof the {COMMAND_WORDS[one.model.axis]}")
     axes.locator_params(axis="x", nbins=5)
 
 
-def _draw_interval(axes: Axes, dead_time: Estimate, step_s: float) -> None:
+def _draw_followed(
+    axes: Axes, change: CommandChange, time_s: Values, values: Values, until_s: float, **looks: Any
+) -> None:
+    """Draw what follows a change, over the time from when the command has made half of it."""
+    rows = (time_s >= change.begin_s) & (time_s <= until_s)
+    axes.plot(time_s[rows] - change.half_s, change.scale(values[rows]), **looks)
+
+
+def _draw_interval(axes: Axes, dead_time: Estimate) -> None:
     """Draw between which times the dead time ends, at the upper edge."""
     if 1e3 * (dead_time.high - dead_time.low) < _SHOWN_MS:
         return
-    ends = [step_s + dead_time.low, step_s + dead_time.high]
+    ends = [dead_time.low, dead_time.high]
     looks: dict[str, Any] = {"color": "#8a5a00", "linewidth": 0.9, "marker": "|", "markersize": 5.0}
     label = "dead time: interval"
     axes.plot(ends, [0.96, 0.96], transform=axes.get_xaxis_transform(), **looks, label=label)
@@ -287,42 +292,18 @@ def _read_fine(one: DrawnAxis, run: Run) -> tuple[Values, Values]:
     return time_s[:-1] + 0.5 * apart_s - run.start_ns / 1e9, moved / apart_s
 
 
-def _cut(
-    time_s: Values, values: Values, low_s: float, high_s: float, *, holds: bool = False
-) -> Values:
-    rows = np.flatnonzero((time_s >= low_s) & (time_s <= high_s))
-    if holds and len(rows) and rows[0]:
-        rows = np.append(rows, rows[0] - 1)
-    return values[rows]
-
-
 def _read(found: Estimate | None) -> float:
     return 0.0 if found is None else max(found.value, 0.0)
 
 
-def find_step(command: Curve, after_s: float) -> float:
-    """Return when the command makes its clearest step [s]: large, and held for long enough."""
-    values = np.concatenate([[0.0], command.values])
-    sizes = np.abs(np.diff(values))
-    if not sizes.any():
-        return float(command.time_s[0])
-    rows = np.flatnonzero(sizes >= _LARGE * sizes.max())
-    changes = np.flatnonzero(sizes > 1e-9)
-    ends_s = np.append(command.time_s[changes], command.time_s[-1])
-    following = np.searchsorted(changes, rows, side="right")
-    held_s = np.minimum(ends_s[following] - command.time_s[rows], after_s)
-    # Of steps that are held alike, the largest.
-    best = int(np.lexsort((sizes[rows], np.round(held_s / after_s, 1)))[-1])
-    return float(command.time_s[rows[best]])
-
-
-def tell_model(model: AxisModel) -> str:
+def tell_model(model: AxisModel, changes: int) -> str:
     """Return what identification found of an axis, for a title."""
     if model.gain is None or model.dead_time_s is None or model.lag_s is None:
-        return f"{COMMAND_WORDS[model.axis]}: the largest step"
+        return f"{COMMAND_WORDS[model.axis]}: {describe_count(changes, 'change')}"
     gain = f"{model.gain.value:.3f} ({model.gain.low:.3f} to {model.gain.high:.3f})"
     delays = f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}"
-    return f"{COMMAND_WORDS[model.axis]}: intervals of 95 %\n{delays}\ngain {gain}"
+    told = f"{COMMAND_WORDS[model.axis]}: {describe_count(changes, 'change')}, intervals of 95 %"
+    return f"{told}\n{delays}\ngain {gain}"
 
 
 def _tell_ms(found: Estimate) -> str:

@@ -4,7 +4,7 @@ All curves are those of the exact discretisation, dead time included, and end at
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
@@ -15,9 +15,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from turtlelog.draw.figures.figure_curves import draw_ideal_locus, find_gains
+from turtlelog.charts.many_runs import MANY
+from turtlelog.draw.figures.figure_curves import (
+    Pole,
+    draw_ideal_locus,
+    draw_poles,
+    find_gains,
+    list_paper_poles,
+)
 from turtlelog.draw.figures.legend import name_some
-from turtlelog.draw.figures.page import REFERENCE, choose_lines, label_runs
+from turtlelog.draw.figures.page import (
+    DASHES,
+    REFERENCE,
+    choose_lines,
+    label_runs,
+)
 from turtlelog.loops import SIGNAL_WORDS
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
@@ -51,6 +63,18 @@ _NO_OVERSHOOT: Final = 0.05
 _DECADES_BELOW: Final = 2.0
 """Where a frequency response begins, below the crossover."""
 
+_WIDER: Final = 1.2
+"""Each loop of a run is so much broader than the one on it [points]: of two that coincide, the
+dashes of the lower look out on both sides."""
+
+_DASH_POINTS: Final = 1.6
+"""Width of a line to which dashes are scaled."""
+
+_LARGER: Final = 2.2
+"""The same of their marks."""
+
+_MOST_TOLD: Final = 6
+
 _MIRRORED: Final[Mapping[str, Any]] = MappingProxyType({"linewidth": 0.5, "linestyle": ":"})
 
 _MOST_SAMPLES: Final = 20_000
@@ -68,46 +92,58 @@ class _LoopCurve:
     """One loop to draw.
 
     Attributes:
-        name: Loop, after its run where there are several.
+        run: Name of its run; empty where there is one run.
+        is_many: Whether there are so many runs that a bar of colours names them.
+        layer: Number of the loop in its law: 0 lies on top.
         model: What theory knows of it.
         found: What it does.
-        looks: Colour and dashes.
+        color: Of its run.
     """
 
-    name: str
+    run: str
+    is_many: bool
+    layer: int
     model: LoopModel
     found: PidLoop
-    looks: Mapping[str, Any]
+    color: Any
 
     @property
-    def label(self) -> str:
-        """For a legend: the name, and the margins."""
-        return f"{self.name}: {_tell_margins(self.found)}"
+    def looks(self) -> dict[str, Any]:
+        """Colour of the run, dashes and width of the loop."""
+        width = (0.8 if self.is_many else 1.1) + _WIDER * self.layer
+        order = 2.6 - 0.3 * self.layer
+        dashes = DASHES[self.layer % len(DASHES)]
+        if self.layer % len(DASHES):
+            # matplotlib scales dashes by the width of the line: two must fit into a legend.
+            dashes = (0, tuple(_DASH_POINTS / width * part for part in dashes[1]))
+        return {"color": self.color, "linestyle": dashes, "linewidth": width, "zorder": order}
 
     @property
-    def locus_label(self) -> str:
-        """For a legend of poles: the name, and Kp."""
-        verdict = "" if self.found.stable else ", unstable"
-        return f"{self.name}: Kp = {self.found.gains.kp:g}{verdict}"
+    def mark(self) -> dict[str, Any]:
+        """How a single point of it looks; that of a lower loop is a ring."""
+        looks: dict[str, Any] = {"color": self.color, "ms": 3.5 + _LARGER * self.layer, "zorder": 3}
+        return looks | ({"mfc": "none", "mew": 0.9} if self.layer else {})
 
+    def tell_gain(self) -> str:
+        """Return Kp, and whether theory's loop is unstable with it."""
+        verdict = "" if self.found.stable else " (unstable)"
+        return f"Kp = {self.found.gains.kp:g}{verdict}"
 
-def find_known_loops(runs: Sequence[Run]) -> list[tuple[str, LoopModel]]:
-    """Return the loops of runs that theory knows, each under its name in a legend."""
-    names = label_runs(runs) if len(runs) > 1 else [""]
-    return [
-        (f"{name} {model.loop.name}".strip(), model)
-        for name, run in zip(names, runs, strict=True)
-        for model in list_known(model_run_loops(run))
-    ]
+    def label(self, tell: Callable[[PidLoop], str]) -> str:
+        """Return an entry for a legend: the run and the loop, and what is told of it."""
+        if self.is_many:
+            return self.run
+        return f"{self.run} {self.model.loop.name}".strip() + f": {tell(self.found)}"
 
 
 def find_lack_of_theory(runs: Sequence[Run]) -> str:
     """Say what a loop of theory lacks, empty where there is one."""
     if not runs:
         return "a recording"
-    if find_known_loops(runs):
+    models = [model for run in runs for model in model_run_loops(run)]
+    if list_known(models):
         return ""
-    reasons = [model.reason for run in runs for model in model_run_loops(run)]
+    reasons = [model.reason for model in models]
     return f"a loop that theory knows ({reasons[0]})" if reasons else "a law that declares a loop"
 
 
@@ -117,8 +153,7 @@ def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
     size.axhline(0.0, **REFERENCE)
     phase.axhline(-180.0, **REFERENCE)
     curves = _style_loops(runs)
-    labels = name_some(size, [curve.label for curve in curves])
-    for curve, label in zip(curves, labels, strict=True):
+    for curve, label in zip(curves, _name_loops(size, curves, _tell_margins), strict=True):
         frequencies = _list_frequencies(curve.found)
         values = _respond(curve.model, frequencies)
         turned = _unwrap_degrees(values)
@@ -133,6 +168,19 @@ def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
     phase.set(xlabel="frequency [rad/s]", ylabel="phase [deg]")
     phase.set_ylim(max(phase.get_ylim()[0], -450.0), None)
     phase.yaxis.set_major_locator(_every(90.0))
+    _tell_equal_phases(phase, curves)
+
+
+def _tell_equal_phases(axes: Axes, curves: Sequence[_LoopCurve]) -> None:
+    """Say which runs have one curve: Kp alone moves no phase."""
+    told = [
+        f"{len(group)} runs have one phase of {group[0].model.loop.name}"
+        f" ({1e3 * group[0].found.dead_time_s:.4g} ms)"
+        for group in _group_loci(curves)
+        if len(group) > 1
+    ]
+    looks: dict[str, Any] = {"fontsize": 7.0, "color": "0.35", "va": "bottom"}
+    axes.text(0.01, 0.03, "\n".join(told[:_MOST_TOLD]), transform=axes.transAxes, **looks)
 
 
 def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
@@ -140,17 +188,16 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
     axes = figure.subplots()
     _draw_unit_circle(axes)
     curves = _style_loops(runs)
-    labels = name_some(axes, [curve.label for curve in curves])
-    for curve, label in zip(curves, labels, strict=True):
+    for curve, label in zip(curves, _name_loops(axes, curves, _tell_margins), strict=True):
         values = _respond(curve.model, _list_frequencies(curve.found))
         axes.plot(values.real, values.imag, label=label, **curve.looks)
-        axes.plot(values.real, -values.imag, color=curve.looks["color"], **_MIRRORED)
+        axes.plot(values.real, -values.imag, color=curve.color, **_MIRRORED)
         margins = curve.found.margins
         if margins is not None and margins.phase_margin_rad is not None:
             at = -np.exp(1j * margins.phase_margin_rad)
-            axes.plot(at.real, at.imag, "o", ms=3.5, color=curve.looks["color"], zorder=3)
+            axes.plot(at.real, at.imag, "o", **curve.mark)
         if margins is not None and margins.gain_margin is not None:
-            axes.plot(-1.0 / margins.gain_margin, 0.0, "s", ms=3.5, color=curve.looks["color"])
+            axes.plot(-1.0 / margins.gain_margin, 0.0, "s", **curve.mark)
     axes.plot([-1.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="-1", zorder=3)
     axes.plot([], [], color="0.35", **_MIRRORED, label="frequencies below 0")
     _name_margins(axes)
@@ -164,11 +211,15 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     First that of the ideal loop in the s plane, where the plant is 1/s and the law proportional;
     then those of the sampled loops in the z plane.
     """
-    gains = find_ideal_gains(runs)
-    groups = _group_loci(_style_loops(runs)) if runs else []
-    draw = [partial(draw_ideal_locus, gains=gains)] if gains else []
-    draw += [partial(_draw_locus, group=group) for group in groups]
-    draw = draw[:_MOST_LOCI]
+    curves = _style_loops(runs)
+    names = _name_poles(runs, curves)
+    ideal = _list_ideal_poles(runs, names)
+    draw = [partial(draw_ideal_locus, poles=ideal)] if ideal else []
+    draw += [partial(_draw_locus, group=group, names=names) for group in _group_loci(curves)]
+    if len(draw) > _MOST_LOCI:
+        note = f"the first {_MOST_LOCI} of {len(draw)} loci, by dead time"
+        figure.supxlabel(note, fontsize=7.0, color="0.4")
+        draw = draw[:_MOST_LOCI]
     columns = min(len(draw), 2)
     grid = figure.subplots(-(-len(draw) // columns), columns, squeeze=False)
     for axes in grid.flat[len(draw) :]:
@@ -183,6 +234,31 @@ def find_ideal_gains(runs: Sequence[Run]) -> tuple[float, ...]:
     return find_gains(ideal) if ideal or not runs else ()
 
 
+def _list_ideal_poles(runs: Sequence[Run], names: Mapping[str, str]) -> list[Pole]:
+    """Return the poles of ideal loops, in the colours of their runs."""
+    if not runs:
+        return list_paper_poles()
+    styled = zip(runs, names.values(), choose_lines(len(runs)), strict=True)
+    return [
+        Pole(values=np.array([-kp]), color=looks["color"], label=name)
+        for run, name, looks in styled
+        for kp in find_ideal_gains([run])
+    ]
+
+
+def _name_poles(runs: Sequence[Run], curves: Sequence[_LoopCurve]) -> dict[str, str]:
+    """Return what a legend says of the poles of each run, by its name: its gains."""
+    found: dict[str, str] = {}
+    for name in _name_styled(runs):
+        own = [curve for curve in curves if curve.run == name]
+        told = [(curve.model.loop.name, curve.tell_gain()) for curve in own]
+        gains = {gain for _, gain in told}
+        words = ", ".join([*gains] if len(gains) == 1 else [f"{loop} {kp}" for loop, kp in told])
+        is_short = len(runs) > MANY or not words
+        found[name] = name if is_short else f"{name}: {words}" if name else words
+    return found
+
+
 def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the sampled loops' answers to a step of the reference, without limits."""
     axes, curves = figure.subplots(), _style_loops(runs)
@@ -190,8 +266,7 @@ def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
     axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
     axes.axhline(1.0, **REFERENCE)
     lowest, highest = 0.0, 1.0
-    labels = name_some(axes, [f"{curve.name}: {_tell_step(curve.found)}" for curve in curves])
-    for curve, label in zip(curves, labels, strict=True):
+    for curve, label in zip(curves, _name_loops(axes, curves, _tell_step), strict=True):
         gains, settings = curve.model.require()
         count = min(math.ceil(last_s / curve.found.period_s) + 2, _MOST_SAMPLES)
         values = _cut_where_far(compute_pid_step_response(gains, count, **settings))
@@ -205,12 +280,40 @@ def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def _style_loops(runs: Sequence[Run]) -> list[_LoopCurve]:
-    known = find_known_loops(runs)
-    curves = []
-    for (name, model), looks in zip(known, choose_lines(len(known)), strict=True):
-        found = model.analyse()
-        curves.append(_LoopCurve(name=name, model=model, found=found, looks=looks))
-    return curves
+    """Return the loops of runs that theory knows: the run has a colour, its loop dashes."""
+    known = [list_known(model_run_loops(run)) for run in runs]
+    loops = dict.fromkeys(model.loop.name for models in known for model in models)
+    layers = {name: layer for layer, name in enumerate(loops)}
+    return [
+        _LoopCurve(
+            run=name,
+            is_many=len(runs) > MANY,
+            layer=layers[model.loop.name],
+            model=model,
+            found=model.analyse(),
+            color=looks["color"],
+        )
+        for name, models, looks in zip(
+            _name_styled(runs), known, choose_lines(len(runs)), strict=True
+        )
+        for model in models
+    ]
+
+
+def _name_styled(runs: Sequence[Run]) -> list[str]:
+    return label_runs(runs) if len(runs) > 1 else [""] * len(runs)
+
+
+def _name_loops(
+    axes: Axes, curves: Sequence[_LoopCurve], tell: Callable[[PidLoop], str]
+) -> list[str | None]:
+    """Return what a legend says of each loop; of many runs only which dashes are of which loop."""
+    labels = [curve.label(tell) for curve in curves]
+    if not any(curve.is_many for curve in curves):
+        return name_some(axes, labels)
+    for curve in {curve.layer: curve for curve in curves}.values():
+        axes.plot([], [], **{**curve.looks, "color": "0.35"}, label=curve.model.loop.name)
+    return list(labels)
 
 
 def _tell_margins(found: PidLoop) -> str:
@@ -289,21 +392,21 @@ def _mark_margins(
     turned: NDArray[np.float64],
 ) -> None:
     """Mark the phase margin from -180 deg up, and the gain margin from 0 dB down."""
-    margins, color = curve.found.margins, curve.looks["color"]
+    margins, looks = curve.found.margins, curve.looks
     if margins is None:
         return
     if margins.phase_margin_rad is not None and margins.crossover_rad_s is not None:
         at = margins.crossover_rad_s
         level = float(np.interp(at, frequencies, turned))
-        size.plot(at, 0.0, "o", ms=3.5, color=color, zorder=3)
-        phase.plot(at, level, "o", ms=3.5, color=color, zorder=3)
-        phase.plot([at, at], [level - math.degrees(margins.phase_margin_rad), level], color=color)
+        size.plot(at, 0.0, "o", **curve.mark)
+        phase.plot(at, level, "o", **curve.mark)
+        phase.plot([at, at], [level - math.degrees(margins.phase_margin_rad), level], **looks)
     if margins.gain_margin is not None and margins.gain_frequency_rad_s is not None:
         at, level = margins.gain_frequency_rad_s, -float(_to_db(margins.gain_margin))
-        size.plot([at, at], [level, 0.0], color=color)
-        size.plot(at, level, "s", ms=3.5, color=color, zorder=3)
+        size.plot([at, at], [level, 0.0], **looks)
+        size.plot(at, level, "s", **curve.mark)
         turned_at = float(np.interp(at, frequencies, turned))
-        phase.plot(at, turned_at, "s", ms=3.5, color=color, zorder=3)
+        phase.plot(at, turned_at, "s", **curve.mark)
 
 
 def _draw_unit_circle(axes: Axes) -> None:
@@ -322,7 +425,7 @@ def _group_loci(curves: Sequence[_LoopCurve]) -> list[list[_LoopCurve]]:
     return list(groups.values())
 
 
-def _draw_locus(axes: Axes, group: Sequence[_LoopCurve]) -> None:
+def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str]) -> None:
     """Draw how the poles move as Kp rises to half more than where it matters."""
     first = group[0]
     gains, settings = first.model.require()
@@ -336,12 +439,12 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve]) -> None:
         poles = compute_pid_poles(replace(gains, kp=end), **settings)
         at = poles[np.abs(np.abs(poles) - 1.0) < 1e-6]
         axes.plot(at.real, at.imag, "s", ms=4.0, mfc="none", color="black", label="limit of Kp")
-    labels = name_some(axes, [curve.locus_label for curve in group])
-    for curve, label in zip(group, labels, strict=True):
-        poles = curve.found.poles
-        axes.plot(poles.real, poles.imag, "o", ms=4.0, color=curve.looks["color"], label=label)
+    marked = [
+        Pole(values=curve.found.poles, color=curve.color, label=names[curve.run]) for curve in group
+    ]
+    draw_poles(axes, marked)
     dead_time = f"{1e3 * first.found.dead_time_s:.4g} ms"
-    axes.set_title(f"{SIGNAL_WORDS[first.model.loop.signal]}, dead time {dead_time}")
+    axes.set_title(f"{SIGNAL_WORDS[first.model.loop.signal]}\ndead time {dead_time}")
     axes.set(xlabel="real part of z", ylabel="imaginary part of z", aspect="equal")
     axes.set(xlim=(-1.35, 1.35), ylim=(-1.35, 1.35))
 

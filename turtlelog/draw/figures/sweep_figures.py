@@ -2,6 +2,7 @@
 
 import io
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -9,6 +10,7 @@ from typing import Any, Final, Literal
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from turtlelog.draw.figures.legend import count_columns
 from turtlelog.draw.figures.map_figure import draw_map
 from turtlelog.draw.figures.page import LOOKS, Page
 from turtlelog.draw.figures.swept_curves import draw_curves
@@ -31,6 +33,11 @@ _BAR_INCH: Final = 0.34
 
 _SQUEEZED: Final = 0.62
 """Share of their heights to which panels fit on a slide: of less, the names of sides touch."""
+
+_LETTERS_PER_INCH: Final = 16.0
+"""Of the notes below the panels, 7 points high."""
+
+_LINE_INCH: Final = 0.14
 
 _NARROWEST_INCH: Final = 2.6
 """A map beside another is at least so wide: its bar and its side take an inch."""
@@ -89,12 +96,13 @@ def draw_sweep(
     page, data = page or Page(kind="page"), io.BytesIO()
     kind = "curves" if view.y is None and kind == "map" else kind
     with mpl.rc_context(dict(LOOKS)):
-        figure = _lay_out(view, limits, kind, page)
+        figure = lay_out(view, limits, kind, page)
     save_figure(figure, data, form, page)
     return data.getvalue()
 
 
-def _lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
+def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
+    """Return the figure of a sweep, drawn."""
     metrics = view.results.metrics
     found = [find_sensitivities(view.results, one, dict(view.held)) for one in metrics]
     most = max(len(one.keys) for one in found)
@@ -115,11 +123,20 @@ def _lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page:
             named |= draw_map(axes, view, metrics[number], limits, reasons)
     if kind == "tornado":
         words = [_METHODS[view.results.is_sampled], *filter(None, [found[0].held])]
-        figure.supxlabel("\n".join(words).replace("$", r"\$"), fontsize=7.0, color="0.4")
+        _write_below(figure, words)
     else:
         _add_legend(figure, named, view)
     page.fit(figure)
     return figure
+
+
+def _write_below(figure: Figure, words: Sequence[str]) -> None:
+    """Write lines below the panels, broken where they are wider than the figure, which grows."""
+    letters = int(figure.get_figwidth() * _LETTERS_PER_INCH)
+    lines = [line for one in words for line in textwrap.wrap(one, letters)]
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + _LINE_INCH * (len(lines) - len(words)))
+    figure.supxlabel("\n".join(lines).replace("$", r"\$"), fontsize=7.0, color="0.4")
 
 
 def _choose_grid(count: int, height_inch: float, page: Page) -> tuple[int, int]:
@@ -144,9 +161,9 @@ def _add_legend(figure: Figure, named: dict[str, Any], view: SweptView) -> None:
     words += [f"mean over {view.seeds} seeds"] if view.seeds > 1 else []
     width, height = figure.get_size_inches()
     if words:
-        figure.supxlabel(", ".join(words).replace("$", r"\$"), fontsize=7.0, color="0.4")
+        _write_below(figure, [", ".join(words)])
     if named:
-        columns = max(1, min(len(named), int(width / 2.2)))
+        columns = count_columns(list(named), width * 72.0)
         lines = math.ceil(len(named) / columns)
         figure.set_size_inches(width, height + 0.16 * lines)
         figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=columns)

@@ -1,6 +1,6 @@
 """Metrics of a sweep against one key, a line for each value of a second, with theory's limits."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -16,17 +16,25 @@ from turtlelog.charts.map_values import (
     list_branches,
     scale_values,
 )
-from turtlelog.charts.palette import FEW
-from turtlelog.draw.figures.map_figure import LIMITS, mark_places
+from turtlelog.charts.palette import choose_run_colors
+from turtlelog.draw.figures.map_figure import LIMITS, mark_places, name_limit
 from turtlelog.draw.figures.page import choose_lines
 from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
-from turtlelog.sweep.swept_results import SweptAxis, SweptMetric
+from turtlelog.sweep.swept_results import SweptAxis, SweptMetric, format_value
 from turtlelog.sweep.swept_views import SweptView, fill_cells
 
 Values = NDArray[np.float64]
 
-_MOST_LINES: Final = len(FEW)
-"""Values of a second key that have a line each: as many as there are distinct hues."""
+_MOST_LINES: Final = 12
+"""Values of a second key that have a line each: neighbours on the ramp are told apart."""
+
+_MOST_TOLD: Final = 6
+"""Values that a legend says are left out; of more it says the steps."""
+
+_ALIKE: Final = 0.005
+"""Curves that differ by less of a panel's height are one line in print: a third of a millimetre."""
+
+_RAMP_COLORS: Final = 256
 
 _MOST_MARKED: Final = 40
 """Values of the key up to which each is a dot on the line: one in 2 mm of a panel."""
@@ -86,35 +94,74 @@ def draw_curves(
     named: dict[str, Any] = {}
     theory: dict[str, Any] = {}
     places = choose_series(series)
-    for looks, place in zip(choose_lines(len(places)), places, strict=True):
+    is_one = found is not None and len({*found.columns}) == 1
+    for color, place in zip(_color_series(series, len(places)), places, strict=True):
         mean, least, most = (part[place] for part in parts)
-        name = None if series is None else series.tell_row(_find_row(series, place))
-        named |= _draw_line(axes, along, mean, looks, name)
+        name = None if series is None else _name_value(series, place)
+        named |= _draw_line(axes, along, mean, color, name)
         if valueless[place].any():
-            named |= _mark_valueless(axes, along.numbers[valueless[place]], looks["color"])
+            named |= _mark_valueless(axes, along.numbers[valueless[place]], color)
         if view.seeds > 1:
-            axes.fill_between(
-                along.numbers, least, most, color=looks["color"], alpha=0.2, linewidth=0.0
-            )
+            axes.fill_between(along.numbers, least, most, color=color, alpha=0.2, linewidth=0.0)
             named["least to greatest over the seeds"] = Patch(facecolor="0.8")
-        color = None if series is None else looks["color"]
-        if found is not None:
-            theory |= _draw_limits(axes, found, along, place, color)
+        if found is not None and not (theory and is_one):
+            own = None if series is None or is_one else color
+            theory |= _draw_limits(axes, found, metric, along, place, own)
     _set_axes(axes, along, metric, parts[0][places])
+    _tell_alike(axes, parts[0][places])
     if series is not None and len(places) < len(series):
-        named[f"{len(places)} of {len(series)} values"] = Line2D([], [], linestyle="")
+        named[_tell_left_out(series, places)] = Line2D([], [], linestyle="")
     return named | theory
 
 
-def _find_row(axis: SweptAxis, place: int) -> int:
-    return int(np.flatnonzero(axis.places == place)[0])
+def _color_series(series: SweptAxis | None, count: int) -> list[tuple[float, ...]]:
+    """Return a colour for each line: of numbers from the ramp, in their order."""
+    if series is None or not series.is_number or count == 1:
+        return [looks["color"] for looks in choose_lines(count)]
+    # The ramp is that of more runs than have hues; its ends are the least and the greatest.
+    ramp = choose_run_colors(_RAMP_COLORS)
+    rows = np.linspace(0, _RAMP_COLORS - 1, count).round().astype(int)
+    return [tuple(part / 255.0 for part in ramp[row]) for row in rows]
+
+
+def _name_value(series: SweptAxis, place: int) -> str:
+    """Return what a legend says of a line: `law.kp_linear = 4`."""
+    pairs = zip(series.keys, series.values[place], strict=True)
+    return ", ".join(f"{key} = {format_value(value)}" for key, value in pairs)
+
+
+def _tell_left_out(series: SweptAxis, places: Sequence[int]) -> str:
+    """Return which values of a second key have no line."""
+    left = [place for place in range(len(series)) if place not in places]
+    if len(left) <= _MOST_TOLD:
+        return f"left out: {', '.join(series.tell_place(place) for place in left)}"
+    return f"left out: {len(left)} of {len(series)} values, in between"
+
+
+def _tell_alike(axes: Axes, curves: Values) -> None:
+    """Say above a panel how many of its curves are one line."""
+    known = curves[np.isfinite(curves)]
+    least = _ALIKE * float(np.ptp(known)) if len(known) else 0.0
+    groups: list[Values] = []
+    for curve in curves:
+        if not any(_is_alike(curve, other, least) for other in groups):
+            groups.append(curve)
+    if len(groups) < len(curves):
+        told = (
+            f"{len(curves)} curves coincide in {len(groups)} line{'s' if len(groups) > 1 else ''}"
+        )
+        axes.set_title(told, fontsize=7.0, color="0.35", loc="right")
+
+
+def _is_alike(one: Values, other: Values, least: float) -> bool:
+    is_equal = np.isnan(one) & np.isnan(other) | (np.abs(one - other) <= least)
+    return bool(is_equal.all())
 
 
 def _draw_line(
-    axes: Axes, along: SweptAxis, values: Values, looks: Mapping[str, Any], name: str | None
+    axes: Axes, along: SweptAxis, values: Values, color: Any, name: str | None
 ) -> dict[str, Any]:
     numbers, known = along.numbers, np.isfinite(values)
-    color = looks["color"]
     if along.is_number:
         axes.plot(numbers, values, color=color, linewidth=0.9, zorder=2.0)
     # A value between two that are missing has no line on either side.
@@ -149,7 +196,12 @@ def _draw_sample(
 
 
 def _draw_limits(
-    axes: Axes, found: LoopLimits, along: SweptAxis, place: int, color: Any
+    axes: Axes,
+    found: LoopLimits,
+    metric: SweptMetric,
+    along: SweptAxis,
+    place: int,
+    color: Any,
 ) -> dict[str, Any]:
     """Draw theory's limits of one column as upright lines, in the colour of its curve."""
     column = found.columns[place if len(found.columns) > 1 else 0]
@@ -163,7 +215,7 @@ def _draw_limits(
             own = {**looks, **({} if color is None else {"color": color})}
             axes.axvline(at, **own, zorder=1.5)
             grey = {} if color is None else {"color": "0.4"}
-            named[f"{found.loop}: {name}"] = Line2D([], [], **{**looks, **grey})
+            named[name_limit(found, metric, name)] = Line2D([], [], **{**looks, **grey})
             if color is None:
                 text = axes.text(at, 1.01, f"{at:.4g}", fontsize=6.2, color=looks["color"])
                 text.set(transform=axes.get_xaxis_transform(), ha="center", va="bottom")

@@ -20,7 +20,8 @@ _HEIGHT: Final = 0.62
 def draw_tornado(axes: Axes, found: Sensitivities) -> None:
     """Draw a bar for each key: the metric's range along it, or its rank correlation."""
     keys = found.keys[:_MOST_KEYS]
-    axes.set_title(label_metric(found.metric) if found.chance is None else found.metric.name)
+    title = label_metric(found.metric) if found.chance is None else found.metric.name
+    axes.set_title(title, loc="right")  # beside long names of keys there is no room on both sides
     axes.grid(visible=False, axis="y")
     axes.set_yticks(range(len(keys)), labels=[_name(one) for one in keys])
     axes.set_ylim(max(len(keys), 1) - 0.4, -0.6)
@@ -39,7 +40,8 @@ def _name(one: Sensitivity) -> str:
     name = one.axis.name.replace(", ", ",\n")
     if one.least_place is not None and one.most_place is not None:
         ends = (one.axis.tell_place(place) for place in (one.least_place, one.most_place))
-        name += f"\n{' to '.join(ends)}" if one.size else "\nmakes no difference"
+        unit = f" {one.axis.unit}" if one.axis.unit else ""
+        name += f"\n{' to '.join(ends)}{unit}" if one.size else "\nmakes no difference"
     return name.replace("$", r"\$")
 
 

@@ -10,7 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from turtlelog.charts import palette
-from turtlelog.charts.palette import Color, choose_run_colors
+from turtlelog.charts.palette import Color, choose_shades
 from turtlelog.charts.robot_curves import read_pace
 from turtlelog.charts.tracked_path import has_own_way, read_way_to_reference
 from turtlelog.draw.rerun import entities
@@ -70,7 +70,7 @@ def build_speed_trace(run: Run) -> SpeedTrace | None:
     if not 0.0 < highest < np.inf:
         return None
     levels = np.rint(speed_m_s / highest * (_SPEED_LEVELS - 1)).astype(np.int64)
-    ramp = choose_run_colors(_SPEED_LEVELS)
+    ramp = choose_shades(_SPEED_LEVELS)
     stretches = list(_split_where_changed(levels))
     return SpeedTrace(
         strips=[xy_m[first : last + 1] for first, last in stretches],

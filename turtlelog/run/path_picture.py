@@ -1,0 +1,43 @@
+"""The path of a run as a small picture for notebooks."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+_SIDE: Final = 220.0
+_ROOM: Final = 12.0
+"""Of the picture and around the path, in pixels."""
+
+_MOST_POINTS: Final = 400
+"""More are less than a pixel apart."""
+
+_LEAST_M: Final = 0.5
+"""Side of what is shown at least: of less, the noise of poses would look like a way."""
+
+
+def format_path_svg(xy_m: NDArray[np.float64], goal_xy_m: tuple[float, float] | None) -> str:
+    """Return the path as SVG: a square at its start, a dot at its end, a cross at the goal."""
+    rows = np.unique(np.linspace(0, len(xy_m) - 1, _MOST_POINTS).round().astype(int))
+    shown = xy_m if goal_xy_m is None else np.vstack([xy_m, goal_xy_m])
+    middle = (shown.min(axis=0) + shown.max(axis=0)) / 2.0
+    scale = (_SIDE - 2.0 * _ROOM) / max(float(np.ptp(shown, axis=0).max()), _LEAST_M)
+
+    def place(points_m: NDArray[np.float64]) -> list[tuple[float, float]]:
+        # The y of a picture points downward.
+        pixels = (points_m - middle) * [scale, -scale] + _SIDE / 2.0
+        return [(x, y) for x, y in pixels.round(1).tolist()]
+
+    way = place(xy_m[rows])
+    (left, top), (right, bottom) = way[0], way[-1]
+    marks = f'<rect x="{left - 4}" y="{top - 4}" width="8" height="8" fill="#555"/>'
+    marks += f'<circle cx="{right}" cy="{bottom}" r="4" fill="#0072b2"/>'
+    if goal_xy_m is not None:
+        ((x, y),) = place(np.array([goal_xy_m]))
+        cross = f"M{x - 5},{y - 5}L{x + 5},{y + 5}M{x - 5},{y + 5}L{x + 5},{y - 5}"
+        marks += f'<path d="{cross}" stroke="currentColor" stroke-width="2"/>'
+    points = " ".join(f"{x},{y}" for x, y in way)
+    line = f'<polyline points="{points}" fill="none" stroke="#0072b2" stroke-width="1.5"/>'
+    side = f'width="{_SIDE:g}" height="{_SIDE:g}"'
+    label = 'role="img" aria-label="path from the start (square) to the end (dot)"'
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {side} {label}>{line}{marks}</svg>'
