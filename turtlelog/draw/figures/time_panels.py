@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import SymmetricalLogLocator
 
+from turtlelog.charts.far_origin import find_origin, label_coordinate, move_near
 from turtlelog.charts.looks import choose_curve_color
 from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import FEW, Color, choose_run_colors
@@ -112,6 +113,10 @@ def draw_time_plot(
     """
     plot = find_plot(name)
     scale = scale or plot.scale
+    origin_m = 0.0
+    if plot.pair == "position":
+        origin_m = find_origin(runs)["xy".index(name)]
+        runs, _ = move_near(runs)
     if plot.command is None and scale != "symlog":
         axes.set_label(f"|{name}|" if scale == "log" else name)  # where marks find it
     _scale(axes, scale)
@@ -121,6 +126,7 @@ def draw_time_plot(
     # A distance has no sign to take away.
     has_sign = scale == "log" and name != "distance"
     label = f"|{plot.title}| [{plot.unit}]" if has_sign else plot.label
+    label = label_coordinate(name, origin_m) if origin_m else label
     finish(axes, runs, re.sub(r"Kp e(\w)", r"$K_p e_\1$", label))
     calm = [run for number, run in enumerate(runs) if number not in restless]
     _fit(axes, calm, plot, scale, is_forced=bool(restless))

@@ -22,6 +22,7 @@ from turtlelog.charts.close_up import (
     format_length,
     list_miss_labels,
 )
+from turtlelog.charts.far_origin import find_origin, label_coordinate, move_near
 from turtlelog.charts.phase_timelines import TIMELINE, locate_run
 from turtlelog.charts.ranges import find_range
 from turtlelog.charts.robot_curves import part_path
@@ -147,10 +148,14 @@ def draw_pictures(
     on_picture: Callable[[int, int], None] | None = None,
 ) -> Iterator[Picture]:
     """Yield the pictures of a film, each of a size of width and height [pixels]."""
+    origin_m = find_origin(runs)
+    runs, _ = move_near(runs)
     with use_looks(_LOOKS):
         figure = Figure(figsize=_INCH, dpi=size[0] / _INCH[0])
         canvas = FigureCanvasAgg(figure)
         stage = _set_stage(figure, runs, film)
+        x_label, y_label = map(label_coordinate, "xy", origin_m)
+        figure.axes[0].set(xlabel=x_label, ylabel=y_label)
         canvas.draw()
         still = canvas.copy_from_bbox(figure.bbox)
     for number, time_s in enumerate(film.time_s.tolist()):
@@ -209,7 +214,6 @@ def _set_plane(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look]) -> Non
     ratio = _find_ratio(stage.figure, _PLANE)
     axes.set_xlim(center[0] - half_m * ratio, center[0] + half_m * ratio)
     axes.set_ylim(center[1] - half_m, center[1] + half_m)
-    axes.set(xlabel="x [m]", ylabel="y [m]")
     for look in looks:
         turtle = Polygon(_TURTLE, closed=True, facecolor=look["color"], edgecolor="black", lw=1.0)
         turtle.set(animated=True, zorder=4)

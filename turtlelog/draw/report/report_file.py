@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from turtlelog.charts.far_origin import move_near
 from turtlelog.charts.palette import GHOST, choose_cause_colors, choose_run_colors
 from turtlelog.charts.shared_curves import require_near
 from turtlelog.charts.time_plots import CurveKind
@@ -116,9 +117,10 @@ def write_report(
     file_of = {id(run): file for run, file in zip(runs, known, strict=True)}
     runs = order_by_gain(runs)
     metrics, names = [measure_run(run) for run in runs], name_runs(runs)
+    near, origin = move_near(runs)
     drawn = [
         Drawn(run=run, name=name, color=color)
-        for run, name, color in zip(runs, names, choose_run_colors(len(runs)), strict=True)
+        for run, name, color in zip(near, names, choose_run_colors(len(runs)), strict=True)
     ]
     drawn += _list_ghosts(explanation)
     violations = [
@@ -133,7 +135,7 @@ def write_report(
     ]
     plots = draw_plots(drawn, metrics, violations)
     body = _write_conclusion(runs, names, metrics, explanation, checks)
-    body += _write_stage(plots, len(runs))
+    body += _write_stage(plots, len(runs), origin)
     if explanation is not None:
         name = names[next(n for n, run in enumerate(runs) if run is explanation.run)]
         body += _write_explanation(name, explanation)
@@ -197,7 +199,7 @@ def _write_explanation(name: str, explanation: Explanation) -> str:
     return f'<section id="cause"><p class="note">{show(text)}</p></section>'
 
 
-def _write_stage(plots: Plots, count: int) -> str:
+def _write_stage(plots: Plots, count: int, origin: str) -> str:
     """Return the places of the plots and the controls, which the script brings to life."""
     toggles = "".join(
         f'<label><input type="checkbox" checked data-run="{number}">'
@@ -212,7 +214,7 @@ def _write_stage(plots: Plots, count: int) -> str:
     told = [word for kind, word in _KINDS.items() if kind in plots.kinds]
     if count > 1:
         told = [word for word in told if not word.startswith("green")]
-    words = "; ".join(told)
+    words = "; ".join([*told, *([f"coordinates are counted: {origin}"] if origin else [])])
     note = f'<p class="note">{words[0].upper()}{words[1:]}.</p>' if words else ""
     note += _MARKS_NOTE if plots.config["marks"] else ""
     return f"""<section id="stage"><h2>{"The run" if count == 1 else "The runs"}</h2>

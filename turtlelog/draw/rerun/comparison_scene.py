@@ -10,6 +10,7 @@ import rerun as rr
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import name_ends
+from turtlelog.charts.far_origin import move_near
 from turtlelog.charts.many_runs import (
     MANY,
     GainScale,
@@ -99,9 +100,15 @@ def write_comparison_rrd(
         documents = describe_runs(runs, metrics=metrics)
     documents = add_thinning(documents, runs)
     groups = group_equal(runs)
-    overlay = _build_overlay([runs[first] for first, *_ in groups], _name_groups(runs, groups))
+    near, origin = move_near(runs)
+    overlay = _build_overlay([near[first] for first, *_ in groups], _name_groups(runs, groups))
     equal = [name for name, group in zip(overlay.names, groups, strict=True) if len(group) > 1]
-    content = replace(overlay.describe(documents), is_small=is_small(size), equal="; ".join(equal))
+    content = replace(
+        overlay.describe(documents),
+        is_small=is_small(size),
+        equal="; ".join(equal),
+        origin=origin,
+    )
     layout = build_comparison_layout(content)
     with open_recording(path, name=_name_recording(overlay.names), layout=layout) as stream:
         drawn = {number: place for place, group in enumerate(groups) for number in group}

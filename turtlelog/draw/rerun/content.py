@@ -69,6 +69,7 @@ class Content:
         timelines: Names of all timelines: on each a trail grows to the cursor.
         ghosts: Entity prefixes of what stands beside the runs in the plane.
         arrows: What the arrows in the plane are, in words; empty without them.
+        origin: From where far coordinates are counted, in words; empty where nothing is far.
         equal: Which runs are one curve, as all their rows are equal, in words; empty without them.
         is_small: Whether the window is too small for legends, phases and documents.
         scale_title: Title of the bar that tells the colours of many runs; None without it.
@@ -106,6 +107,7 @@ class Content:
     outliers: Mapping[str, str] = field(default_factory=dict)
     corners: Mapping[str, str] = field(default_factory=dict)
     arrows: str = ""
+    origin: str = ""
     equal: str = ""
     is_small: bool = False
     phase_rows: tuple[str, ...] = ()

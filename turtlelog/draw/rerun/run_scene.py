@@ -8,6 +8,7 @@ from typing import Final
 import rerun as rr
 
 from turtlelog.charts import palette
+from turtlelog.charts.far_origin import move_near
 from turtlelog.draw.documents import describe_run
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.content import (
@@ -83,7 +84,8 @@ class Single:
     """One run, measured, and all that is drawn of it.
 
     Attributes:
-        run: The run.
+        run: The run; far coordinates are counted from its start.
+        origin: That offset in words.
         metrics: Its metrics by id.
         series: Its curves, and those of theory.
         references: Level lines.
@@ -95,6 +97,7 @@ class Single:
     """
 
     run: Run
+    origin: str
     metrics: Mapping[str, Metric]
     series: tuple[Series, ...]
     references: tuple[LevelLines, ...]
@@ -115,6 +118,7 @@ class Single:
             content,
             corners=find_corners(self.series, content.ranges),
             legends=self.legends,
+            origin=self.origin,
             series=(
                 *content.series,
                 *dict.fromkeys(join_path(mark.entity) for mark in self.marks),
@@ -128,7 +132,9 @@ class Single:
 
 def build_single(run: Run) -> Single:
     """Return a run, measured, with its curves and marks under the names of short legends."""
-    metrics, measured = measure_run(run), list_series(run)
+    metrics = measure_run(run)
+    (run,), origin = move_near([run])
+    measured = list_series(run)
     named = name_legends(
         (*measured, *list_responses(run, metrics)),
         list_references([run]),
@@ -136,6 +142,7 @@ def build_single(run: Run) -> Single:
     )
     return Single(
         run=run,
+        origin=origin,
         metrics=metrics,
         series=named.series,
         references=named.references,

@@ -23,7 +23,7 @@ _MOST_PHASE_ROWS: Final = 4
 
 def view_plane(content: Content, *, with_arrows: bool = True) -> rrb.View:
     """Show where the turtles drive, with arrows where the title has room for their names."""
-    told = content.equal or content.arrows
+    told = content.equal or content.origin or content.arrows
     if content.is_small:  # a title has room for 20 letters
         told = "equal runs" if content.equal else content.scale_span
     hidden = [entities.SPEED_PATH]
