@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # The tests start hundreds of processes: without compiled files each compiles the package anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all check torture recordings pictures contact-sheet bench clean
+.PHONY: demo test test-all check torture recordings pictures gallery contact-sheet bench clean
 
 demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
@@ -70,7 +70,11 @@ pictures: .venv/installed
 		-o docs/images --format svg \
 		--only plant,step-responses,root-locus,heading,panel,speed,wanted-speed,plane,gains
 	$(BIN)/python -m turtlelog plot recordings/paper/kp10.mcap -o docs/images --format svg \
-		--only attribution,violation --expect 'always(abs(cross_track) <= 0.05)'
+		--only attribution,violation,luck --expect 'always(abs(cross_track) <= 0.05)'
+
+# One picture of each kind, by the commands of docs/gallery.md.
+gallery: .venv/installed-dev
+	$(BIN)/python -m tests.docs.gallery
 
 # Odd runs in every view, figure, movie and report, on one sheet to be looked at.
 contact-sheet: .venv/installed-dev

@@ -52,7 +52,16 @@ def list_console(page: Path) -> list[tuple[str, str]]:
 def find_consoles() -> list[object]:
     """Return the commands of each page, and its files; those of README run in test_everyday.py."""
     pages = [page for page in PAGES if page != README and list_console(page)]
-    return [pytest.param(list_console(page), find_files(page), id=page.stem) for page in pages]
+    return [
+        pytest.param(
+            list_console(page),
+            find_files(page),
+            id=page.stem,
+            # Every picture is drawn by a test of its own.
+            marks=[pytest.mark.thorough] if page.stem == "gallery" else [],
+        )
+        for page in pages
+    ]
 
 
 def run_python(*words: str, folder: Path) -> str:
