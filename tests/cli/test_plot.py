@@ -103,14 +103,14 @@ def test_what_was_asked_for_by_name_and_is_not_held_ends_with_an_error(
     words = [str(tmp_path / "bag.mcap"), "-o", str(tmp_path / "out"), "--only", "plant"]
     code, out, err = run_plot(capsys, *words)
     assert (code, out) == (2, "")
-    assert err == "turtlelog: error: figure plant: expected the law's gain, found none\n"
+    assert err == "turtlelog: error: figure plant needs the law's gain\n"
 
 
 @pytest.mark.parametrize(
     ("words", "match"),
     [
         (["--only", "headng"], 'no figure "headng"; did you mean heading'),
-        (["--only", "heading"], "figure heading: expected a recording, found none"),
+        (["--only", "heading"], "figure heading needs a recording"),
         (["--only", "plant,"], "--only plant,: must be names separated by commas"),
         (["--format", "gif"], "format: expected some of pdf, png, svg, found 'gif'"),
         (["--format", ""], "--format : must be names"),

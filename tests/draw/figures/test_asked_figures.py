@@ -233,10 +233,10 @@ def test_a_run_without_a_value_is_a_cross() -> None:
 def test_without_a_gain_there_is_nothing_to_draw_it_against() -> None:
     unknown = replace(read(4), parameters={})
     assert not find_loop_gains([unknown])
-    with pytest.raises(ShowError, match="figure gains: expected the law's gain, found none"):
+    with pytest.raises(ShowError, match="figure gains needs the law's gain"):
         tl.draw.draw_figure("gains", [unknown])
     left = tl.draw.list_left_out([read(2), unknown], ["gains"])
-    assert left == ("left paper-kp4 out of gains: expected the law's gain, found none",)
+    assert left == ("left paper-kp4 out of gains: needs the law's gain",)
 
 
 def test_names_of_metrics_stand_for_those_of_any_loop() -> None:
@@ -437,7 +437,7 @@ def test_the_motion_after_every_change_lies_under_its_model_and_shows_the_spread
 def test_without_commands_there_are_no_rates(robot: tl.Run) -> None:
     still = {name: 0.0 * getattr(robot.commands, name) for name in ("speed_m_s", "turn_rate_rad_s")}
     silent = replace(robot, commands=replace(robot.commands, **still))
-    with pytest.raises(ShowError, match="figure rates: expected commands, found none"):
+    with pytest.raises(ShowError, match="figure rates needs commands"):
         tl.draw.draw_figure("rates", [silent])
 
 

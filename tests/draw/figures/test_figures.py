@@ -270,7 +270,7 @@ def test_of_poses_and_applied_commands_that_is_drawn_and_nothing_else(tmp_path: 
     assert list_left_out([keep_poses(simulate(4))]) == (
         "left out plant, step-responses, root-locus, heading-error, world-velocity, error-log,"
         " wanted-speed, table1.tex: expected the controller's samples, found none",
-        "left out position-error: expected a goal, found none",
+        "left out position-error: needs a goal",
     )
 
 
@@ -279,7 +279,7 @@ def test_of_poses_alone_no_command_is_drawn(tmp_path: Path) -> None:
     run = replace(run, poses=replace(run.poses, speed_m_s=None, turn_rate_rad_s=None))
     written = tl.write_figures([run], tmp_path, formats=["svg"])
     assert [path.stem for path in written] == ["heading", "position", "plane", "panel"]
-    assert "left out turn-rate, panel (turn rate): expected turn rate commands, found none" in (
+    assert "left out turn-rate, panel (turn rate): needs turn rate commands" in (
         list_left_out([run])
     )
 
@@ -291,9 +291,7 @@ def test_of_a_whole_run_nothing_is_left_out() -> None:
 def test_what_some_runs_lack_is_named_with_them() -> None:
     bag = replace(keep_poses(simulate(4)), name="bag")
     lines = list_left_out([bag, simulate(1)], ["heading-error", "plane", "speed"])
-    assert lines == (
-        "left bag out of heading-error: expected the controller's samples, found none",
-    )
+    assert lines == ("left bag out of heading-error: needs the controller's samples",)
     bags = [replace(bag, name=f"bag{number}") for number in range(5)]
     (line,) = list_left_out([*bags, simulate(1)], ["heading-error"])
     assert line.startswith("left bag0, bag1, bag2 and 2 more out of heading-error: ")
@@ -386,9 +384,9 @@ def test_a_table_without_a_value_is_left_out(tmp_path: Path) -> None:
     ("only", "runs", "match"),
     [
         (["headng"], [], 'no figure "headng"; did you mean heading\\?'),
-        (["heading"], [], "figure heading: expected a recording, found none"),
+        (["heading"], [], "figure heading needs a recording"),
         (["wanted-speed"], [keep_poses(simulate(4))], "expected what the law wanted before clip"),
-        (["plant"], [keep_poses(simulate(4))], "figure plant: expected the law's gain, found none"),
+        (["plant"], [keep_poses(simulate(4))], "figure plant needs the law's gain"),
     ],
     ids=["unknown", "no run", "no samples", "no gain"],
 )
@@ -463,8 +461,8 @@ def test_without_python_control_figures_of_theory_are_left_out(
     monkeypatch.setitem(sys.modules, "control", None)
     run = tl.simulate_run(get_preset("paper-kp10"))
     theory = "plant, step-responses, root-locus"
-    assert f"left out {theory}: expected python-control, found none" in list_left_out([run])
-    with pytest.raises(ShowError, match="figure plant: expected python-control, found none"):
+    assert f"left out {theory}: needs python-control" in list_left_out([run])
+    with pytest.raises(ShowError, match="figure plant needs python-control"):
         tl.write_figures([], tmp_path)
     assert tl.draw.draw_figure("heading", [run]).axes
 

@@ -163,15 +163,15 @@ def test_theorys_figures_are_of_proportional_loops_alone() -> None:
     assert find_gains([add_terms(KP4), STRANGE]) == find_gains([STRANGE])
     reason = "the law declares that its command is more than gain times error, but not its terms"
     assert list_left_out([add_terms(KP4)], ["plant", "root-locus", "bode"]) == (
-        "left out plant: expected a proportional loop, found none",
-        f"left out root-locus, bode: expected a loop that theory knows ({reason}), found none",
+        "left out plant: needs a proportional loop",
+        f"left out root-locus, bode: needs a loop that theory knows ({reason})",
     )
     assert list_left_out([forget_loops(KP4)], ["plant"]) == (
-        "left out plant: expected the law's gain, found none",
+        "left out plant: needs the law's gain",
     )
     robot = replace(KP4, parameters={**KP4.parameters, "plant.kind": "lagged", "plant.period_s": 1})
     assert list_left_out([robot], ["plant", "root-locus"]) == (
-        "left out plant: expected a plant that is 1/s, found none",
+        "left out plant: needs a plant that is 1/s",
     )
 
 
@@ -212,20 +212,20 @@ def test_world_velocity_is_drawn_of_the_samples_that_hold_it() -> None:
 
 def test_what_is_left_out_of_other_laws_is_told_with_the_reason() -> None:
     assert list_left_out([STRANGE]) == (
-        "left out world-velocity: expected gain times error, found none",
-        "left out panel (along-track): expected a loop along the track, found none",
+        "left out world-velocity: needs gain times error",
+        "left out panel (along-track): needs a loop along the track",
     )
     assert list_left_out([simulate_law("EightPhases")], ["heading", "heading-error"]) == (
-        "left out heading, heading-error: expected a loop of the heading, found none",
+        "left out heading, heading-error: needs a loop of the heading",
     )
     assert list_left_out([simulate_law("OpenLoop")], ["heading-error", "position-error"]) == (
-        "left out heading-error: expected a heading to aim at, found none",
-        "left out position-error: expected a goal, found none",
+        "left out heading-error: needs a heading to aim at",
+        "left out position-error: needs a goal",
     )
     lines = list_left_out([simulate_law("OpenLoop")])
-    assert "left out table1.tex: expected a gain or a goal, found none" in lines
+    assert "left out table1.tex: needs a gain or a goal" in lines
     assert list_left_out([KP4, STRANGE], ["panel", "world-velocity"]) == (
-        "left strange out of world-velocity: expected gain times error, found none",
+        "left strange out of world-velocity: needs gain times error",
     )
 
 

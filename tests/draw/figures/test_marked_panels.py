@@ -147,7 +147,7 @@ def test_coordinates_have_arrival_settling_and_their_own_end_values() -> None:
         (["heading", "position-error", "panel"], ()),
         (
             ["plane", "heading", "speed"],
-            ("left marks out of plane, speed: expected a curve with characteristics, found none",),
+            ("left marks out of plane, speed: needs a curve with characteristics",),
         ),
     ],
 )

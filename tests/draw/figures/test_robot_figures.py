@@ -89,8 +89,8 @@ def test_the_plane_of_a_robot_stands_alone() -> None:
 def test_what_only_a_controller_has_is_left_out_in_one_line() -> None:
     lines = list_left_out([make_robot()])
     assert [line.partition(": ")[2] for line in lines] == [
-        "expected the controller's samples, found none",
-        "expected a goal, found none",
+        "needs the controller's samples",
+        "needs a goal",
     ]
 
 

@@ -185,10 +185,10 @@ def test_what_theory_does_not_know_is_refused_with_the_reason() -> None:
     reason = "the law declares that its command is more than gain times error, but not its terms"
     with pytest.raises(ShowError, match=f"a loop that theory knows \\({reason}\\), found none"):
         tl.draw.draw_figure("bode", [posture])
-    with pytest.raises(ShowError, match="figure bode: expected a recording, found none"):
+    with pytest.raises(ShowError, match="figure bode needs a recording"):
         tl.draw.draw_figure("bode", [])
     step = tl.simulate_run(tl.load_scenario("plant-step"))
-    with pytest.raises(ShowError, match="expected a law that declares a loop, found none"):
+    with pytest.raises(ShowError, match="needs a law that declares a loop"):
         tl.draw.draw_figure("nyquist", [step])
 
 

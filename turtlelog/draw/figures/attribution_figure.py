@@ -106,15 +106,11 @@ def explain_for_figure(
     identified = identify_run(run)
     if identified.scenario is None:
         reason = next(iter(identified.notes), "no scenario stands for this log").rstrip(".")
-        raise ShowError(
-            f"figure attribution: expected a scenario of {run.name}, found none: {reason}"
-        )
+        raise ShowError(f"figure attribution needs a scenario of {run.name}: {reason}")
     work = Work(report=report)
     found = attribute_run(run, metric=chosen, identified=identified, work=work)
     if not list_attribution_steps(found):
-        raise ShowError(
-            f"figure attribution: expected contributions to {chosen}, found none: {_tell(found)}"
-        )
+        raise ShowError(f"figure attribution needs contributions to {chosen}: {_tell(found)}")
     ghosts = simulate_what_ifs(identified, found)
     name = next(reversed([*ghosts]), "")
     ghost = ghosts.get(name)

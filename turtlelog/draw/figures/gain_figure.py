@@ -87,7 +87,7 @@ def draw_gains(
     """
     loops = find_loop_gains(runs)
     if not loops:
-        raise ShowError("figure gains: expected the law's gain, found none")
+        raise ShowError("figure gains needs the law's gain")
     found = measure_for_figure("gains", runs, metrics)
     columns = [loop for loop in loops if any(one.loop in ("", loop.name) for one in found)]
     own = {one.loop for one in found} - {""}

@@ -53,7 +53,7 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
     lines = [_describe(words, lacking, parts, runs) for (words, lacking), parts in left_out.items()]
     if names is None and not has_table1(runs) and not lack_samples(runs):
         needed = GOAL if any(len(run.samples) for run in runs) else SAMPLES
-        lines.append(f"left out table1.tex: expected a gain or {needed}, found none")
+        lines.append(f"left out table1.tex: needs a gain or {needed}")
     return (*lines, *_tell_states(runs, shown), *_tell_close_up(runs, shown))
 
 
@@ -66,8 +66,8 @@ def list_unmarked(runs: Sequence[Run], names: Iterable[str]) -> tuple[str, ...]:
     """
     found = [list_characteristics(run, measure_run(run)) for run in runs]
     lacking = [name for name in names if not _is_marked(name, runs, found)]
-    expected = "a curve with characteristics, found none"
-    return (f"left marks out of {', '.join(lacking)}: expected {expected}",) if lacking else ()
+    expected = "a curve with characteristics"
+    return (f"left marks out of {', '.join(lacking)}: needs {expected}",) if lacking else ()
 
 
 def _is_marked(name: str, runs: Sequence[Run], found: Sequence[Sequence[Characteristic]]) -> bool:
@@ -101,7 +101,7 @@ def _tell_close_up(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
     part, expected = ("how each run ends", _ARRIVAL)
     if list_paths(runs):
         part, expected = ("furthest off the path", _DEPARTURE)
-    return [f"left out plane ({part}): expected {expected}, found none"]
+    return [f"left out plane ({part}): needs {expected}"]
 
 
 _Left = dict[tuple[str, tuple[int, ...]], list[str]]
@@ -148,8 +148,8 @@ def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[str, tuple[str, ..
 def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Sequence[Run]) -> str:
     listed = ", ".join(parts)
     if len(lacking) == len(runs):
-        return f"left out {listed}: expected {words}, found none"
+        return f"left out {listed}: needs {words}"
     labels = label_runs(runs)
     named = ", ".join(labels[number] for number in lacking[:_MOST_NAMED])
     more = f" and {len(lacking) - _MOST_NAMED} more" if len(lacking) > _MOST_NAMED else ""
-    return f"left {named}{more} out of {listed}: expected {words}, found none"
+    return f"left {named}{more} out of {listed}: needs {words}"

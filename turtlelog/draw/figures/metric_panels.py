@@ -100,7 +100,7 @@ def measure_for_figure(
         reasons = [one.reason for metrics in measured for one in metrics.values() if one.reason]
         reason = f": {reasons[0]}" if reasons else ""
         wanted = ", ".join(names or USUAL)
-        raise ShowError(f"figure {figure}: expected a value of {wanted}, found none{reason}")
+        raise ShowError(f"figure {figure} needs a value of {wanted}{reason}")
     return found
 
 

@@ -105,7 +105,7 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
     model = identify_robot([run]) if model is None else model
     drawn = [found for axis in model.axes if (found := _read_axis(axis, model, run)) is not None]
     if not drawn:
-        raise ShowError("figure rates: expected commands that are not always 0, found none")
+        raise ShowError("figure rates needs commands that are not always 0")
     width = figure.get_figwidth()
     is_wide = width >= _SIDE_BY_SIDE_INCH
     rows: list[tuple[DrawnAxis, str, float]] = []

@@ -29,7 +29,7 @@ def write_robot_figure(
     """
     path = require_figure_path(path)
     if not any(axis.is_known for axis in model.axes):
-        raise ShowError(f"{path}: expected an axis that is known, found none: {_tell(model.axes)}")
+        raise ShowError(f"{path}: no axis was identified: {_tell(model.axes)}")
     page = page or Page(kind="page")
     with use_looks():
         figure = Figure(figsize=(page.width_inch, page.width_inch), layout="constrained")

@@ -77,7 +77,7 @@ def write_map_figure(
     path = make_path(path)
     form = path.suffix.lower().removeprefix(".")
     if form not in FIGURE_FORMATS:
-        raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")
+        raise ShowError(f"{path}: the name must end in .pdf, .png or .svg")
     data = draw_sweep(view, limits, form, kind=kind, page=page)
     with replace_file(path) as part:
         part.write_bytes(data)

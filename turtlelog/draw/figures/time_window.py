@@ -29,7 +29,7 @@ def require_window(runs: Sequence[Run], page: Page) -> None:
     if not asked:
         return
     if not runs:
-        raise ShowError(f"{asked[0][0]}: expected a recording to cut, found none")
+        raise ShowError(f"{asked[0][0]}: needs a recording to cut")
     first_s, last_s = _find_span(runs)
     for name, bound_s in asked:
         if not first_s <= bound_s <= last_s:

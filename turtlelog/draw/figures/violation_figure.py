@@ -70,7 +70,7 @@ def draw_violation(
     if len(runs) != 1:
         raise ShowError(f"figure violation: expected one recording, found {len(runs)}")
     if violated is None:
-        raise ShowError("figure violation: expected a formula to check (--expect), found none")
+        raise ShowError("figure violation needs a formula to check: --expect FORMULA")
     width = figure.get_figwidth()
     figure.set_size_inches(width, max(_HEIGHT * width, _LEAST_INCH))
     axes = figure.subplots()

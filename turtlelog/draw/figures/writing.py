@@ -248,7 +248,7 @@ def require_figure_path(path: str | Path) -> Path:
     """Return where a figure is written; refuse a name that ends in no format."""
     path = make_path(path)
     if path.suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
-        raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")
+        raise ShowError(f"{path}: the name must end in .pdf, .png or .svg")
     return path
 
 
@@ -304,7 +304,7 @@ def _find_kind(
     kind = (kinds or FIGURES)[name]
     lack = kind.find_lack(runs)
     if lack:
-        raise ShowError(f"figure {name}: expected {lack}, found none")
+        raise ShowError(f"figure {name} needs {lack}")
     return kind
 
 

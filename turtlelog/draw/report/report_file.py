@@ -108,7 +108,7 @@ def write_report(
         LibraryError: Where Bokeh is not installed.
     """
     if not runs:
-        raise ShowError(f"{path}: expected at least one run to report on, found none")
+        raise ShowError(f"{path}: a report needs at least one run")
     require_near(runs)
     load_library("bokeh")
     # The text of a URL without its signature knows the whole one, but no copy of it does.

@@ -93,7 +93,7 @@ def write_comparison_rrd(
         ShowError: Where there is no run, or the file cannot be written.
     """
     if not runs:
-        raise ShowError(f"{path}: expected at least one run to compare, found none")
+        raise ShowError(f"{path}: a comparison needs at least one run")
     runs = order_by_gain(runs)
     metrics = [measure_run(run) for run in runs]
     if documents is None:

@@ -105,7 +105,7 @@ def write_explanation_rrd(
     """
     scene = _build_scene(recorded, found, what_ifs)
     if found.withheld and not scene.ghosts:
-        raise ShowError(f"{path}: expected contributions or a ghost, found none: {found.withheld}")
+        raise ShowError(f"{path}: no contributions and no ghost to show: {found.withheld}")
     texts = {"Contributions": _describe_contributions(found), **(documents or {})}
     texts = {**add_thinning(texts, scene.runs)}
     metrics = [measure_run(run) for run in scene.runs]

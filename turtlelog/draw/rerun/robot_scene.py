@@ -43,7 +43,7 @@ def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
     traces = [trace_axis(axis, run) for axis in model.axes if axis.is_known]
     if not traces:
         reasons = "; ".join(axis.reason for axis in model.axes)
-        raise ShowError(f"{path}: expected an axis that is known, found none: {reasons}")
+        raise ShowError(f"{path}: no axis was identified: {reasons}")
     views = [view for found in traces for view in list_views(found)]
     shares = [2.0, 1.0] * len(traces)
     layout = LinkedBlueprint(

@@ -90,7 +90,7 @@ def find_viewer() -> Path:
     package = find_spec("rerun_cli")
     binary = Path(package.origin).with_name(name) if package and package.origin else Path(name)
     if not binary.is_file():
-        raise ShowError(f"{binary}: expected the viewer that comes with rerun-sdk, found none")
+        raise ShowError(f"{binary}: the viewer that comes with rerun-sdk is not there")
     return binary
 
 
@@ -132,7 +132,7 @@ def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
 def require_recordings(paths: Sequence[str | Path]) -> None:
     """Raise ShowError where there is no path, or no file at one."""
     if not paths:
-        raise ShowError("viewer: expected at least one recording to open, found none")
+        raise ShowError("viewer: no recording to open")
     for path in paths:
         if not Path(path).is_file():
             raise ShowError(f"{path}: expected a recording, found no such file")
