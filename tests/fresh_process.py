@@ -18,7 +18,7 @@ _LOADED: Final = (
         "turtlelog.cli.app",
         "turtlelog.explain",
         "turtlelog.check",
-        "turtlelog.charts.shared_curves",
+        "turtlelog.charts.curves",
     ),
     *("scipy.optimize", "scipy.signal", "matplotlib.figure", "matplotlib.backends.backend_svg"),
 )

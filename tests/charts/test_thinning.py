@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
-from turtlelog.charts.shared_curves import choose_rows
+from turtlelog.charts.curves import choose_rows
 
 COLUMNS = arrays(np.float64, st.integers(50, 400), elements=st.floats(-1e6, 1e6))
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 import turtlelog as tl
 from tests.draw.rerun.rrds import list_entities, read_rows, read_static, read_times
 from tests.effects_cases import build_case
-from turtlelog.charts.shared_curves import find_disturbance
+from turtlelog.charts.curves import find_disturbance
 from turtlelog.draw.rerun import live_scene
 from turtlelog.draw.rerun.live_scene import GrowingStream
 from turtlelog.run import Run

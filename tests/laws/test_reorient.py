@@ -6,7 +6,7 @@ import pytest
 
 import turtlelog as tl
 from tests.laws.sequential_runs import build_run
-from turtlelog.charts.shared_curves import list_levels
+from turtlelog.charts.curves import list_levels
 from turtlelog.errors import LawError
 from turtlelog.explain import identify_run
 from turtlelog.laws import Goal, Pose, SequentialP, SequentialPParameters

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.charts.shared_curves import (
+from turtlelog.charts.curves import (
     Curve,
     read_command,
     read_curve,

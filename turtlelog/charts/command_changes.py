@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.shared_curves import Curve
+from turtlelog.charts.curves import Curve
 
 Values = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turtlelog.charts.shared_curves import Curve, Values, list_loops, read_curve
+from turtlelog.charts.curves import Curve, Values, list_loops, read_curve
 from turtlelog.loops import ControlLoop
 from turtlelog.measure import find_first_stretch, read_reference, read_signal
 from turtlelog.run import Run

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from turtlelog.charts.curves import is_limit
 from turtlelog.charts.palette import FEW
-from turtlelog.charts.shared_curves import is_limit
 from turtlelog.compare import name_runs
 from turtlelog.compare.run_names import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters

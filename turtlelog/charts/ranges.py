@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.shared_curves import Level
+from turtlelog.charts.curves import Level
 
 Values = NDArray[np.float64]
 

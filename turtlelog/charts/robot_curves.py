@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.charts.curves import Command, Curve, read_curve, select_rows
 from turtlelog.charts.pose_gaps import list_breaking_gaps
-from turtlelog.charts.shared_curves import Command, Curve, read_curve, select_rows
 from turtlelog.display import describe_count
 from turtlelog.errors import ReplayError
 from turtlelog.loops import COMMAND_UNITS

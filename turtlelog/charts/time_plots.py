@@ -11,10 +11,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from turtlelog.charts.ideal_curves import compute_ideals
-from turtlelog.charts.many_runs import MANY
-from turtlelog.charts.robot_curves import part_curve, read_measured
-from turtlelog.charts.shared_curves import (
+from turtlelog.charts.curves import (
     Command,
     Curve,
     Level,
@@ -30,6 +27,9 @@ from turtlelog.charts.shared_curves import (
     read_sensed,
     select_rows,
 )
+from turtlelog.charts.ideal_curves import compute_ideals
+from turtlelog.charts.many_runs import MANY
+from turtlelog.charts.robot_curves import part_curve, read_measured
 from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.loops import COMMAND_UNITS
 from turtlelog.run import Run

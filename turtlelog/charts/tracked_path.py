@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.charts.close_up import Label, Lettering, format_length
-from turtlelog.charts.shared_curves import Curve, list_loops
+from turtlelog.charts.curves import Curve, list_loops
 from turtlelog.measure import read_signal
 from turtlelog.measure.references import hold_reference, read_reference
 from turtlelog.paths import Path

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.shared_curves import Curve, Values
+from turtlelog.charts.curves import Curve, Values
 from turtlelog.display import format_number
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.shared_curves import Curve
+from turtlelog.charts.curves import Curve
 from turtlelog.check.formula import find_unit
 from turtlelog.check.formula_trace import FormulaTrace
 from turtlelog.check.judge_formula import MIRRORED

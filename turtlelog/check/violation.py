@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.shared_curves import Curve
+from turtlelog.charts.curves import Curve
 from turtlelog.charts.violated_signal import SignalSearch, ViolatedSignal, ViolationMoment
 from turtlelog.check.decisive_band import BandReader, find_scale, list_leaves, names_signals
 from turtlelog.check.formula import check_run

@@ -16,7 +16,7 @@ import turtlelog as tl
 from tests.draw.rerun.rrds import make_foreign_run
 from tests.identify.robots import Log, make_run
 from turtlelog.charts.command_changes import find_changes
-from turtlelog.charts.shared_curves import Curve
+from turtlelog.charts.curves import Curve
 from turtlelog.check import Verdict
 from turtlelog.check.violation import find_judged_signal
 from turtlelog.draw.figures.attribution_figure import (

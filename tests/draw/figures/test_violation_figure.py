@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import turtlelog as tl
-from turtlelog.charts.shared_curves import Curve
+from turtlelog.charts.curves import Curve
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.check.violation import find_judged_signal
 from turtlelog.cli.check import build_spec

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from turtlelog.charts.shared_curves import (
+from turtlelog.charts.curves import (
     MOST_POINTS,
     Curve,
     choose_rows,

@@ -9,8 +9,8 @@ from typing import Final
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from turtlelog.charts.curves import list_loops, read_curve, require_near
 from turtlelog.charts.robot_curves import lack_samples
-from turtlelog.charts.shared_curves import list_loops, read_curve, require_near
 from turtlelog.charts.state_groups import are_comparable, group_states
 from turtlelog.charts.time_plots import TIME_PLOTS, Scale
 from turtlelog.charts.tracked_path import read_along_error

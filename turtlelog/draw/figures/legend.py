@@ -12,7 +12,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 
-from turtlelog.charts.shared_curves import BEARING_NOW, REFERENCE as AIMED
+from turtlelog.charts.curves import BEARING_NOW, REFERENCE as AIMED
 from turtlelog.draw.figures.page import IDEAL_ENDS
 
 _LINE_HEIGHT: Final = 1.45

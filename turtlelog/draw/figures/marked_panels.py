@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
+from turtlelog.charts.curves import Curve, read_curve
 from turtlelog.charts.many_runs import cut_alike
-from turtlelog.charts.shared_curves import Curve, read_curve
 from turtlelog.draw.figures.mark_words import GUIDE_ORDER, Table, Word, write_words
 from turtlelog.draw.figures.page import label_runs, style_runs
 from turtlelog.draw.figures.time_window import fit_height, list_time_axes

@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.charts.shared_curves import Command, read_curve
+from turtlelog.charts.curves import Command, read_curve
 from turtlelog.charts.time_plots import TIME_PLOTS, has_own
 from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.draw.figures.figure_curves import find_gains

@@ -13,8 +13,8 @@ from matplotlib import rc_context, rcParams
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 
+from turtlelog.charts.curves import BEARING_NOW, REFERENCE as AIMED
 from turtlelog.charts.palette import FEW, choose_run_colors
-from turtlelog.charts.shared_curves import BEARING_NOW, REFERENCE as AIMED
 from turtlelog.compare import name_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run

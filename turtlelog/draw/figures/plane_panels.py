@@ -21,6 +21,9 @@ from turtlelog.charts.close_up import (
     list_miss_labels,
     list_ring_labels,
 )
+from turtlelog.charts.curves import (
+    REFERENCE as AIMED,
+)
 from turtlelog.charts.far_origin import (
     LEAST_SHOWN_M,
     find_origin,
@@ -30,9 +33,6 @@ from turtlelog.charts.far_origin import (
 from turtlelog.charts.many_runs import find_restless
 from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path
 from turtlelog.charts.run_ends import MANY_PATHS, find_gain_ends
-from turtlelog.charts.shared_curves import (
-    REFERENCE as AIMED,
-)
 from turtlelog.charts.tracked_path import (
     WorstPlace,
     find_worst_place,

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from turtlelog.charts.command_changes import CommandChange, find_changes
+from turtlelog.charts.curves import Curve, read_applied, read_command
 from turtlelog.charts.robot_curves import read_measured
-from turtlelog.charts.shared_curves import Curve, read_applied, read_command
 from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.page import REFERENCE, choose_lines, label_runs

@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import SymmetricalLogLocator
 
+from turtlelog.charts.curves import Curve, find_disturbance
 from turtlelog.charts.far_origin import find_origin, label_coordinate, move_near
 from turtlelog.charts.looks import choose_curve_color
 from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import FEW, Color, choose_run_colors
 from turtlelog.charts.pose_gaps import list_seen_gaps
 from turtlelog.charts.ranges import find_range
-from turtlelog.charts.shared_curves import Curve, find_disturbance
 from turtlelog.charts.time_plots import (
     COMPARED,
     POINTS,

@@ -22,11 +22,11 @@ from turtlelog.charts.close_up import (
     format_length,
     list_miss_labels,
 )
+from turtlelog.charts.curves import Curve, choose_rows
 from turtlelog.charts.far_origin import find_origin, label_coordinate, move_near
 from turtlelog.charts.phase_timelines import TIMELINE, locate_run
 from turtlelog.charts.ranges import find_range
 from turtlelog.charts.robot_curves import part_path
-from turtlelog.charts.shared_curves import Curve, choose_rows
 from turtlelog.charts.time_plots import (
     COMPARED,
     find_plot,

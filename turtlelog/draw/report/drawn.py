@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.charts.curves import choose_rows
 from turtlelog.charts.palette import Color
-from turtlelog.charts.shared_curves import choose_rows
 from turtlelog.charts.time_plots import CurveKind
 from turtlelog.libraries import load_library
 from turtlelog.run import Run

@@ -9,11 +9,11 @@ import numpy as np
 
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
+from turtlelog.charts.curves import Values
 from turtlelog.charts.looks import choose_curve_color
 from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.pose_gaps import list_seen_gaps
 from turtlelog.charts.ranges import find_range
-from turtlelog.charts.shared_curves import Values
 from turtlelog.charts.state_groups import group_states
 from turtlelog.charts.time_plots import (
     COMPARED,

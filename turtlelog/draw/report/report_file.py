@@ -10,9 +10,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from turtlelog.charts.curves import require_near
 from turtlelog.charts.far_origin import move_near
 from turtlelog.charts.palette import GHOST, choose_cause_colors, choose_run_colors
-from turtlelog.charts.shared_curves import require_near
 from turtlelog.charts.time_plots import CurveKind
 from turtlelog.compare import (
     name_runs,

@@ -5,8 +5,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import ALLOWED, MAIN, Color
-from turtlelog.charts.shared_curves import Values
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number
 from turtlelog.draw.report.drawn import RING, Plots, make_figure, store, thin, to_hex

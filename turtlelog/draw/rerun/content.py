@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.charts.close_up import CloseUp, find_close_up
+from turtlelog.charts.curves import find_end_of_turn
 from turtlelog.charts.phase_timelines import TIMELINE, WALL_TIMELINE, name_phase_timeline
 from turtlelog.charts.ranges import find_range
-from turtlelog.charts.shared_curves import find_end_of_turn
 from turtlelog.charts.state_groups import StateGroup, are_comparable, group_states
 from turtlelog.charts.time_plots import list_controlled
 from turtlelog.charts.tracked_path import WorstPlace, find_worst_place

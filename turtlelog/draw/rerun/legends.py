@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from turtlelog.charts import palette
+from turtlelog.charts.curves import Level
 from turtlelog.charts.palette import Color
-from turtlelog.charts.shared_curves import Level
 from turtlelog.draw.rerun.marks import Mark, name_marks
 from turtlelog.draw.rerun.plots import LevelLines, Series
 

@@ -10,9 +10,9 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from turtlelog.charts import palette
+from turtlelog.charts.curves import Level
 from turtlelog.charts.looks import choose_curve_color
 from turtlelog.charts.palette import Color
-from turtlelog.charts.shared_curves import Level
 from turtlelog.charts.state_groups import StateGroup, group_states
 from turtlelog.charts.time_plots import (
     OWN,

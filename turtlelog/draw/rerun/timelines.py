@@ -10,8 +10,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
+from turtlelog.charts.curves import choose_rows
 from turtlelog.charts.phase_timelines import TIMELINE, WALL_TIMELINE, find_phase_zeros
-from turtlelog.charts.shared_curves import choose_rows
 from turtlelog.compare import name_runs
 from turtlelog.display import join_words
 from turtlelog.draw.rerun.entities import TICKS, join_path

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from rerun.blueprint.components import AbsoluteTimeRange
 
 from turtlelog.charts import palette
+from turtlelog.charts.curves import Curve
 from turtlelog.charts.phase_timelines import TIMELINE
-from turtlelog.charts.shared_curves import Curve
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.draw.documents import describe_run
 from turtlelog.draw.rerun import entities
