@@ -101,9 +101,9 @@ BAD = {
         f'format = 1\nalignment = "phase:1"\n{CHECK}',
         r"spec.toml: alignment: unknown name \"phase:1\"; did you mean phase:NAME",
     ),
-    "no TOML": ("format = ", r"spec.toml: expected TOML, found"),
+    "no TOML": ("format = ", r"spec.toml: not TOML: "),
     "nothing at all": ("", r"spec.toml: the first line of a specification is missing: format = 1"),
-    "binary": ("\0\1\2", r"spec.toml: expected TOML, found"),
+    "binary": ("\0\1\2", r"spec.toml: not TOML: "),
     "format as text": (f'format = "1"\n{CHECK}', r"spec.toml: format: expected 1, found '1'"),
     "array": ("format = 1\n[[checks]]\nexpect = 'a'", r"checks: expected tables, found"),
     "no number": ("format = 1\n[checks.a]\nexpect = nan", r"expect: expected text, found nan"),
@@ -157,7 +157,7 @@ def test_specification_may_be_text() -> None:
         {"checks": {"end": {"expect": "run.duration < 20"}}}
     )
     for wrong, message in [
-        ("format = ", "specification: expected TOML"),
+        ("format = ", "specification: not TOML"),
         ("format = 2\n[checks.end]\n", "specification: format: expected at most 1, found 2"),
         (
             "format = 1\n[check.end]\n",

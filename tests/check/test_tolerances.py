@@ -76,8 +76,8 @@ def test_tables_of_checks_are_no_tolerances(tmp_path: Path) -> None:
             "format = 1\n[signals.phase]\nabs = 1\nreason = 'a'",
             "signals.phase.abs: expected none for a label, found 1.0",
         ),
-        ("[signals.x", "expected TOML, found: TOMLDecodeError"),
-        ("a = " + "[" * 9999, "expected TOML, found: tables or arrays more than 32 deep"),
+        ("[signals.x", "not TOML: TOMLDecodeError"),
+        ("a = " + "[" * 9999, "not TOML: tables or arrays more than 32 deep"),
     ],
 )
 def test_a_wrong_file_is_told_where_and_why(tmp_path: Path, text: str, message: str) -> None:

@@ -302,7 +302,7 @@ def test_what_cannot_be_compared_is_refused_in_one_line() -> None:
     late = replace(run.commands, time_ns=run.commands.time_ns + 10_000_000_000)
     for refused, robot, horizons_s, message in (
         (run, tl.load_scenario("textbook"), [1.0], 'with plant.kind = "lagged", found turtlesim'),
-        (replace(run, commands=none), scenario, [1.0], "robot: expected commands to drive"),
+        (replace(run, commands=none), scenario, [1.0], "robot: no commands to drive"),
         (replace(run, commands=late), scenario, [1.0], "s after the last pose on"),
         (run, scenario, [30.0], "robot: expected at least 30 s of poses to predict"),
         (run, scenario, [], "horizons_s: expected times above 0 s, found"),

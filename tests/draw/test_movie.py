@@ -103,16 +103,16 @@ def test_an_mp4_can_be_read_back(
 @pytest.mark.parametrize(
     ("words", "found"),
     [
-        (["plot", "{kp1}", "--movie", "a.avi"], "expected a name that ends in .mp4 or .gif"),
-        (["plot", "--movie", "a.gif"], "expected recordings to film, found none"),
+        (["plot", "{kp1}", "--movie", "a.avi"], "the name must end in .mp4 or .gif"),
+        (["plot", "--movie", "a.gif"], "no recordings to film; name them"),
         (["plot", "{kp1}"], "plot needs a file or a folder to write: -o NAME.png or -o FOLDER"),
         (["plot", "{kp1}", "--movie", "a.gif", "--length", "nan"], "1 to 60 s for .gif, found nan"),
         (["plot", "{kp1}", "--movie", "a.gif", "--length", "0.9"], "1 to 60 s for .gif, found 0.9"),
-        (["plot", "{kp1}", "--movie", "no/a.gif"], "found no such folder"),
-        (["plot", "{kp1}", "-o", "x", "--length", "3"], "expected together with --movie"),
-        (["plot", "{kp1}", "-o", "x", "--timeline", "y"], "expected together with --movie"),
+        (["plot", "{kp1}", "--movie", "no/a.gif"], "there is no such folder to write to"),
+        (["plot", "{kp1}", "-o", "x", "--length", "3"], "needs --movie NAME.mp4"),
+        (["plot", "{kp1}", "-o", "x", "--timeline", "y"], "needs --movie NAME.mp4"),
         (["view", "{kp1}", "--movie", "a.gif", "--timeline", "y"], "found 'y'"),
-        (["view", "{kp1}", "--movie", "a.gif", "--follow"], "--follow: expected a window"),
+        (["view", "{kp1}", "--movie", "a.gif", "--follow"], "--follow: leave out --save, --snapshot, --movie and --web"),
     ],
 )
 def test_what_cannot_be_filmed_is_refused_in_a_line(

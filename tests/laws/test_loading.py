@@ -222,7 +222,7 @@ def test_law_that_declares_something_else_each_time_is_refused(tmp_path: Path, p
 """
     law = find_law(f"{write_law(tmp_path, LAW_TEXT + declare)}:Steady")
     expected = "the same Declaration for the same parameters"
-    with pytest.raises(LawError, match=f"Steady.declare: expected {expected}"):
+    with pytest.raises(LawError, match=f"Steady.declare: must return {expected}"):
         declare_law(law, law.Parameters(), None)
 
 

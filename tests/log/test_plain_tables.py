@@ -230,8 +230,8 @@ def test_rows_may_lack_a_command_or_a_measurement(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("t,x,y\n0,0,0\n", "expected columns for heading, found t, x, y: --column heading='NAME"),
-        ("a,b\n0,0\n", "expected columns for t, x, y, heading, found a, b: --column t='NAME"),
+        ("t,x,y\n0,0,0\n", "no column for heading; there are t, x, y: --column heading='NAME"),
+        ("a,b\n0,0\n", "no column for t, x, y and heading; there are a, b: --column t='NAME"),
         ("t,x,pos_x,y,yaw\n0,0,0,0,0\n", "expected one for x, found x and pos_x: --column x='x'"),
         ("t,x,y,yaw\n0,0,0,0\n1,zero,0,0\n", "line 3, column x: expected a number, found 'zero'"),
         ("t,x,y,yaw\n# c\n0,inf,0,0\n", "line 3, column x: expected a finite number, found 'inf'"),

@@ -11,7 +11,7 @@ from tests.pytest_plugin.conftest import NAMES, run
 BODY = "def test_it(recording):\n    assert recording.metric('run.duration') > 0\n"
 
 BAD = {
-    "empty glob": ('"nothing/*.mcap"', "*recordings: expected files for 'nothing/[*].mcap' in *"),
+    "empty glob": ('"nothing/*.mcap"', "*recordings: no files match 'nothing/[*].mcap' in *"),
     "no pattern": ("", '*recordings: needs a pattern such as "runs/[*].mcap"'),
     "no text": ("3", "*recordings: expected a pattern, found 3"),
     "keyword": (

@@ -120,7 +120,7 @@ def test_unusual_comparisons_say_what_is_wrong(suite: pytest.Pytester) -> None:
     result.assert_outcomes(failed=5)
     result.stdout.fnmatch_lines(
         [
-            "*rotate.overshoot: expected a comparison with a limit*",
+            "*rotate.overshoot: compare it with a limit*",
             "*expected a number after !=, found nan",
             "rotate.overshoot: expected == 0.5 % ± 0.1",
             "  margin          -0.40756 %",

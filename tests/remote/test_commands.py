@@ -81,8 +81,7 @@ def test_a_server_without_ranges_is_told_in_one_line(
 def test_an_error_is_one_line_with_the_url(capsys: pytest.CaptureFixture[str]) -> None:
     assert _run(["metrics", "memory://bucket/none.mcap"]) == 2
     assert capsys.readouterr().err == (
-        "turtlelog: error: memory://bucket/none.mcap: expected an object or file,"
-        " found none of this name\n"
+        "turtlelog: error: memory://bucket/none.mcap: no object or file of this name\n"
     )
 
 

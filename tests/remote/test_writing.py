@@ -81,9 +81,15 @@ def test_commands_write_to_urls(
     ("words", "said"),
     [
         (["convert", KP4, "-o", "https://host/x.mcap?sig=SECRET"], "found one of http"),
-        (["convert", KP4, "-o", "memory://o/bag"], "found a URL, where only files are"),
-        (["convert", "memory://o/x.mcap", "-o", "memory://o/x.mcap"], "found the input itself"),
-        (["plot", KP4, "-o", "memory://o/figures"], "expected a local folder, or one file"),
+        (["convert", KP4, "-o", "memory://o/bag"], "a URL names a file here, not a folder"),
+        (
+            ["convert", "memory://o/x.mcap", "-o", "memory://o/x.mcap"],
+            "this is the input; name another",
+        ),
+        (
+            ["plot", KP4, "-o", "memory://o/figures"],
+            "a URL must end in .pdf, .png or .svg; folders are local",
+        ),
         (["demo", "-o", "memory://o/demo"], "a URL, where only single files are written"),
         (
             ["run", "paper-kp4", "--realtime", "-o", "memory://o/x.mcap"],

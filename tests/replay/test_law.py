@@ -209,7 +209,7 @@ def test_a_law_that_fails_is_named_with_its_sample(
 
 def test_a_law_that_is_gone_is_named(kp4: Run) -> None:
     run = replace(kp4, parameters={**kp4.parameters, "law.kind": "gone.py:Law"})
-    with pytest.raises(ScenarioError, match=r"expected a Python file at gone\.py"):
+    with pytest.raises(ScenarioError, match=r"no Python file gone\.py"):
         replay_law(run, trust_law=True)
 
 

@@ -386,7 +386,7 @@ def test_one_pose_is_a_stretch_of_no_ticks(kp10: Run) -> None:
 
 def test_a_run_without_applied_velocities_is_refused(kp10: Run) -> None:
     run = replace_poses(kp10, speed_m_s=None)
-    with pytest.raises(ReplayError, match="paper-kp10: expected poses with the applied velocities"):
+    with pytest.raises(ReplayError, match="paper-kp10: no poses with the applied velocities"):
         replay_plant(run)
 
 

@@ -76,12 +76,15 @@ def _list_effects(scenario: Scenario) -> dict[str, Any]:
 
 
 def digest_run(number: int, simulate: Simulate = simulate_run) -> tuple[list[int], list[float]]:
-    """Return the digests of `PARTS` of the run of a number, and how it ends, as `_ENDS` lists."""
+    """Return the digests of `PARTS` of the run of a number, and how it ends, as `_ENDS` lists.
+
+    Of a scenario that is refused it is that of the kind of its error, whose words may change.
+    """
     scenario, plant = build_case(number)
     try:
         run = simulate(resolve_scenario(scenario), plant)
     except SimulationError as err:
-        return [_digest(str(err))] * len(PARTS), [math.nan] * len(_ENDS)
+        return [_digest(type(err).__name__)] * len(PARTS), [math.nan] * len(_ENDS)
     values = list_values(run)
     values["parameters"] = sorted(values["parameters"].items())  # their order says nothing
     columns: dict[str, dict[str, Any]] = {name: {} for name in PARTS}

@@ -79,8 +79,8 @@ def test_a_table_has_a_row_for_every_file_damaged_ones_too(folder: Path) -> None
         *("cut.mcap", "deep/0.mcap", "deep/1.mcap", "deep/2.mcap"),
         *("deep/3.mcap", "deep/4.mcap", "deep/5.mcap", "empty.mcap"),
     ]
-    assert "cut short" in cells["error"][0]
-    assert "empty file" in cells["error"][7]
+    assert "truncated or unfinished" in cells["error"][0]
+    assert "it is empty" in cells["error"][7]
     assert cells["error"][1] is None
     metric = tl.measure_run(tl.read_recording(folder / "deep" / "1.mcap"))["run.duration"]
     assert cells["run.duration"][2] == metric.value
@@ -201,9 +201,7 @@ def test_what_was_kept_for_other_settings_is_not_used(folder: Path, opened: list
 
 def test_two_tables_into_one_file_at_once_are_refused(folder: Path) -> None:
     def begin_another(chunks: Iterator[Any], _: int) -> Iterator[Any]:
-        with pytest.raises(
-            tl.SweepError, match=r"table\.parquet: .* another command at work on it"
-        ):
+        with pytest.raises(tl.SweepError, match=r"table\.parquet: another command is writing it"):
             tabulate(folder)
         return chunks
 

@@ -100,7 +100,7 @@ def test_zipped_keys_are_one_axis(tmp_path: Path) -> None:
     assert goal.numbers.tolist() == [2.0, 8.0]
     view = choose_view(results, at={"goal.x_m": 8, "goal.y_m": 3})
     assert view.tell_held() == "goal.x_m = 8, goal.y_m = 3"
-    with pytest.raises(SweepError, match="in one row"):
+    with pytest.raises(SweepError, match="no row has these values"):
         choose_view(results, at={"goal.x_m": 8, "goal.y_m": 10})
 
 

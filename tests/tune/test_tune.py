@@ -294,7 +294,7 @@ def test_what_differs_is_not_flat() -> None:
         (["law.kp_linear=1:2:0.00001"], "expected two bounds and perhaps a step"),
         (["law.kp_linear=2:2"], "expected a range"),
         (["law.kp_linear=3:2"], "3"),
-        (["law.kp_linear=1:nan"], "expected two bounds"),
+        (["law.kp_linear=1:nan"], "is not a finite number"),
         (["law.kp_linear=1:2", "law.kp_linear=1:3"], "found it twice"),
         (["loop.transport_delay_ticks=0.5:3"], "whole bounds"),
     ],

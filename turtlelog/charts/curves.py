@@ -1,4 +1,4 @@
-"""What is drawn of a run on screen and on paper alike: its curves, their levels and what they aim at.
+"""What is drawn of a run on screen and on paper: its curves, their levels and their aims.
 
 Headings are in degrees. Of long curves those rows are chosen that draw the same.
 """

@@ -365,11 +365,11 @@ def _read_toml(path: str | Path) -> dict[str, Any]:
             f"{path}: expected a specification or tolerance file, found: {found}"
         ) from err
     except ValueError as err:
-        raise CompareError(f"{path}: expected TOML, found: {err}") from err
+        raise CompareError(f"{path}: not TOML: {err}") from err
 
 
 def _parse_toml(text: str, *, source: str) -> dict[str, Any]:
     try:
         return parse_toml(text)
     except ValueError as err:
-        raise CompareError(f"{source}: expected TOML, found: {err}") from err
+        raise CompareError(f"{source}: not TOML: {err}") from err

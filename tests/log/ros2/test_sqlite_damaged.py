@@ -164,7 +164,7 @@ def test_what_is_no_bag_in_sqlite_is_one_line(tmp_path: Path) -> None:
         LogError, match=r"a\.db3: expected a SQLite file of pages of 65536 bytes, found 16"
     ):
         read_info(empty)
-    with pytest.raises(LogError, match=r"b\.db3: no such file; did you mean .*/a\.db3\?"):
+    with pytest.raises(LogError, match=r"b\.db3: no such file$"):
         read_info(tmp_path / "b.db3")
     (tmp_path / "c.db3").mkdir()
     with pytest.raises(LogError, match=r"c\.db3: expected a bag in SQLite, found: Is a directory"):

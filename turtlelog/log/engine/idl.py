@@ -88,8 +88,8 @@ def convert_idl(name: str, text: str) -> str:
         _Parser(name, part, types).parse()
     wanted = name.replace("/", "::")
     if wanted not in types.structs:
-        known = ", ".join(types.structs)[:80] or "none"
-        raise LogError(f"schema {name}: expected its definition, found {known}")
+        known = ", ".join(types.structs)[:80]
+        raise LogError(f"schema {name}: its definition is missing{known and f'; there is {known}'}")
     return _Printer(name, types).print(wanted)
 
 

@@ -247,7 +247,7 @@ def _parse_tables(name: str, text: bytes) -> dict[str, Any]:
     try:
         return parse_known_toml(text.decode())
     except ValueError as err:
-        raise LogError(f"attachment {name}: expected TOML, found: {err}") from err
+        raise LogError(f"attachment {name}: not TOML: {err}") from err
 
 
 def _recall_tables(name: str, text: bytes) -> dict[str, Any]:
