@@ -112,7 +112,7 @@ def test_an_mp4_can_be_read_back(
         (["plot", "{kp1}", "-o", "x", "--length", "3"], "needs --movie NAME.mp4"),
         (["plot", "{kp1}", "-o", "x", "--timeline", "y"], "needs --movie NAME.mp4"),
         (["view", "{kp1}", "--movie", "a.gif", "--timeline", "y"], "found 'y'"),
-        (["view", "{kp1}", "--movie", "a.gif", "--follow"], "--follow: leave out --save, --snapshot, --movie and --web"),
+        (["view", "{kp1}", "--movie", "a.gif", "--follow"], "--follow: leave out --save"),
     ],
 )
 def test_what_cannot_be_filmed_is_refused_in_a_line(

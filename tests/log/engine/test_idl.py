@@ -225,7 +225,7 @@ def test_unknown_type_without_a_definition_is_not_understood(
         (wrap("struct Robot { Robot x; };"), "found one that holds itself"),
         (wrap("struct Robot { long x[SIZE]; };"), "expected a length, found 'SIZE'"),
         (wrap("struct Robot { long x "), "expected ;, found '}'"),
-        (wrap("struct Other { long x; };"), "its definition is missing; there is test_msgs::msg::Other"),
+        (wrap("struct Other { long x; };"), "is missing; there is test_msgs::msg::Other"),
         ("module a { " * 9, "expected up to 8 modules in each other"),
         ("struct Robot { long x;", "expected more, found 'the end'"),
         ("hello", "expected module, struct, typedef, enum or const, found 'hello'"),
