@@ -114,13 +114,14 @@ def test_what_is_no_comparison_with_a_robot_is_refused_in_one_line(
 ) -> None:
     turtle = write_scenario(tmp_path / "turtle.toml", {}, "textbook")
     assert "needs a bag or a recording beside the scenario" in refuse(call, scenario)
-    assert "expected one scenario to compare bags with" in refuse(call, scenario, turtle, bag)
-    assert 'with plant.kind = "lagged", found turtlesim' in refuse(call, bag, turtle)
+    two = refuse(call, scenario, turtle, bag)
+    assert two.endswith(f"name one scenario to compare bags with, not {scenario}, {turtle}")
+    needed = f'{turtle}: must be the scenario of a robot, plant.kind = "lagged", not turtlesim; '
+    assert needed in refuse(call, bag, turtle)
     for option in ("--reference", "--align", "--metric", "--sort", "--where"):
-        assert f"{option}: expected none beside a scenario" in refuse(
-            call, bag, scenario, option, str(bag)
-        )
-    assert "--plot: expected the scenario of a robot" in refuse(
+        unneeded = f"{option} {bag}: leave it out, the scenario is what bags are compared with"
+        assert unneeded in refuse(call, bag, scenario, option, str(bag))
+    assert "--plot: needs the scenario of a robot (.toml) among the files" in refuse(
         call, bag, bag, "--plot", tmp_path / "a.png"
     )
     assert "the name must end in .pdf" in refuse(call, bag, scenario, "--plot", tmp_path / "a.gif")

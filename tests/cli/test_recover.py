@@ -59,12 +59,15 @@ def test_recover_says_where_nothing_was_lost(call: Call, kp4: Path, tmp_path: Pa
     ("words", "line"),
     [
         (["none.mcap", "-o", "out.mcap"], "none.mcap: no such file"),
-        (["zeros.mcap", "-o", "out.mcap"], "zeros.mcap: expected messages to recover, found: "),
+        (
+            ["zeros.mcap", "-o", "out.mcap"],
+            "zeros.mcap: no message can be recovered: not an MCAP file: ",
+        ),
         (
             ["cut.mcap", "-o", "cut.mcap"],
-            "expected another file to write to, found the input itself",
+            "cut.mcap: this is the input; name another file to write",
         ),
-        (["cut.mcap", "-o", "no/out.mcap"], "expected a place that can be written"),
+        (["cut.mcap", "-o", "no/out.mcap"], "no/out.mcap: there is no such folder to write to"),
         (["cut.mcap"], "--output"),
     ],
 )

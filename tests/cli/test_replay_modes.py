@@ -210,7 +210,7 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
     law.unlink()
     answer = call("replay", path, "--trust-law")
     assert (answer.code, answer.err.count("\n")) == (2, 1)
-    assert "expected a Python file at" in answer.err
+    assert f"law.kind: no Python file {law}\n" in answer.err
     assert call("replay", path, "--law", "sequential-p").code == 0
 
 
@@ -230,15 +230,24 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
             'no law "kp4.mcap"; list: turtlelog list laws. A law of your own is path.py:Class or',
         ),
         (["kp4.mcap", "--law", "--plant"], "--plant and --law: choose one"),
-        (["kp4.mcap", "--law", "-o", "b.mcap"], "--output: expected the closed loop"),
-        (["kp4.mcap", "--plant", "-o", "b.mcap"], "--output: expected the closed loop"),
-        (["kp4.mcap", "--plant", "--kp", "3"], "--plant: expected the recorded commands as they"),
-        (["kp4.mcap", "--plant", "--tolerance", "0"], "are, found --tolerance"),
-        (["kp4.mcap", "-o", "kp4.mcap"], "kp4.mcap: expected another file to write to"),
+        (["kp4.mcap", "--law", "-o", "b.mcap"], "--output: leave out --law, which makes no run"),
+        (
+            ["kp4.mcap", "--plant", "-o", "b.mcap"],
+            "--output: leave out --plant, which makes no run",
+        ),
+        (
+            ["kp4.mcap", "--plant", "--kp", "3"],
+            "--plant: leave out --kp; the recorded commands are used as",
+        ),
+        (
+            ["kp4.mcap", "--plant", "--tolerance", "0"],
+            "--plant: leave out --tolerance; the recorded commands",
+        ),
+        (["kp4.mcap", "-o", "kp4.mcap"], "kp4.mcap: this is the input; name another file to write"),
         (["kp4.mcap", "-o", "b.txt"], "b.txt: the name must end in .mcap"),
         (
             ["kp4.mcap", "--law", "--set", "loop.period_ticks=2"],
-            "expected a key of law, shaping, l",
+            "--set loop.period_ticks: must be a key of law, shaping, limits, goal, because",
         ),
         (
             ["kp4.mcap", "--set", "law.kp=2"],
@@ -247,7 +256,10 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
         (["kp4.mcap", "--set", "law.kp_linear=nan"], "--set: law.kp_linear: expected a finite num"),
         (["kp4.mcap", "--scenario", "no"], 'no preset or file "no"'),
         (["kp4.mcap", "--tolerance", "nan"], "tolerance: expected a number >= 0, found nan"),
-        (["kp4.mcap", "--set", "max_duration_s=0.01"], "expected a pose answered within"),
+        (
+            ["kp4.mcap", "--set", "max_duration_s=0.01"],
+            "no pose is answered within max_duration_s = 0.01",
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -31,7 +31,7 @@ def test_run_prints_metrics_and_writes_nothing_unasked(
         (["paper-kp1"], "paper-kp1: reached the goal within 2.52 mm after 20.5 s."),
         (["paper-kp4"], "paper-kp4: missed the goal by 8.52 mm after 11.2 s."),
         (["posture"], "posture: reached the goal within 0.998 mm after 12.9 s."),
-        (["track-square"], "track-square: ended after 40 s, cross.rms_error 0.05059 m."),
+        (["track-square"], "track-square: ended after 40 s, cross.rms_error 0.0506 m."),
         (
             ["textbook", "--set", "law.kp_angular=6", "--set", "max_duration_s=4"],
             "textbook: missed the goal by 4.62 m after 4 s.",
@@ -123,8 +123,8 @@ def test_a_printed_scenario_runs_as_a_file(call: Call, tmp_path: Path) -> None:
         (["--kp", "-1"], "--kp: law.kp_angular: expected a number > 0, found -1.0"),
         (["--kp", "nan"], "--kp: law.kp_angular: expected a finite number, found nan"),
         (["--kp", "fast"], "--kp fast: must be a number"),
-        (["--goal", "3"], "--goal: expected X,Y in metres, found '3'"),
-        (["--goal", "3,4,5"], "--goal: expected X,Y in metres, found '3,4,5'"),
+        (["--goal", "3"], "--goal 3: must be X,Y in metres"),
+        (["--goal", "3,4,5"], "--goal 3,4,5: must be X,Y in metres"),
         (
             ["--goal", "30,3"],
             "--goal: goal.x_m: expected a number from 0 to 11.08888912, found 30",
@@ -148,12 +148,12 @@ def test_a_printed_scenario_runs_as_a_file(call: Call, tmp_path: Path) -> None:
         (["--set", "law.kind=a.py:B"], "law.kind: no Python file a.py"),
         (
             ["--set", "max_duration_s=0.05"],
-            "paper max_duration_s=0.05: expected a pose answered within",
+            "paper max_duration_s=0.05: no pose is answered within max_duration_s = 0.05",
         ),
         (["--nope"], "turtlelog run has no option --nope; did you mean --kp?"),
         (["-o"], "turtlelog run: -o needs a path"),
-        (["-o", "no/such/folder/a.mcap"], "a.mcap: expected a place that can be written"),
-        (["--rrd", "no/such/folder/a.rrd"], "a.rrd: expected a place that can be written"),
+        (["-o", "no/such/folder/a.mcap"], "a.mcap: there is no such folder to write to"),
+        (["--rrd", "no/such/folder/a.rrd"], "a.rrd: there is no such folder to write to"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -96,8 +96,8 @@ def test_a_stripped_view_is_called_by_its_file(call: Call, tmp_path: Path) -> No
     ("words", "line"),
     [
         (["riddle.mcap"], "riddle.mcap: is not a recording with its whole scenario"),
-        (["none.mcap"], "none.mcap: no such file; did you mean riddle.mcap?"),
-        (["paper", "--strip-scenario"], "--strip-scenario: expected -o or --rrd beside it"),
+        (["ridle.mcap"], "ridle.mcap: no such file; did you mean riddle.mcap?"),
+        (["paper", "--strip-scenario"], "--strip-scenario: needs -o or --rrd"),
         (
             ["paper", "--strip-scenario", "--realtime", "-o", "a.mcap"],
             "--strip-scenario: leave out --realtime, which writes the scenario first",

@@ -22,7 +22,7 @@ def _stay_in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_sweep_answers_in_one_line_and_in_json(call: Call) -> None:
     done = call("sweep", "textbook", *GRID, "-o", "t.parquet")
     assert (done.code, done.err) == (0, "")
-    assert done.out.startswith("2 runs over law.kp_linear, 0 failed: final.position_error is ")
+    assert done.out.startswith("2 runs over law.kp_linear: final.position_error is ")
     told = call("sweep", "textbook", *GRID, "-o", "u.parquet", "--json").json
     assert told | {"elapsed_s": 0, "samples": 0} == {
         "output": "u.parquet",
@@ -46,7 +46,7 @@ def test_failed_rows_are_told_and_are_no_failure_of_the_sweep(call: Call) -> Non
     assert done.code == 0
     assert done.err.splitlines() == [
         "metric align.overshoot: no row has a value (no_phase)",
-        "2 rows failed, the first: row 0: grid: law.kp_linear: expected a number > 0, found -1.0",
+        "2 rows failed, the first: row 0: --grid: law.kp_linear: expected a number > 0, found -1.0",
     ]
 
 
@@ -66,9 +66,9 @@ def test_identified_robot_is_swept(call: Call, tmp_path: Path) -> None:
     tl.write_recording(tl.simulate_run(tl.load_scenario("lagged")), robot)
     assert call("identify", robot, "--scenario", "robot.toml").code == 0
     done = call("sweep", "robot.toml", *GRID, "-o", "t.parquet", "--metric", "run.duration")
-    assert done.out.startswith(
-        "2 runs over law.kp_linear, 0 failed: run.duration is 5.6 s to 8.5 s"
-    ), done.err
+    assert done.out.startswith("2 runs over law.kp_linear: run.duration is 5.6 s to 8.5 s"), (
+        done.err
+    )
 
 
 def test_row_of_a_table_is_run(call: Call) -> None:
@@ -90,8 +90,11 @@ def test_row_of_a_table_is_run(call: Call) -> None:
         (("--from", "t.parquet"), "--from: needs --row NUMBER"),
         (("--row", "1"), "--row: needs --from TABLE"),
         (("--from", "t.parquet", "--row", "2"), "t.parquet: expected a row from 0 to 1, found 2"),
-        (("paper", "--from", "t.parquet", "--row", "0"), "expected no scenario beside it"),
-        (("--from", "t.parquet", "--row", "0", "--watch"), "--watch: expected a scenario that can"),
+        (("paper", "--from", "t.parquet", "--row", "0"), "--from: leave out the scenario paper"),
+        (
+            ("--from", "t.parquet", "--row", "0", "--watch"),
+            "--watch: leave out --from, whose table does not change",
+        ),
         (("--from", "none.parquet", "--row", "0"), "none.parquet: no such file"),
     ],
 )
@@ -125,11 +128,14 @@ def test_row_that_cannot_be_run_is_one_line(
         ((*GRID, "--seed", "1"), "--seed: needs --sample COUNT"),
         ((*GRID, "--latin"), "--latin: needs --sample COUNT"),
         ((*GRID, "--sample", "0"), "--sample: expected at least 1, found 0"),
-        ((*GRID, "--record-where", "1 > 2"), "--record-where: expected --record beside it"),
-        ((*GRID, "--set", "law.kp_linear=3"), "--set: expected keys that are not varied, found"),
+        ((*GRID, "--record-where", "1 > 2"), "--record-where: needs --record DIR"),
+        (
+            (*GRID, "--set", "law.kp_linear=3"),
+            "--set: law.kp_linear is varied by --grid; leave one of them out",
+        ),
         ((*GRID, "--jobs", "0"), "--jobs 0: must be at least 1"),
         ((*GRID, "-o", "t.csv"), "t.csv: the name must end in .parquet"),
-        ((*GRID, "-o", "none/t.parquet"), "expected a place that can be written, found no such"),
+        ((*GRID, "-o", "none/t.parquet"), "none/t.parquet: there is no such folder to write to"),
         (("--grid", "law.kp_linear=1:1000:0.0001"), "9,990,001 rows: about "),
     ],
 )
@@ -153,7 +159,7 @@ def test_many_rows_are_announced_and_need_consent(
     done = call(*words)
     assert done.code == 2
     assert "2 rows: about 0:00:0" in done.err
-    assert "expected --yes to go on, found no terminal to ask at" in done.err
+    assert "in t.parquet; add --yes to start it" in done.err
     assert call(*words, "--yes").code == 0
     monkeypatch.setattr(sweep_command, "_MANY_ROWS", 2)
     assert call("sweep", "textbook", *GRID, "-o", "u.parquet").code == 0

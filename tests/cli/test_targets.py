@@ -22,32 +22,62 @@ def folder(kp4: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 LONG = "n" * 300
+FOLDER = "this is a folder; name a file to write"
+FILES = "convert writes .mcap, .csv, .parquet and .tum files, or a folder, not"
+INPUT = "this is the input; name another file to write"
 RUN = ("run", "paper", "--realtime")  # would take 20 s before it failed
 TARGETS = [
     ([*RUN, "--rrd", "a.mcap"], "a.mcap: the name must end in .rrd"),
-    ([*RUN, "--rrd", "no/a.rrd"], "found no such folder"),
-    ([*RUN, "--rrd", "folder.rrd"], "folder.rrd: expected the name of a file to write, found a"),
-    ([*RUN, "--rrd", f"{LONG}.rrd"], "expected a place that can be written, found: "),
-    ([*RUN, "-o", "folder.mcap"], "folder.mcap: expected the name of a file to write, found a"),
-    (["convert", "run.mcap", "-o", "run.mcap"], "found the input itself"),
-    (["convert", ".", "-o", "folder.mcap"], "found a folder"),
-    (["convert", "--recover", "run.mcap", "-o", "folder.mcap"], "found a folder"),
-    (["convert", "--recover", "run.mcap", "-o", "run.mcap"], "found the input itself"),
-    (["convert", "--recover", "run.mcap", "-o", "full/../run.mcap"], "found the input itself"),
-    (["compare", "run.mcap", "run.mcap", "--rrd", "folder.rrd"], "found a folder"),
-    (["view", "run.mcap", "--snapshot", "folder.png"], "found a folder"),
-    (["view", "run.mcap", "--save", f"{LONG}.rrd"], "expected a place that can be written"),
-    (["convert", "run.mcap", "-o", "folder.csv"], "found a folder"),
-    (["convert", "run.mcap", "-o", "bag.db3"], "found a name that ends in .db3"),
-    (["convert", "run.mcap", "-o", "view.rrd"], "found a name that ends in .rrd"),
-    (["convert", "run.mcap", "-o", "run.txt"], "found a name that ends in .txt"),
-    (["convert", "run.mcap", "-o", "run.mcap.gz"], "found a name that ends in .gz"),
-    (["plot", "run.mcap", "-o", "run.bmp"], "a file that ends in .pdf, .png or .svg, found .bmp"),
-    (["convert", "run.mcap", "-o", "a", "-o", "full"], "found a folder with files"),
-    (["convert", "run.mcap", "-o", "a", "-o", "no/a.csv"], "found no such folder"),
-    (["convert", "run.mcap", "-o", "a", "-o", "full/mine"], "found a file"),
-    (["convert", "run.mcap", "-o", "a.csv", "-o", "full/../a.csv"], "that of another output"),
-    (["convert", "run.mcap", "-o", "a.csv", "-o", LONG], "can be written, found: "),
+    ([*RUN, "--rrd", "no/a.rrd"], "no/a.rrd: there is no such folder to write to"),
+    ([*RUN, "--rrd", "folder.rrd"], f"folder.rrd: {FOLDER}"),
+    ([*RUN, "--rrd", f"{LONG}.rrd"], f"{LONG}.rrd: cannot be written: "),
+    ([*RUN, "-o", "folder.mcap"], f"folder.mcap: {FOLDER}"),
+    (["convert", "run.mcap", "-o", "run.mcap"], f"run.mcap: {INPUT}"),
+    (["convert", ".", "-o", "folder.mcap"], f"folder.mcap: {FOLDER}"),
+    (["convert", "--recover", "run.mcap", "-o", "folder.mcap"], f"folder.mcap: {FOLDER}"),
+    (["convert", "--recover", "run.mcap", "-o", "run.mcap"], f"run.mcap: {INPUT}"),
+    (["convert", "--recover", "run.mcap", "-o", "full/../run.mcap"], f"full/../run.mcap: {INPUT}"),
+    (["compare", "run.mcap", "run.mcap", "--rrd", "folder.rrd"], f"folder.rrd: {FOLDER}"),
+    (["view", "run.mcap", "--snapshot", "folder.png"], f"folder.png: {FOLDER}"),
+    (["view", "run.mcap", "--save", f"{LONG}.rrd"], f"{LONG}.rrd: cannot be written: "),
+    (["convert", "run.mcap", "-o", "folder.csv"], f"folder.csv: {FOLDER}"),
+    (
+        ["convert", "run.mcap", "-o", "bag.db3"],
+        f"bag.db3: {FILES} .db3",
+    ),
+    (
+        ["convert", "run.mcap", "-o", "view.rrd"],
+        f"view.rrd: {FILES} .rrd",
+    ),
+    (
+        ["convert", "run.mcap", "-o", "run.txt"],
+        f"run.txt: {FILES} .txt",
+    ),
+    (
+        ["convert", "run.mcap", "-o", "run.mcap.gz"],
+        f"run.mcap.gz: {FILES} .gz",
+    ),
+    (
+        ["plot", "run.mcap", "-o", "run.bmp"],
+        "run.bmp: figures are written as .pdf, .png or .svg, or to a folder, not as .bmp",
+    ),
+    (
+        ["convert", "run.mcap", "-o", "a", "-o", "full"],
+        "full: this folder has files; name a new one",
+    ),
+    (
+        ["convert", "run.mcap", "-o", "a", "-o", "no/a.csv"],
+        "no/a.csv: there is no such folder to write to",
+    ),
+    (
+        ["convert", "run.mcap", "-o", "a", "-o", "full/mine"],
+        "full/mine: this is a file; name a new folder",
+    ),
+    (
+        ["convert", "run.mcap", "-o", "a.csv", "-o", "full/../a.csv"],
+        "full/../a.csv: another output is written there; name another place",
+    ),
+    (["convert", "run.mcap", "-o", "a.csv", "-o", LONG], f"{LONG}: cannot be written: "),
 ]
 
 
@@ -73,8 +103,11 @@ def test_a_bad_target_is_refused_before_anything_is_done(
     assert sorted(map(str, folder.rglob("*"))) == before
 
 
-@pytest.mark.parametrize("mode", ["folder", "file"])
-def test_what_is_write_protected_stays(call: Call, folder: Path, mode: str) -> None:
+@pytest.mark.parametrize(
+    ("mode", "reason"),
+    [("folder", "cannot be written: Permission denied"), ("file", "this file is write-protected")],
+)
+def test_what_is_write_protected_stays(call: Call, folder: Path, mode: str, reason: str) -> None:
     target = folder / "full" / "mine.mcap"
     target.write_bytes(b"mine")
     protected = target if mode == "file" else target.parent
@@ -84,7 +117,7 @@ def test_what_is_write_protected_stays(call: Call, folder: Path, mode: str) -> N
     answer = call("convert", "--recover", "run.mcap", "-o", target)
     target.parent.chmod(0o755)
     assert answer.code == 2
-    assert f"{target}: expected a" in answer.err
+    assert f"{target}: {reason}" in answer.err
     assert target.read_bytes() == b"mine"
 
 
@@ -92,7 +125,7 @@ def test_an_input_may_be_named_through_a_link(call: Call, folder: Path) -> None:
     Path("link.mcap").hardlink_to("run.mcap")
     answer = call("convert", "--recover", "run.mcap", "-o", "link.mcap")
     assert (answer.code, answer.out) == (2, "")
-    assert "found the input itself" in answer.err
+    assert f"link.mcap: {INPUT}" in answer.err
 
 
 def test_an_empty_folder_and_a_dotted_one_are_taken(call: Call, folder: Path) -> None:

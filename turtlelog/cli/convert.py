@@ -203,8 +203,16 @@ def _require_targets(
         if _is_file(path, tables):
             require_new_target(path, [file], suffix=path.suffix.lower())
         else:
-            require_new_folder(path, file_suffixes=_NO_FOLDERS)
+            _require_folder(path)
     require_apart(outputs)
+
+
+def _require_folder(path: Path) -> None:
+    if path.suffix.lower() in _NO_FOLDERS:
+        raise UsageError(
+            f"{path}: convert writes {join_words([*_FILES])} files, or a folder, not {path.suffix}"
+        )
+    require_new_folder(path)
 
 
 def _read(file: Path, tables: TableOptions, topics: ReadingOptions | None) -> "Run":

@@ -56,15 +56,11 @@ def require_pictures(
     require_new_target(rrd, inputs, suffix=".rrd")
 
 
-def require_new_folder(target: Path, *, file_suffixes: Sequence[str] = ()) -> None:
-    """Refuse a folder that could not be made, has files in it, or is named as a file."""
+def require_new_folder(target: Path) -> None:
+    """Refuse a folder that could not be made, or has files in it."""
     with _name_target(target):
         if isinstance(target, RemotePath):
             raise UsageError("a URL names a file here, not a folder")
-        if target.suffix.lower() in file_suffixes:
-            raise UsageError(
-                f"a new folder is written here, and its name must not end in {target.suffix}"
-            )
         _require_place(_resolve(target))
         if target.is_dir():
             if any(target.iterdir()):
@@ -79,7 +75,9 @@ def require_apart(targets: Sequence[Path]) -> None:
     for number, place in enumerate(places):
         for other in places[:number]:
             if place == other or place in other.parents or other in place.parents:
-                raise UsageError(f"{targets[number]}: is the place of another output, too")
+                raise UsageError(
+                    f"{targets[number]}: another output is written there; name another place"
+                )
 
 
 def _resolve(target: Path) -> Path:
@@ -92,7 +90,7 @@ def _require_replaceable(target: Path, inputs: Sequence[Path]) -> None:
         kind = "folder" if target.is_dir() else "device"
         raise UsageError(f"this is a {kind}; name a file to write")
     if not os.access(target, os.W_OK):
-        raise UsageError("this file is write-protected")
+        raise UsageError("this file is write-protected; name another file to write")
     for path in inputs:
         with suppress(OSError):  # an input that is not there is told when it is read
             if target.samefile(tl.log.split_topic(path)[0]):
