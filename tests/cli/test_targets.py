@@ -156,7 +156,7 @@ def test_a_figure_that_does_not_fit_is_one_line_and_nothing_is_left(
 ) -> None:
     target = tmp_path / "new" / "figures"
     answer = call("plot", "-o", target, "--only", "plant", "--format", form)
-    found = "expected a place that can be written, found: File too large"
+    found = "cannot be written: File too large"
     assert (answer.code, answer.out) == (2, "")
     assert answer.err == f"turtlelog: error: {target / 'plant'}.{form}: {found}\n"
     assert list_files(tmp_path) == []

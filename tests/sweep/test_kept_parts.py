@@ -173,7 +173,7 @@ def test_sweep_that_is_ended_from_outside_goes_on(
             " command goes on from there",
         ),
         # The table has 9839; what is done the more, the slower the machine: its parts are shorter.
-        (9000, "t.parquet: expected a place that can be written, found: File too large"),
+        (9000, "t.parquet: cannot be written: File too large"),
     ],
     ids=["of the rows", "of the table"],
 )

@@ -222,7 +222,7 @@ def test_full_disk_leaves_the_file_that_was_there(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False
     )
-    assert done.stdout == f"{path}: expected a place that can be written, found: File too large\n"
+    assert done.stdout == f"{path}: cannot be written: File too large\n"
     assert done.stderr == ""
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]

@@ -53,9 +53,7 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
         _copy_rights(target, temporary)
         temporary.replace(target)
     except OSError as err:
-        raise LogError(
-            f"{path}: expected a place that can be written, found: {err.strerror or err}"
-        ) from err
+        raise LogError(f"{path}: cannot be written: {err.strerror or err}") from err
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -139,9 +137,7 @@ def create_folder(path: str | Path) -> Iterator[Path]:
             target.rmdir()
         temporary.rename(target)
     except OSError as err:
-        raise LogError(
-            f"{path}: expected a place that can be written, found: {err.strerror or err}"
-        ) from err
+        raise LogError(f"{path}: cannot be written: {err.strerror or err}") from err
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

@@ -126,7 +126,7 @@ def test_a_second_recorder_on_the_same_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"^\S+a\.mcap: expected a place that can be written"):
+    with pytest.raises(LogError, match=r"^\S+a\.mcap: cannot be written"):
         Recorder(tmp_path / "missing" / "a.mcap", make_scenario())
 
 

@@ -90,7 +90,7 @@ def test_writing_replaces_a_file_and_leaves_no_other(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_missing_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"^\S+run\.mcap: expected a place that can be written"):
+    with pytest.raises(LogError, match=r"^\S+run\.mcap: cannot be written"):
         write_recording(simulate_short_run(), tmp_path / "missing" / "run.mcap")
 
 

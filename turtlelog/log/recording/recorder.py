@@ -210,9 +210,7 @@ class Recorder:
                 f"{self._path}: expected a new file, found one: a live recording replaces nothing"
             ) from err
         except OSError as err:
-            raise LogError(
-                f"{self._path}: expected a place that can be written, found: {err.strerror or err}"
-            ) from err
+            raise LogError(f"{self._path}: cannot be written: {err.strerror or err}") from err
         except UnicodeEncodeError as err:
             raise LogError(
                 f"{self._path}: expected text, found characters that UTF-8 lacks: {err}"
