@@ -36,7 +36,7 @@ def test_a_failure_keeps_the_old_file_and_nothing_else(
 
 def test_a_full_disk_is_one_line_that_names_the_file(tmp_path: Path) -> None:
     with (
-        pytest.raises(LogError, match=r"a\.txt: expected a place .*, found: No space left"),
+        pytest.raises(LogError, match=r"a\.txt: cannot be written: No space left"),
         replace_when_complete(tmp_path / "a.txt"),
     ):
         raise OSError(28, "No space left on device")
