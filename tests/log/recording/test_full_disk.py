@@ -49,8 +49,8 @@ def test_a_full_disk_is_one_line_and_leaves_what_came_before(room: int, tmp_path
     times = [message.log_time for message in read_messages(path) if message.channel_id == POSE]
     assert times == run.poses.time_ns[: len(times)].tolist()
     assert len(times) > 200
-    safe = f"cannot be written: No space left on device: {times[-1] / 1e9:.3f} s are safe"
-    assert message == f"{path}: expected room for the recording, {safe}"
+    safe = f"No space left on device: {times[-1] / 1e9:.3f} s are safe"
+    assert message == f"{path}: no room for the recording: {safe}"
 
 
 def test_where_the_summary_fits_a_full_disk_leaves_a_whole_file(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def test_a_full_disk_never_leaves_half_a_record(tmp_path: Path) -> None:
 
 def test_no_room_for_the_head_leaves_no_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    with pytest.raises(LogError, match="cannot be written: No space left on device: its head alone is safe"):
+    with pytest.raises(LogError, match="no room for the recording: No space left on device: its head alone is safe"):
         Recorder(path, make_scenario(), create=lambda path: FullDisk(path, 100))
     assert not path.exists()
 

@@ -240,7 +240,7 @@ class Recorder:
                 "its head alone is" if self._safe_ns is None else f"{self._safe_ns / 1e9:.3f} s are"
             )
             raise LogError(
-                f"{self._path}: expected room for the recording, found: {reason}: {safe} safe"
+                f"{self._path}: no room for the recording: {reason}: {safe} safe"
             ) from err
 
     def _give_up(self, reason: str) -> None:
