@@ -6,7 +6,7 @@ from typing import Final
 
 from turtlelog.charts import palette
 from turtlelog.charts.palette import Color
-from turtlelog.charts.time_plots import CurveKind
+from turtlelog.charts.plotted_curves import CurveKind
 
 _FIXED: Final[Mapping[CurveKind, Color]] = MappingProxyType(
     {

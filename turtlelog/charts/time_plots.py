@@ -3,11 +3,11 @@
 Figures, Rerun, reports and movies draw what stands here.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -28,33 +28,11 @@ from turtlelog.charts.curves import (
     select_rows,
 )
 from turtlelog.charts.ideal_curves import compute_ideals
-from turtlelog.charts.many_runs import MANY
+from turtlelog.charts.plotted_curves import Column, CurveEntry, TimePlot
 from turtlelog.charts.robot_curves import part_curve, read_measured
 from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.loops import COMMAND_UNITS
 from turtlelog.run import Run
-
-CurveKind = Literal[
-    "run", "beside", "measured", "applied", "wanted", "shaped",
-    "ideal", "aim", "sensed", "dropped_out", "outlier",
-]  # fmt: skip
-"""What a curve is: what the run did, a second signal of it, what the robot measured, what the plant
-applied, what the law wanted and what shaping left of that; the ideal loop, what is asked for where
-that moves; points that the controller read, that it did not get, that were measured far off."""
-
-POINTS: Final[frozenset[CurveKind]] = frozenset({"sensed", "dropped_out", "outlier"})
-"""Kinds that are points without a line between them."""
-
-OWN: Final[frozenset[CurveKind]] = frozenset({"run", "beside", "measured", "applied", "aim"})
-"""Kinds that a plot must have room for: theory and what a law wants may lie far beyond."""
-
-_MEASURED: Final = OWN - {"aim"}
-
-COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured", "ideal", "aim"})
-"""Kinds that are drawn of several runs over each other."""
-
-Scale = Literal["linear", "log", "symlog"]
-Column = Literal["turning", "moving"]
 
 _TOLERANCES: Final[Mapping[str, str]] = MappingProxyType(
     {"heading_error": "law.heading_tolerance_rad", "distance": "law.position_tolerance_m"}
@@ -63,128 +41,9 @@ _TOLERANCES: Final[Mapping[str, str]] = MappingProxyType(
 _LIMIT_LABEL: Final = "limit"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CurveEntry:
-    """A curve of a plot over time.
-
-    Attributes:
-        kind: What it is; colour and dash follow from it.
-        read: Returns it for a run; several where its loop steps several times.
-        label: In a legend; a curve's own label goes before.
-        name: Tells the curves of a plot apart; empty for the run's own.
-        signal: Whose characteristics stand on it, as they name it; empty for others.
-    """
-
-    kind: CurveKind
-    read: Callable[[Run], Iterable[Curve]]
-    label: str = ""
-    name: str = ""
-    signal: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TimePlot:
-    """A plot over time.
-
-    Attributes:
-        title: What it shows.
-        unit: Of its values; empty where nobody declares it.
-        curves: Its curves, as a legend lists them.
-        list_levels: Returns the level lines of a run.
-        is_log: Whether it has a twin that shows magnitudes on a logarithmic scale.
-        scale: How values stand on its axis.
-        figure: The figure for print that it is a panel of; one of that name is made where none is.
-        needs: What a run must hold, by its name in the table of needs.
-        loop: Signal that a loop of a run must control for it; empty: any.
-        is_usual: Whether a figure misses it where no run has anything for it.
-        pair: Name of the plot in which x and y stand together where there is little room.
-        place: Column and row of a view of many plots; plots of one place are tabs.
-        is_compared: Whether a view of several runs has it.
-        report: When a report has it: always, where what is asked for moves, never.
-        command: Which command it shows; None for any other signal.
-        is_filled: Whether one oscillation would fill it from end to end.
-    """
-
-    title: str
-    unit: str
-    curves: tuple[CurveEntry, ...]
-    list_levels: Callable[[Run], Iterable[Level]] = lambda _: ()
-    is_log: bool = False
-    scale: Scale = "linear"
-    figure: str = ""
-    needs: str = "poses"
-    loop: str = ""
-    is_usual: bool = True
-    pair: str = ""
-    place: tuple[Column, int] | None = None
-    is_compared: bool = True
-    report: Literal["always", "moving", "never"] = "never"
-    command: Command | None = None
-    is_filled: bool = False
-
-    @property
-    def label(self) -> str:
-        """Title and unit."""
-        return f"{self.title} [{self.unit}]" if self.unit else self.title
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlottedCurve:
-    """A curve of a run in a plot.
-
-    Attributes:
-        entry: Which.
-        label: In a legend of the run alone.
-        curve: Its values.
-    """
-
-    entry: CurveEntry
-    label: str
-    curve: Curve
-
-    @property
-    def kind(self) -> CurveKind:
-        """What it is."""
-        return self.entry.kind
-
-
 def find_plot(name: str) -> TimePlot:
     """Return a plot by its name; any other name is a state of a law."""
     return TIME_PLOTS.get(name) or _describe_state(name)
-
-
-def list_plotted(
-    run: Run, plot: TimePlot, kinds: frozenset[CurveKind] | None = None
-) -> list[PlottedCurve]:
-    """Return the curves that a run has in a plot, of some kinds or of all.
-
-    A run without a curve of its own has none: what is aimed at is nothing without it. For a robot
-    that recorded no commands the applied rates stand where those are asked for.
-    """
-    found = _read_entries(run, [one for one in plot.curves if kinds is None or one.kind in kinds])
-    if kinds is not None and not found:
-        found = _read_entries(run, [one for one in plot.curves if one.kind == "applied"])
-    return found if any(one.kind in _MEASURED for one in found) else []
-
-
-def list_own(run: Run, plot: TimePlot) -> list[Curve]:
-    """Return what a run did in a plot; the axis of the plot must have room for that."""
-    return [one.curve for one in list_plotted(run, plot, OWN)]
-
-
-def has_own(run: Run, plot: TimePlot) -> bool:
-    """Whether a run has a curve of its own in a plot."""
-    return any(True for one in plot.curves if one.kind in _MEASURED for _ in one.read(run))
-
-
-def list_plot_levels(
-    runs: Sequence[Run], plot: TimePlot, scale: Scale | None = None
-) -> list[Level]:
-    """Return the level lines of runs in a plot, each once, rising; magnitudes have tolerances."""
-    is_log = (scale or plot.scale) == "log"
-    found = dict.fromkeys(level for run in runs for level in plot.list_levels(run))
-    kept = [level for level in found if (level.kind == "tolerance") == is_log]
-    return sorted(kept, key=lambda level: (level.value, level.label))
 
 
 def find_marked(signal: str) -> tuple[str, CurveEntry] | None:
@@ -194,24 +53,6 @@ def find_marked(signal: str) -> tuple[str, CurveEntry] | None:
             if entry.signal == signal:
                 return name, entry
     return None
-
-
-def leaves_out(count: int, plot: TimePlot) -> bool:
-    """Whether a plot of so many runs leaves out those that never settle."""
-    return count > MANY and plot.is_filled
-
-
-def take_magnitude(curve: Curve) -> Curve:
-    """Return the magnitudes of a curve for a logarithmic scale: zeros are gaps."""
-    return replace(curve, values=np.where(curve.values == 0.0, np.nan, np.abs(curve.values)))
-
-
-def _read_entries(run: Run, entries: Iterable[CurveEntry]) -> list[PlottedCurve]:
-    return [
-        PlottedCurve(entry=entry, label=curve.label or entry.label, curve=curve)
-        for entry in entries
-        for curve in entry.read(run)
-    ]
 
 
 def _read_one(read: Callable[[Run], Curve | None], run: Run) -> Iterator[Curve]:

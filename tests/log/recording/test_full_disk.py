@@ -79,7 +79,9 @@ def test_a_full_disk_never_leaves_half_a_record(tmp_path: Path) -> None:
 
 def test_no_room_for_the_head_leaves_no_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    with pytest.raises(LogError, match="no room for the recording: No space left on device: its head alone is safe"):
+    with pytest.raises(
+        LogError, match="no room for the recording: No space left on device: its head alone is safe"
+    ):
         Recorder(path, make_scenario(), create=lambda path: FullDisk(path, 100))
     assert not path.exists()
 

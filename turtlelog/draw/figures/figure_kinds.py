@@ -10,9 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog.charts.curves import list_loops, read_curve, require_near
+from turtlelog.charts.plotted_curves import Scale
 from turtlelog.charts.robot_curves import lack_samples
 from turtlelog.charts.state_groups import are_comparable, group_states
-from turtlelog.charts.time_plots import TIME_PLOTS, Scale
+from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.display import NamedValues
 from turtlelog.draw.figures.attribution_figure import draw_attribution

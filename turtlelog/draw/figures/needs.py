@@ -6,7 +6,8 @@ from types import MappingProxyType
 from typing import Final
 
 from turtlelog.charts.curves import Command, read_curve
-from turtlelog.charts.time_plots import TIME_PLOTS, has_own
+from turtlelog.charts.plotted_curves import has_own
+from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.draw.figures.figure_curves import find_gains
 from turtlelog.draw.figures.rates_figure import lacks_commands

@@ -14,22 +14,22 @@ from turtlelog.charts.far_origin import find_origin, label_coordinate, move_near
 from turtlelog.charts.looks import choose_curve_color
 from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import FEW, Color, choose_run_colors
-from turtlelog.charts.pose_gaps import list_seen_gaps
-from turtlelog.charts.ranges import find_range
-from turtlelog.charts.time_plots import (
+from turtlelog.charts.plotted_curves import (
     COMPARED,
     POINTS,
     CurveKind,
     PlottedCurve,
     Scale,
     TimePlot,
-    find_plot,
     leaves_out,
     list_own,
     list_plot_levels,
     list_plotted,
     take_magnitude,
 )
+from turtlelog.charts.pose_gaps import list_seen_gaps
+from turtlelog.charts.ranges import find_range
+from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_level, draw_points
 from turtlelog.draw.figures.page import (
     IDEAL_ENDS,

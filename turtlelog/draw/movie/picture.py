@@ -25,17 +25,16 @@ from turtlelog.charts.close_up import (
 from turtlelog.charts.curves import Curve, choose_rows
 from turtlelog.charts.far_origin import find_origin, label_coordinate, move_near
 from turtlelog.charts.phase_timelines import TIMELINE, locate_run
-from turtlelog.charts.ranges import find_range
-from turtlelog.charts.robot_curves import part_path
-from turtlelog.charts.time_plots import (
+from turtlelog.charts.plotted_curves import (
     COMPARED,
-    find_plot,
     has_own,
-    list_controlled,
     list_own,
     list_plot_levels,
     list_plotted,
 )
+from turtlelog.charts.ranges import find_range
+from turtlelog.charts.robot_curves import part_path
+from turtlelog.charts.time_plots import find_plot, list_controlled
 from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.figures.page import LOOKS, choose_lines, use_looks
 from turtlelog.draw.movie.encoding import Picture

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.curves import choose_rows
 from turtlelog.charts.palette import Color
-from turtlelog.charts.time_plots import CurveKind
+from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.libraries import load_library
 from turtlelog.run import Run
 

@@ -12,23 +12,22 @@ from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.curves import Values
 from turtlelog.charts.looks import choose_curve_color
 from turtlelog.charts.many_runs import describe_restless, find_restless
-from turtlelog.charts.pose_gaps import list_seen_gaps
-from turtlelog.charts.ranges import find_range
-from turtlelog.charts.state_groups import group_states
-from turtlelog.charts.time_plots import (
+from turtlelog.charts.plotted_curves import (
     COMPARED,
     POINTS,
-    TIME_PLOTS,
     CurveKind,
     PlottedCurve,
     TimePlot,
-    find_plot,
     has_own,
     leaves_out,
     list_own,
     list_plot_levels,
     list_plotted,
 )
+from turtlelog.charts.pose_gaps import list_seen_gaps
+from turtlelog.charts.ranges import find_range
+from turtlelog.charts.state_groups import group_states
+from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.draw.report.drawn import (
     MOST_POINTS,

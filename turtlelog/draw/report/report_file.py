@@ -13,7 +13,7 @@ from typing import Final
 from turtlelog.charts.curves import require_near
 from turtlelog.charts.far_origin import move_near
 from turtlelog.charts.palette import GHOST, choose_cause_colors, choose_run_colors
-from turtlelog.charts.time_plots import CurveKind
+from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.compare import (
     name_runs,
     order_by_gain,

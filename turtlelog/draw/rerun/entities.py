@@ -6,7 +6,8 @@ from typing import Final
 
 from rerun import escape_entity_path_part
 
-from turtlelog.charts.time_plots import TIME_PLOTS, TimePlot, find_plot
+from turtlelog.charts.plotted_curves import TimePlot
+from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 
 APPLICATION_ID: Final = "turtlelog"
 TICKS: Final = "tick"

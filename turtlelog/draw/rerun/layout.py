@@ -7,8 +7,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from turtlelog.charts.phase_timelines import TIMELINE
+from turtlelog.charts.plotted_curves import Column
 from turtlelog.charts.state_groups import StateGroup
-from turtlelog.charts.time_plots import Column
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import Content
 from turtlelog.draw.rerun.run_legend import view_legend, view_scale

@@ -13,18 +13,18 @@ from turtlelog.charts import palette
 from turtlelog.charts.curves import Level
 from turtlelog.charts.looks import choose_curve_color
 from turtlelog.charts.palette import Color
-from turtlelog.charts.state_groups import StateGroup, group_states
-from turtlelog.charts.time_plots import (
+from turtlelog.charts.plotted_curves import (
     OWN,
     POINTS,
     CurveKind,
     PlottedCurve,
     TimePlot,
-    find_plot,
     has_own,
     list_plot_levels,
     list_plotted,
 )
+from turtlelog.charts.state_groups import StateGroup, group_states
+from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.timelines import RunStream, Times, Values, build_index
