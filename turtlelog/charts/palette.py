@@ -121,7 +121,7 @@ ERROR: Final[Color] = _OKABE_ITO[4]
 VIOLATION: Final[Color] = (235, 50, 50)
 """What violates a check; no run and no phase has this red."""
 
-ALLOWED: Final[Color] = (0, 158, 115)
+ALLOWED: Final[Color] = (128, 128, 128)
 """The band that a check asks a signal to stay in, thin enough to see curves on it."""
 
 

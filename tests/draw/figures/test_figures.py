@@ -269,7 +269,7 @@ def test_of_poses_and_applied_commands_that_is_drawn_and_nothing_else(tmp_path: 
     assert [path.stem for path in written] == HELD
     assert list_left_out([keep_poses(simulate(4))]) == (
         "left out plant, step-responses, root-locus, heading-error, world-velocity, error-log,"
-        " wanted-speed, table1.tex: expected the controller's samples, found none",
+        " wanted-speed, table1.tex: needs the controller's samples",
         "left out position-error: needs a goal",
     )
 
@@ -385,7 +385,7 @@ def test_a_table_without_a_value_is_left_out(tmp_path: Path) -> None:
     [
         (["headng"], [], 'no figure "headng"; did you mean heading\\?'),
         (["heading"], [], "figure heading needs a recording"),
-        (["wanted-speed"], [keep_poses(simulate(4))], "expected what the law wanted before clip"),
+        (["wanted-speed"], [keep_poses(simulate(4))], "needs what the law wanted before clip"),
         (["plant"], [keep_poses(simulate(4))], "figure plant needs the law's gain"),
     ],
     ids=["unknown", "no run", "no samples", "no gain"],

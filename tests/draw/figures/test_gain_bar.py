@@ -38,7 +38,7 @@ def test_more_runs_are_named_by_a_bar_of_their_gains() -> None:
     assert bar.get_xlabel() == "Kp of 8 runs [1/s]"
     labels = [text.get_text() for text in bar.get_xticklabels()]
     assert (labels[0], labels[-1], len(labels)) == ("1", "4.5", 7)
-    assert list_legend(figure) == ["goal bearing", "ideal, ends of the bar"]
+    assert list_legend(figure) == ["goal bearing", "ideal, first and last run"]
 
 
 def test_twenty_runs_leave_the_curves_most_of_the_figure() -> None:

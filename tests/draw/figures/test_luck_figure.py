@@ -93,7 +93,7 @@ def test_what_cannot_be_varied_is_one_line_with_the_reason() -> None:
     run = simulate_lucky("paper-kp10")
     with pytest.raises(ShowError, match="figure luck: expected one recording, found 2"):
         measure_luck_for_figure([run, run])
-    with pytest.raises(ShowError, match="figure luck: expected the controller's samples"):
+    with pytest.raises(ShowError, match="figure luck needs the controller's samples"):
         tl.draw.draw_figure("luck", [make_foreign_run(50)])
     with pytest.raises(ShowError, match=r"figure luck of .*: no scenario stands for it: "):
         measure_luck_for_figure([make_foreign_run(50)])

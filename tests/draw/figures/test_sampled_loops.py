@@ -183,7 +183,7 @@ def test_figures_of_sampled_loops_come_only_where_they_are_asked_for(tmp_path: P
 def test_what_theory_does_not_know_is_refused_with_the_reason() -> None:
     posture = tl.simulate_run(tl.load_scenario("posture"))
     reason = "the law declares that its command is more than gain times error, but not its terms"
-    with pytest.raises(ShowError, match=f"a loop that theory knows \\({reason}\\), found none"):
+    with pytest.raises(ShowError, match=f"needs a loop that theory knows \\({reason}\\)"):
         tl.draw.draw_figure("bode", [posture])
     with pytest.raises(ShowError, match="figure bode needs a recording"):
         tl.draw.draw_figure("bode", [])

@@ -98,8 +98,7 @@ def test_of_a_path_without_a_speed_there_is_no_error_along_it() -> None:
     assert list_labels(UNTIMED, "panel")[1] == "along-track [m]"
     left_out = list_left_out([KANAYAMA, UNTIMED], ["path-error"])
     assert left_out == (
-        "left untimed out of path-error (along-track error): expected a path with a speed,"
-        " found none",
+        "left untimed out of path-error (along-track error): needs a path with a speed",
     )
 
 
@@ -128,7 +127,7 @@ def test_of_a_run_on_its_path_the_reason_for_no_close_up_is_given() -> None:
     )
     line = (
         "left out plane (furthest off the path):"
-        " expected one path, and a run that is more than 1 mm off it, found none"
+        " needs one path, and a run that is more than 1 mm off it"
     )
     assert list_left_out([tl.simulate_run(scenario)], ["plane"]) == (line,)
     assert list_left_out([KANAYAMA], ["plane"]) == ()

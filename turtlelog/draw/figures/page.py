@@ -99,7 +99,7 @@ DASHES: Final[tuple[Any, ...]] = ("-", (0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0,
 REFERENCE: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.45", "linewidth": 0.7})
 """Goals, limits, zeros."""
 
-IDEAL_ENDS: Final = "ideal, ends of the bar"
+IDEAL_ENDS: Final = "ideal, first and last run"
 """Name of the ideal responses of the first and the last of many runs."""
 
 AIM: Final[Mapping[str, Any]] = MappingProxyType(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.command_changes import CommandChange, find_changes
 from turtlelog.charts.curves import Curve, read_applied, read_command
+from turtlelog.charts.palette import MEASURED
 from turtlelog.charts.robot_curves import read_measured
 from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
@@ -53,6 +54,11 @@ _SHOWN_MS: Final = 2.0
 """Width of an interval from which it is drawn [ms]: a narrower one is a stroke."""
 
 _REASON_LETTERS: Final = 58
+
+_MOTION: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": tuple(part / 255.0 for part in MEASURED), "linestyle": "-"}
+)
+"""What the robot did of the command."""
 
 _COMMAND: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.3", "linewidth": 0.9})
 _EACH: Final[Mapping[str, Any]] = MappingProxyType(
@@ -174,12 +180,12 @@ def _read_axis(axis: AxisModel, model: RobotModel, run: Run) -> DrawnAxis | None
 
 
 def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
-    measured, modelled = choose_lines(2)
+    _, modelled = choose_lines(2)
     axes.axhline(0.0, color="0.8", linewidth=0.5)
     draw_curve(axes, _hold_to_end(one.command, run), **_COMMAND, label="command")
     if one.measured is not None:
         time_s, values = one.measured
-        draw_thinned(axes, time_s, values, values, **measured, label="motion")
+        draw_thinned(axes, time_s, values, values, **_MOTION, label="motion")
     if one.traces is not None:
         time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.modelled
         draw_thinned(axes, time_s, values, values, **modelled, label="model")
@@ -212,7 +218,7 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
         return
     axes.axhline(0.0, **REFERENCE)
     time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.residual
-    draw_thinned(axes, time_s, values, values, **choose_lines(1)[0])
+    draw_thinned(axes, time_s, values, values, **_MOTION)
     if len(one.outliers_s):
         # An outlier is told at the pose after its step, traces at middles of one step or several.
         near = np.searchsorted(time_s, one.outliers_s)[:, None] + np.arange(-2, 2)

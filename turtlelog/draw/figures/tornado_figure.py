@@ -14,6 +14,11 @@ from turtlelog.sweep.sensitivities import Sensitivities, Sensitivity
 _MOST_KEYS: Final = 12
 """Bars of a panel: each has 4 mm of a column."""
 
+_NO_VALUE: Final = "#a03020"
+
+_ROOM_FOR_WORDS: Final = 0.9
+"""Of what the bars span, to the right of them."""
+
 _HEIGHT: Final = 0.62
 
 
@@ -53,12 +58,18 @@ def _draw_ranges(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) 
             continue
         low, high = _scale(found, one.least), _scale(found, one.most)
         axes.barh(number, high - low, _HEIGHT, left=low, color=looks["color"], alpha=0.8)
+        if one.left_out:
+            # What has no value, such as a loop that never settles, may be the largest effect.
+            told = f" {one.left_out} of {len(one.axis)} values: no value"
+            axes.text(high, number, told, fontsize=6.2, va="center", color=_NO_VALUE)
         ends += [low, high]
     if found.center is not None:
         axes.axvline(_scale(found, found.center), **REFERENCE)
     if ends:
         room = 0.05 * (max(ends) - min(ends)) or 0.05 * abs(ends[0]) or 1.0
         axes.set_xlim(min(ends) - room, max(ends) + room)
+        if any(one.left_out for one in keys):
+            axes.set_xlim(right=max(ends) + _ROOM_FOR_WORDS * (max(ends) - min(ends)))
     axes.xaxis.set_major_locator(MaxNLocator(4))
 
 

@@ -38,10 +38,10 @@ _TITLE_LETTERS: Final = 11.5
 
 _LEAST_INCH: Final = 2.2
 _BAND: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#009e73", "alpha": 0.12, "linewidth": 0.0, "zorder": 0.6, "label": "asked for"}
+    {"color": "0.5", "alpha": 0.14, "linewidth": 0.0, "zorder": 0.6, "label": "asked for"}
 )
 _LIMIT: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#00674b", "linewidth": 0.9, "linestyle": (0, (5, 2)), "zorder": 1.6}
+    {"color": "0.4", "linewidth": 0.9, "linestyle": (0, (5, 2)), "zorder": 1.6}
 )
 _REFERENCE: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.5", "linewidth": 0.7, "zorder": 1.5, "label": "reference"}
