@@ -164,7 +164,7 @@ def test_what_cannot_be_explained_is_refused_with_the_reason(
     monkeypatch.setattr(
         "turtlelog.draw.figures.attribution_figure.attribute_run", lambda *_, **__: withheld
     )
-    match = r"expected contributions to final\.position_error, found none: nothing reproduces it"
+    match = r"needs contributions to final\.position_error: nothing reproduces it"
     with pytest.raises(ShowError, match=match):
         explain_for_figure([read(4)])
 
