@@ -126,7 +126,7 @@ def test_what_was_asked_for_by_name_and_is_not_held_ends_with_an_error(
         (["--from", "nan"], "from: expected a time [s], found nan"),
         (["--to", "inf"], "to: expected a time [s], found inf"),
         (["--from", "3", "--to", "3"], "from: expected a time before 3 s, where it ends, found 3"),
-        (["--to", "3"], "to: expected a recording to cut, found none"),
+        (["--to", "3"], "to: needs a recording to cut"),
         ([str(RECORDING), "--to", "99"], "s, for which the runs last, found 99 s"),
         ([str(RECORDING), "--from", "-1"], "s, for which the runs last, found -1 s"),
         (["none.mcap"], "none.mcap"),

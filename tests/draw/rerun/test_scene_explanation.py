@@ -331,7 +331,7 @@ def test_where_there_are_neither_shares_nor_a_ghost_nothing_is_written(tmp_path:
     run = simulate_law("Follower")
     found = make_attribution(run, {}, "run.path_length")
     found = replace(found, withheld="they differ")
-    with pytest.raises(ShowError, match="contributions or a ghost, found none: they differ"):
+    with pytest.raises(ShowError, match="no contributions and no ghost to show: they differ"):
         write_explanation_rrd(run, found, {}, tmp_path / "none.rrd")
     assert not list(tmp_path.iterdir())
 

@@ -201,5 +201,5 @@ def test_no_display_is_one_line_that_names_the_alternatives(
 
 
 def test_nothing_to_open_is_an_error() -> None:
-    with pytest.raises(ShowError, match="at least one recording"):
+    with pytest.raises(ShowError, match="viewer: no recording to open"):
         open_viewer([])
