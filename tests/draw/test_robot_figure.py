@@ -50,5 +50,5 @@ def test_only_known_axes_are_drawn(run: tl.Run, tmp_path: Path) -> None:
     silent = replace(turning, commands=replace(still, turn_rate_rad_s=still.speed_m_s))
     with pytest.raises(tl.ShowError, match="no axis was identified: the speed"):
         tl.draw.write_robot_figure(tl.identify_robot(silent), silent, tmp_path / "none.png")
-    with pytest.raises(tl.ShowError, match=r"expected a name that ends in \.pdf, \.png or \.svg"):
+    with pytest.raises(tl.ShowError, match=r"the name must end in \.pdf, \.png or \.svg"):
         tl.draw.write_robot_figure(tl.identify_robot(run), run, tmp_path / "robot.txt")
