@@ -6,6 +6,7 @@ time: there is no grid in time, however irregular commands and poses are.
 """
 
 import cmath
+import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -118,6 +119,60 @@ def limit_changes(commands: HeldCommands, slowness: float) -> HeldCommands:
     value = np.column_stack([begins, begins + slope * ramp_s])
     slopes = np.column_stack([slope, np.zeros(len(slope))])
     return _integrate_commands(time_s.ravel(), value.ravel(), slopes.ravel())
+
+
+def limit_within(commands: HeldCommands, slowness: float, lag_s: float) -> HeldCommands:
+    """Return what a lag must be asked for so that its rate changes no faster than a limit.
+
+    rate' = clip((command - rate) / lag, +-limit) is a lag behind clip(command, rate +- limit lag):
+    a ramp that is ahead of the rate, and where it reaches the command, the command.
+
+    Args:
+        commands: To follow.
+        slowness: Time that a change of 1 takes [s^2/m] or [s^2/rad]; 0 changes nothing.
+        lag_s: The time constant [s].
+    """
+    if slowness <= 0.0:
+        return commands
+    ahead = lag_s / slowness
+    rate, rows = float(commands.value[0]), []
+    ends_s = np.append(commands.time_s[1:], np.inf)
+    for begin_s, end_s, value in zip(
+        commands.time_s.tolist(), ends_s.tolist(), commands.value.tolist(), strict=True
+    ):
+        off, sign = abs(value - rate), math.copysign(1.0, value - rate)
+        ramp_s = min(max(off - ahead, 0.0) * slowness, end_s - begin_s)
+        slope = sign / slowness if ramp_s else 0.0
+        rows.append((begin_s, rate + sign * ahead if ramp_s else value, slope))
+        rows.append((begin_s + ramp_s, value, 0.0))
+        left_s = end_s - begin_s - ramp_s
+        if left_s > 0.0:
+            rate = value - sign * (off - ramp_s / slowness) * math.exp(
+                -left_s / max(lag_s, _LEAST_LAG_S)
+            )
+        else:
+            rate += slope * ramp_s
+    return _integrate_commands(*np.array(rows).T)
+
+
+def shape_commands(
+    commands: HeldCommands, *, tightness: float, reverse: float, friction: float, deadband: float
+) -> HeldCommands:
+    """Return commands as a robot takes them that does not take all alike.
+
+    Args:
+        commands: To follow.
+        tightness: One by the largest that acts whole [s/m] or [s/rad]; 0 for none.
+        reverse: Gain of those below 0 by that of the others [1].
+        friction: What each lacks of its magnitude [m/s] or [rad/s].
+        deadband: Magnitude up to which they move nothing [m/s] or [rad/s].
+    """
+    size = np.maximum(np.abs(commands.value) - friction, 0.0)
+    value = np.where(commands.value < 0.0, -reverse, 1.0) * size
+    value[np.abs(commands.value) <= deadband] = 0.0
+    if tightness > 0.0:
+        value = np.clip(value, -1.0 / tightness, 1.0 / tightness)
+    return _integrate_commands(commands.time_s, value, commands.slope)
 
 
 class LaggedResponse:

@@ -23,7 +23,7 @@ from turtlelog.identify.axis_motion import (
 )
 from turtlelog.identify.axis_values import NORMAL_95, describe_fit
 from turtlelog.identify.correlation import find_correlation_delay
-from turtlelog.identify.order_choice import choose_order
+from turtlelog.identify.doubts import cover_parts, cover_rivals
 from turtlelog.identify.refused_axes import (
     find_absurd,
     find_no_excitation,
@@ -32,6 +32,7 @@ from turtlelog.identify.refused_axes import (
     refuse_fit,
 )
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel
+from turtlelog.identify.structure_choice import choose_structure
 from turtlelog.identify.tick_delays import identify_ticks
 from turtlelog.run import Run
 
@@ -66,7 +67,8 @@ def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
     if exact is not None:
         return exact
     found = [_identify_axis(runs, axis) for axis in AXES]
-    notes = [note for model, _ in found for note in _compare_runs(runs, model)]
+    notes = [doubt for model, _ in found for doubt in model.doubts]
+    notes += [note for model, _ in found for note in _compare_runs(runs, model)]
     notes += [_note_stops(model) for model, _ in found if model.silent_stops_s]
     notes += [_note_part(model) for model, _ in found if model.steps < model.steps_in_all]
     return RobotModel(
@@ -99,8 +101,14 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     except NoGainError as err:
         opposite = find_opposite(axis, motions, None)
         return opposite or refuse_axis(axis, str(err)), []
-    fit = choose_order(fit)
-    found = describe_fit(axis, fit, sum(_count_changes(run, axis) for run in runs))
+    fit, rivals = choose_structure(fit)
+    changes = sum(_count_changes(run, axis) for run in runs)
+    found = cover_rivals(
+        describe_fit(axis, fit, changes),
+        fit.model.structure,
+        [(rival.model.structure, describe_fit(axis, rival, changes)) for rival in rivals],
+    )
+    found = cover_parts(found, fit)
     refused = refuse_fit(axis, motions, fit, found)
     if refused is not None:
         return refused, []
@@ -166,8 +174,9 @@ def _tell_differences(name: str, alone: AxisModel, together: AxisModel) -> list[
     told = []
     for field in ("gain", "dead_time_s", "lag_s", "total_delay_s"):
         one, other = getattr(alone, field), getattr(together, field)
-        half = [estimate.high - estimate.value for estimate in (one, other)]
-        error = float(np.hypot(*half)) / NORMAL_95
+        # All of them together may be wider for what differs, but never tell less than one.
+        half = one.high - one.value
+        error = float(np.hypot(half, min(half, other.high - other.value))) / NORMAL_95
         if abs(one.value - other.value) > _DIFFERENT * error:
             what = field.removesuffix("_s").replace("_", " ")
             told.append(f"{what} {_tell(one)} instead of {_tell(other)}")

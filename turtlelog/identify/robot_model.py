@@ -1,11 +1,13 @@
 """What is known of a robot's dynamics: values with intervals, or the reason why there are none."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal, SupportsFloat
 
 from turtlelog.display import format_html
 from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
+from turtlelog.identify.robot_structure import Order, Structure
 from turtlelog.run import Clock
 
 
@@ -81,6 +83,13 @@ class AxisModel:
         total_delay_s: Dead time and lag together, which is better known than either [s].
         lag_product_s2: Product of both time constants of second order [s^2].
         rate_limit: Largest change of the rate [m/s^2] or [rad/s^2], where the motion shows one.
+        limit_acts: Where it acts: before the lag, which then follows a ramp, or within its loop, so
+            that the rate itself is a ramp; empty where there is none.
+        bound: Largest rate [m/s] or [rad/s], where commands go beyond it.
+        deadband: Command up to which nothing moves [m/s] or [rad/s], where the motion shows one.
+        reverse_gain: Gain of commands below 0, where it is another [1].
+        friction: What every command lacks of its magnitude [m/s] or [rad/s], where the motion shows
+            it; the gain is that of the rest.
         explained: Share of the variance of the steps between poses that the model explains.
         whiteness: Of what it leaves: the mean square of its changes by twice its mean square, 1
             for noise, near 0 for a curve; the noise of poses is taken out.
@@ -92,6 +101,8 @@ class AxisModel:
         steps: Steps between poses that were used.
         steps_in_all: Steps between poses in which commands act.
         changes: How often the command changes.
+        doubts: What its intervals cover beside noise, in sentences: structures that the log does
+            not tell apart, and parts of the motion that differ.
         silent_stops_s: How long after the last command the rate is down to half where the robot
             stops by itself because no command comes [s].
     """
@@ -107,6 +118,11 @@ class AxisModel:
     total_delay_s: Estimate | None = None
     lag_product_s2: Estimate | None = None
     rate_limit: Estimate | None = None
+    limit_acts: Literal["", "before_lag", "within_lag"] = ""
+    bound: Estimate | None = None
+    deadband: Estimate | None = None
+    reverse_gain: Estimate | None = None
+    friction: Estimate | None = None
     explained: float | None = None
     whiteness: float | None = None
     outliers: int = 0
@@ -115,7 +131,36 @@ class AxisModel:
     steps: int = 0
     steps_in_all: int = 0
     changes: int = 0
+    doubts: tuple[str, ...] = ()
     silent_stops_s: tuple[float, ...] = ()
+
+    @property
+    def structure(self) -> Structure:
+        """Which further parameters it has."""
+        order: Order = "second_order" if self.model == "second_order" else "first_order"
+        if self.limit_acts:
+            order = "limited_before" if self.limit_acts == "before_lag" else "limited_within"
+        return Structure(
+            order=order,
+            has_bound=self.bound is not None,
+            has_reverse=self.reverse_gain is not None,
+            has_friction=self.friction is not None,
+            deadband=0.0 if self.deadband is None else self.deadband.low,
+        )
+
+    @property
+    def extras(self) -> list[float]:
+        """Values of these further parameters, as shares of its gain."""
+        gain = math.nan if self.gain is None else self.gain.value
+        values = {
+            "product": (self.lag_product_s2, lambda value: value),
+            "slowness": (self.rate_limit, lambda value: gain / value),
+            "tightness": (self.bound, lambda value: gain / value),
+            "reverse": (self.reverse_gain, lambda value: value / gain),
+            "friction": (self.friction, lambda value: value),
+        }
+        found = [values[name] for name in self.structure.names]
+        return [scale(one.value) for one, scale in found if one is not None]
 
     @property
     def is_known(self) -> bool:
