@@ -8,8 +8,14 @@ from typing import Final
 
 import numpy as np
 
+import turtlelog as tl
 from tests.identify.robots import Log, Values, build_run, draw_steps, wrap
+from turtlelog.identify import build_robot_scenario
 from turtlelog.run import Run
+from turtlelog.theory import recommend_gains
+
+TURNS_RAD: Final = (0.3, 2.5)
+"""A small and a large turn."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,6 +151,19 @@ def turn_by(truth: Limited, angle_rad: float, kp: float, period_s: float, limit:
         command = min(max(kp * (angle_rad - robot.heading_rad), -limit), limit)
         waiting.append((tick_s + truth.dead_time_s, command))
     return 100.0 * max(largest / angle_rad - 1.0, 0.0)
+
+
+def turn_as_advised(model: tl.RobotModel, run: Run, truth: Limited) -> list[float]:
+    """Return by how much a small and a large turn overshoot by the gain for 5 % [%]."""
+    scenario = build_robot_scenario(model, run).scenario
+    declaration = tl.simulate.declare_scenario(scenario)
+    loops = tl.theory.model_loops(declaration, tl.scenario.flatten_scenario(scenario))
+    settings = next(loop for loop in loops if loop.loop.name == "rotate").require()[1]
+    period_s = settings["period_s"]
+    advised = recommend_gains(settings["process"], period_s=period_s, overshoot_percent=5.0)
+    kp = next(one.gains.kp for one in advised if one.controller == "P" and one.gains)
+    most = min(float(np.abs(run.commands.turn_rate_rad_s).max()), scenario.limits.turn_rate_rad_s)
+    return [turn_by(truth, angle_rad, kp, period_s, most) for angle_rad in TURNS_RAD]
 
 
 def _draw(rng: np.random.Generator, low: float, high: float) -> float:

@@ -96,7 +96,7 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
             for value in values:
                 covered = _widen(covered, field, value)
         if differing:
-            said.append(f"{names[0]} and {names[1]} ones")
+            said.append(f"{names[0]} from {names[1]} ones")
     if not said and not is_curve:
         return covered
     what = f" Commands differ: {join_words(said)}." if said else ""
@@ -151,7 +151,7 @@ def _split_steps(fit: AxisFit) -> Iterator[tuple[tuple[str, str], NDArray[np.boo
     value, earlier = np.concatenate(acting), np.concatenate(before)
     change = np.abs(value - earlier)
     yield ("small", "large"), change <= float(np.median(change))
-    yield ("positive", "negative"), value > earlier
+    yield ("positive", "negative"), value + earlier > 0.0
     yield ("rising", "falling"), np.abs(value) > np.abs(earlier)
     yield ("earlier", "later"), np.arange(len(value)) < len(value) // 2
 

@@ -40,6 +40,9 @@ _DIFFERENT: Final = 3.0
 """Standard deviations by which two runs must differ to be called different: by chance in 0.3 % of
 pairs."""
 
+_ALIKE: Final = 0.05
+"""Share by which commands of one size differ at most: less shows no other gain than noise does."""
+
 _FEWEST_STEPS: Final = 50
 """Fewest steps between poses from which noise can be told [1]: a second and a half at 30 Hz."""
 
@@ -69,6 +72,7 @@ def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
     found = [_identify_axis(runs, axis) for axis in AXES]
     notes = [doubt for model, _ in found for doubt in model.doubts]
     notes += [note for model, _ in found for note in _compare_runs(runs, model)]
+    notes += [_note_one_size(model) for model, _ in found if _has_one_size(runs, model)]
     notes += [_note_stops(model) for model, _ in found if model.silent_stops_s]
     notes += [_note_part(model) for model, _ in found if model.steps < model.steps_in_all]
     return RobotModel(
@@ -123,6 +127,20 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         silent_stops_s=tuple(waits_s),
     )
     return found, _list_events(names, axis, fit)
+
+
+def _has_one_size(runs: Sequence[Run], model: AxisModel) -> bool:
+    """Return whether all commands of an axis that is known have one magnitude."""
+    sizes = np.abs(np.concatenate([get_commands(run, model.axis) for run in runs]))
+    moving = sizes[sizes > 0.0]
+    return model.is_known and float(np.ptp(moving)) <= _ALIKE * float(moving.max())
+
+
+def _note_one_size(model: AxisModel) -> str:
+    return (
+        f"All commands of the {NAMES[model.axis]} have one size: whether its gain holds for"
+        " smaller ones, and where its speed ends, the log does not show."
+    )
 
 
 def _note_stops(model: AxisModel) -> str:

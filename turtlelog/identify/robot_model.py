@@ -135,6 +135,20 @@ class AxisModel:
     silent_stops_s: tuple[float, ...] = ()
 
     @property
+    def advised_delay_s(self) -> float | None:
+        """The total delay that a controller should reckon with: in doubt the longest [s]."""
+        total = self.total_delay_s
+        if total is None:
+            return None
+        return total.high if self.doubts else total.value
+
+    @property
+    def advised_gain(self) -> float | None:
+        """The gain likewise: of both directions, and in doubt, the largest [1]."""
+        gains = [one for one in (self.gain, self.reverse_gain) if one is not None]
+        return max((one.high if self.doubts else one.value for one in gains), default=None)
+
+    @property
     def structure(self) -> Structure:
         """Which further parameters it has."""
         order: Order = "second_order" if self.model == "second_order" else "first_order"
@@ -153,14 +167,14 @@ class AxisModel:
         """Values of these further parameters, as shares of its gain."""
         gain = math.nan if self.gain is None else self.gain.value
         values = {
-            "product": (self.lag_product_s2, lambda value: value),
-            "slowness": (self.rate_limit, lambda value: gain / value),
-            "tightness": (self.bound, lambda value: gain / value),
-            "reverse": (self.reverse_gain, lambda value: value / gain),
-            "friction": (self.friction, lambda value: value),
+            "product": self.lag_product_s2,
+            "slowness": self.rate_limit,
+            "tightness": self.bound,
+            "reverse": self.reverse_gain,
+            "friction": self.friction,
         }
-        found = [values[name] for name in self.structure.names]
-        return [scale(one.value) for one, scale in found if one is not None]
+        found = [(name, values[name]) for name in self.structure.names]
+        return [_divide(name, one.value, gain) for name, one in found if one is not None]
 
     @property
     def is_known(self) -> bool:
@@ -171,6 +185,13 @@ class AxisModel:
     def is_idle(self) -> bool:
         """Whether it is never commanded, so that nothing is asked of it."""
         return self.reason == f"the {NAMES[self.axis]} is never commanded"
+
+
+def _divide(name: str, value: float, gain: float) -> float:
+    """Return a further parameter of a structure with a gain of 1."""
+    if name in {"slowness", "tightness"}:
+        return gain / value
+    return value / gain if name == "reverse" else value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

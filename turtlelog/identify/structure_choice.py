@@ -184,14 +184,19 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
             other,
             [start(other, **{name: value}) for value in tries[name]] if name else [start(other)],
         )
-    for name, field, values in (
-        ("tightness", "has_bound", [1.0 / (share * levels[-1]) for share in _BOUNDS]),
-        ("reverse", "has_reverse", [1.0] if commands.min() < 0.0 < commands.max() else []),
-        ("friction", "has_friction", [share * levels[-1] for share in _FRICTIONS]),
+    bounded, reverse, rubbing = (
+        replace(structure, has_bound=True),
+        replace(structure, has_reverse=True),
+        replace(structure, has_friction=True),
+    )
+    largest, turns_back = float(levels[-1]), commands.min() < 0.0 < commands.max()
+    for other, name, values in (
+        (bounded, "tightness", [1.0 / (share * largest) for share in _BOUNDS]),
+        (reverse, "reverse", [1.0] if turns_back else []),
+        (rubbing, "friction", [share * largest for share in _FRICTIONS]),
     ):
-        if values and name not in structure.names:
-            other = replace(structure, **{field: True})
-            yield other, [start(other, **{name: float(value)}) for value in values]
+        if values and other != structure:
+            yield other, [start(other, **{name: value}) for value in values]
     small = levels[(levels > 0.0) & (levels <= 0.5 * levels[-1])]
     if not structure.deadband and len(small):
         rows = np.unique(np.linspace(0, len(small) - 1, _DEADBANDS).astype(int))
