@@ -111,7 +111,7 @@ def judge(axis: AxisModel, truth: Limited) -> dict[str, tuple[bool, str]]:
         "lag_s": truth.lag_s,
         "total_delay_s": truth.dead_time_s + truth.lag_s,
         "rate_limit": min(truth.acceleration, truth.ramp),
-        "bound": truth.bound,
+        "bound": min(truth.bound, truth.stop),
         "friction": truth.friction,
         "reverse_gain": truth.gain * truth.reverse,
     }

@@ -28,7 +28,8 @@ class Limited:
         lag_s: Time constant [s].
         acceleration: Largest change of the rate, inside its loop [rad/s^2].
         ramp: Largest change of the commanded rate, before the loop [rad/s^2].
-        bound: Largest rate [rad/s].
+        bound: Largest rate that a command asks for [rad/s].
+        stop: Largest rate [rad/s]: what asks for more drives towards it as if there were none.
         deadband: Commands below it move nothing [rad/s].
         reverse: Gain of a command below 0, by the other [1].
         friction: What every command lacks of its magnitude [rad/s].
@@ -41,6 +42,7 @@ class Limited:
     acceleration: float = math.inf
     ramp: float = math.inf
     bound: float = math.inf
+    stop: float = math.inf
     deadband: float = 0.0
     reverse: float = 1.0
     friction: float = 0.0
@@ -73,17 +75,17 @@ class LimitedRobot:
     def _move_piece(self, most_s: float) -> float:
         """Move until the slope is of another kind; return the time that took [s]."""
         lag_s, most = self.truth.lag_s, self.truth.acceleration
-        ahead = self.asked - self.ramped
         if abs(self.asked) < abs(self.rate):
             lag_s *= self.truth.braking
-        slope = 0.0
-        if math.isinf(self.truth.ramp):
-            self.ramped = self.asked
-        elif ahead:
-            slope = math.copysign(self.truth.ramp, ahead)
-            most_s = min(most_s, abs(ahead) / self.truth.ramp)
+        slope, most_s = self._ramp(most_s)
         before = self.rate
         off = self.ramped - before
+        most_rate = math.copysign(self.truth.stop, off)
+        if before == most_rate:
+            self.heading_rad += before * most_s
+            return most_s
+        if abs(self.ramped) > self.truth.stop and self.ramped * off > 0.0:
+            most_s = min(most_s, self._find_stop(off, most_rate, lag_s))
         if abs(off) > most * lag_s * (1.0 + 1e-12):
             took_s = min(most_s, abs(off) / most - lag_s)
             self.rate += math.copysign(most, off) * took_s
@@ -96,10 +98,24 @@ class LimitedRobot:
             self.rate = late + slope * took_s + left * faded
             self.heading_rad += (late + 0.5 * slope * took_s) * took_s
             self.heading_rad += lag_s * left * (1.0 - faded)
+        if abs(self.rate) > self.truth.stop * (1.0 - 1e-12):
+            self.rate = most_rate
         self.ramped += slope * took_s
-        if slope and abs(self.asked - self.ramped) < 1e-12:
-            self.ramped = self.asked
         return took_s
+
+    def _ramp(self, most_s: float) -> tuple[float, float]:
+        """Return how fast the asked rate changes, and for how long at most [s]."""
+        ahead = self.asked - self.ramped
+        if math.isinf(self.truth.ramp) or abs(ahead) < 1e-12:
+            self.ramped = self.asked
+            return 0.0, most_s
+        return math.copysign(self.truth.ramp, ahead), min(most_s, abs(ahead) / self.truth.ramp)
+
+    def _find_stop(self, off: float, most_rate: float, lag_s: float) -> float:
+        """Return when the rate is at its largest, by the kind of slope that it has now [s]."""
+        if abs(off) > self.truth.acceleration * lag_s * (1.0 + 1e-12):
+            return abs(most_rate - self.rate) / self.truth.acceleration
+        return lag_s * math.log(off / (self.ramped - most_rate))
 
 
 def turn_on_the_spot(truth: Limited, log: Log, seed: int) -> Run:
@@ -179,6 +195,7 @@ KINDS: Final = MappingProxyType[str, Callable[[Limited, np.random.Generator], Li
         "both": lambda truth, rng: replace(
             truth, acceleration=_draw(rng, 1.5, 5.0), bound=truth.gain * _draw(rng, 0.5, 1.2)
         ),
+        "stop": lambda truth, rng: replace(truth, stop=truth.gain * _draw(rng, 0.5, 1.2)),
         "deadband": lambda truth, rng: replace(truth, deadband=_draw(rng, 0.1, 0.4)),
         "direction": lambda truth, rng: replace(truth, reverse=_draw(rng, 0.75, 0.92)),
         # No structure that is fitted is like these.

@@ -26,6 +26,7 @@ TRUTHS = {
     "acceleration": Limited(acceleration=2.0),
     "ramp": Limited(ramp=2.0),
     "bound": Limited(bound=0.7),
+    "stop": Limited(stop=0.7),
     "both": Limited(acceleration=2.5, bound=0.8),
     "friction": Limited(friction=0.2),
     "deadband": Limited(deadband=0.3),
@@ -41,8 +42,14 @@ def identify(kind: str) -> tuple[Run, tl.RobotModel]:
 
 @pytest.mark.parametrize(
     "truth",
-    [Limited(acceleration=2.0), Limited(ramp=2.0), Limited(acceleration=1.0, bound=0.5)],
-    ids=["within", "before", "bound"],
+    [
+        Limited(acceleration=2.0),
+        Limited(ramp=2.0),
+        Limited(acceleration=1.0, bound=0.5),
+        Limited(stop=0.6),
+        Limited(acceleration=2.0, stop=0.6),
+    ],
+    ids=["within", "before", "bound", "stop", "both"],
 )
 def test_the_robots_turn_as_small_steps_in_time_do(truth: Limited) -> None:
     step_s, at_s = 1e-4, np.array([0.4, 0.7, 1.3, 2.0])
@@ -56,6 +63,7 @@ def test_the_robots_turn_as_small_steps_in_time_do(truth: Limited) -> None:
         heading += rate * step_s
         most = truth.acceleration
         rate += float(np.clip((asked - rate) / truth.lag_s, -most, most)) * step_s
+        rate = float(np.clip(rate, -truth.stop, truth.stop))
         headings.append(heading)
     rows = np.rint(at_s / step_s).astype(int) - 1
     found = find_headings(truth, command_s, turns, at_s)
@@ -68,6 +76,7 @@ def test_the_robots_turn_as_small_steps_in_time_do(truth: Limited) -> None:
         ("acceleration", "rate_limit", 2.0),
         ("ramp", "rate_limit", 2.0),
         ("bound", "bound", 0.7),
+        ("stop", "bound", 0.7),
         ("both", "bound", 0.8),
         ("both", "rate_limit", 2.5),
         ("friction", "friction", 0.2),
@@ -93,8 +102,10 @@ def test_a_limit_leaves_gain_and_delays_as_they_are(kind: str) -> None:
 
 
 def test_where_a_limit_acts_is_told() -> None:
-    acts = [identify(kind)[1].turn_rate.limit_acts for kind in ("acceleration", "ramp", "bound")]
-    assert acts == ["within_lag", "before_lag", ""]
+    kinds = "acceleration", "ramp", "bound", "stop"
+    found = [identify(kind)[1].turn_rate for kind in kinds]
+    assert [axis.limit_acts for axis in found] == ["within_lag", "before_lag", "", ""]
+    assert [axis.bound_acts for axis in found] == ["", "", "command", "rate"]
 
 
 def test_a_deadband_lies_between_the_commands_that_do_nothing_and_those_that_do() -> None:
@@ -102,7 +113,7 @@ def test_a_deadband_lies_between_the_commands_that_do_nothing_and_those_that_do(
     assert found.low < 0.3 <= found.high
 
 
-@pytest.mark.parametrize("kind", ["acceleration", "ramp", "bound", "both", "direction"])
+@pytest.mark.parametrize("kind", ["acceleration", "ramp", "bound", "stop", "both", "direction"])
 def test_advised_gains_overshoot_by_no_more_than_was_wanted(kind: str) -> None:
     run, model = identify(kind)
     assert max(turn_as_advised(model, run, TRUTHS[kind])) <= 6.0
@@ -114,7 +125,7 @@ def test_the_scenario_has_the_command_at_which_the_bound_is_reached() -> None:
     assert limit == pytest.approx(0.7 / 0.95, rel=0.01)
 
 
-@pytest.mark.parametrize("kind", ["acceleration", "both", "friction", "deadband", "direction"])
+@pytest.mark.parametrize("kind", ["acceleration", "both", "stop", "friction", "direction"])
 def test_the_model_predicts_the_motion_of_a_robot_with_limits(kind: str) -> None:
     run, model = identify(kind)
     way, _ = predict_axis(model.turn_rate, run, run.poses.time_ns / 1e9)

@@ -135,6 +135,7 @@ class AxisAnswer:
     rate_limit: Interval | None
     limit_acts: str | None
     bound: Interval | None
+    bound_acts: str | None
     deadband: Interval | None
     reverse_gain: Interval | None
     friction: Interval | None
@@ -218,6 +219,7 @@ def _build_axis(axis: "AxisModel") -> AxisAnswer:
         rate_limit=_take_interval(axis.rate_limit),
         limit_acts=axis.limit_acts or None,
         bound=_take_interval(axis.bound),
+        bound_acts=axis.bound_acts or None,
         deadband=_take_interval(axis.deadband),
         reverse_gain=_take_interval(axis.reverse_gain),
         friction=_take_interval(axis.friction),

@@ -63,6 +63,7 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         limit_acts=_ACTS.get(structure.order, ""),
         rate_limit=_divide(fit, names.get("slowness"), f"{UNITS[axis]}^2"),
         bound=_divide(fit, names.get("tightness"), UNITS[axis]),
+        bound_acts=structure.bound,
         reverse_gain=_multiply(fit, names.get("reverse")),
         friction=_take(fit, names.get("friction"), UNITS[axis]),
         deadband=_estimate_deadband(fit, UNITS[axis]),

@@ -70,7 +70,7 @@ def describe_structure(structure: Structure) -> str:
         "limited_within": "a limit of the acceleration within the velocity loop",
     }
     said = [parts[structure.order]] if structure.order in parts else []
-    said += ["a bound"] if structure.has_bound else []
+    said += [f"a bound of the {structure.bound}"] if structure.bound else []
     said += ["another gain backwards"] if structure.has_reverse else []
     said += ["friction"] if structure.has_friction else []
     said += ["a deadband"] if structure.deadband else []

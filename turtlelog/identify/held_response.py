@@ -121,37 +121,46 @@ def limit_changes(commands: HeldCommands, slowness: float) -> HeldCommands:
     return _integrate_commands(time_s.ravel(), value.ravel(), slopes.ravel())
 
 
-def limit_within(commands: HeldCommands, slowness: float, lag_s: float) -> HeldCommands:
-    """Return what a lag must be asked for so that its rate changes no faster than a limit.
+def limit_within(
+    commands: HeldCommands, slowness: float, lag_s: float, most: float = math.inf
+) -> HeldCommands:
+    """Return what a lag must be asked for so that its rate, or the rate's change, has a limit.
 
     rate' = clip((command - rate) / lag, +-limit) is a lag behind clip(command, rate +- limit lag):
-    a ramp that is ahead of the rate, and where it reaches the command, the command.
+    a ramp that is ahead of the rate, and where it reaches the command, the command. Where the rate
+    is at its largest, it asks for no more.
 
     Args:
         commands: To follow.
-        slowness: Time that a change of 1 takes [s^2/m] or [s^2/rad]; 0 changes nothing.
+        slowness: Time that a change of 1 takes [s^2/m] or [s^2/rad]; 0 for no limit of that.
         lag_s: The time constant [s].
+        most: The largest rate, of a gain of 1 [m/s] or [rad/s].
     """
-    if slowness <= 0.0:
-        return commands
-    ahead = lag_s / slowness
+    lag_s = max(lag_s, _LEAST_LAG_S)
+    ahead = lag_s / slowness if slowness > 0.0 else math.inf
     rate, rows = float(commands.value[0]), []
     ends_s = np.append(commands.time_s[1:], np.inf)
     for begin_s, end_s, value in zip(
         commands.time_s.tolist(), ends_s.tolist(), commands.value.tolist(), strict=True
     ):
-        off, sign = abs(value - rate), math.copysign(1.0, value - rate)
-        ramp_s = min(max(off - ahead, 0.0) * slowness, end_s - begin_s)
-        slope = sign / slowness if ramp_s else 0.0
-        rows.append((begin_s, rate + sign * ahead if ramp_s else value, slope))
-        rows.append((begin_s + ramp_s, value, 0.0))
-        left_s = end_s - begin_s - ramp_s
+        now_s, left_s, off = begin_s, end_s - begin_s, value - rate
+        stops, end = abs(value) > most, math.copysign(most, value)
+        if abs(off) > ahead:
+            way = min(abs(off) - ahead, abs(end - rate) if stops else math.inf)
+            took_s = min(way * slowness, left_s)
+            slope = math.copysign(1.0 / slowness, off)
+            rows.append((now_s, rate + slope * lag_s, slope))
+            now_s, left_s, rate = now_s + took_s, left_s - took_s, rate + slope * took_s
+            off = value - rate
         if left_s > 0.0:
-            rate = value - sign * (off - ramp_s / slowness) * math.exp(
-                -left_s / max(lag_s, _LEAST_LAG_S)
-            )
-        else:
-            rate += slope * ramp_s
+            ends_after_s = lag_s * math.log(max(off / (value - end), 1.0)) if stops else math.inf
+            took_s = min(ends_after_s, left_s)
+            rows.append((now_s, value, 0.0))
+            now_s, left_s = now_s + took_s, left_s - took_s
+            rate = value - off * math.exp(-took_s / lag_s)
+        if left_s > 0.0:
+            rows.append((now_s, end, 0.0))
+            rate = end
     return _integrate_commands(*np.array(rows).T)
 
 

@@ -7,7 +7,7 @@ from typing import Literal, SupportsFloat
 from turtlelog.display import format_html
 from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
-from turtlelog.identify.robot_structure import Order, Structure
+from turtlelog.identify.robot_structure import Bound, Order, Structure
 from turtlelog.run import Clock
 
 
@@ -86,6 +86,8 @@ class AxisModel:
         limit_acts: Where it acts: before the lag, which then follows a ramp, or within its loop, so
             that the rate itself is a ramp; empty where there is none.
         bound: Largest rate [m/s] or [rad/s], where commands go beyond it.
+        bound_acts: What ends there: the command, which the lag then follows, or the rate, which
+            until then follows larger commands; empty where there is none.
         deadband: Command up to which nothing moves [m/s] or [rad/s], where the motion shows one.
         reverse_gain: Gain of commands below 0, where it is another [1].
         friction: What every command lacks of its magnitude [m/s] or [rad/s], where the motion shows
@@ -120,6 +122,7 @@ class AxisModel:
     rate_limit: Estimate | None = None
     limit_acts: Literal["", "before_lag", "within_lag"] = ""
     bound: Estimate | None = None
+    bound_acts: Bound = ""
     deadband: Estimate | None = None
     reverse_gain: Estimate | None = None
     friction: Estimate | None = None
@@ -156,7 +159,7 @@ class AxisModel:
             order = "limited_before" if self.limit_acts == "before_lag" else "limited_within"
         return Structure(
             order=order,
-            has_bound=self.bound is not None,
+            bound=self.bound_acts,
             has_reverse=self.reverse_gain is not None,
             has_friction=self.friction is not None,
             deadband=0.0 if self.deadband is None else self.deadband.low,

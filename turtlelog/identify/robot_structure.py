@@ -1,5 +1,6 @@
 """What beside a dead time and a lag may shape how a robot follows its commands."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -18,6 +19,8 @@ Order = Literal["first_order", "second_order", "limited_before", "limited_within
 changes its rate no faster than a limit, before the lag (the command becomes a ramp) or within its
 loop (the rate does): the time that it needs per unit of the command is a further parameter
 [s^2/m] or [s^2/rad]."""
+
+Bound = Literal["", "command", "rate"]
 
 _STEPS: Final = MappingProxyType(
     {"product": 1e-7, "slowness": 1e-4, "tightness": 1e-4, "reverse": 1e-4, "friction": 1e-5}
@@ -40,8 +43,9 @@ class Structure:
 
     Attributes:
         order: Of its lag, and where its acceleration is limited.
-        has_bound: Whether no command leads beyond a largest rate; the parameter is one by the
-            command that does [s/m] or [s/rad].
+        bound: What ends at a largest: the command, or the rate, which then follows larger commands
+            as if it did not end, until it does; the parameter is one by the command that leads
+            there [s/m] or [s/rad].
         has_reverse: Whether the gain of commands below 0 is another; the parameter is their ratio.
         has_friction: Whether every command lacks something of its magnitude; the parameter is that
             [m/s] or [rad/s].
@@ -49,16 +53,26 @@ class Structure:
     """
 
     order: Order = "first_order"
-    has_bound: bool = False
+    bound: Bound = ""
     has_reverse: bool = False
     has_friction: bool = False
     deadband: float = 0.0
 
     @property
+    def is_slow(self) -> bool:
+        """Whether commands are followed one by one."""
+        return self.order.startswith("limited") or self.bound == "rate"
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether its parts go together: a rate that ends is that of one lag, without ramps."""
+        return self.bound != "rate" or self.order in {"first_order", "limited_within"}
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Of the further parameters, in order."""
         has = {
-            "tightness": self.has_bound,
+            "tightness": bool(self.bound),
             "reverse": self.has_reverse,
             "friction": self.has_friction,
         }
@@ -87,15 +101,17 @@ class Structure:
         if len(self.names) > len(_OF_ORDER[self.order]) or self.deadband:
             commands = shape_commands(
                 commands,
-                tightness=values.get("tightness", 0.0),
+                tightness=values.get("tightness", 0.0) if self.bound == "command" else 0.0,
                 reverse=values.get("reverse", 1.0),
                 friction=values.get("friction", 0.0),
                 deadband=self.deadband,
             )
         if self.order == "limited_before":
             commands = limit_changes(commands, values["slowness"])
-        elif self.order == "limited_within":
-            commands = limit_within(commands, values["slowness"], lag_s)
+        elif self.order == "limited_within" or self.bound == "rate":
+            tightness = values.get("tightness", 0.0) if self.bound == "rate" else 0.0
+            most = 1.0 / tightness if tightness > 0.0 else math.inf
+            commands = limit_within(commands, values.get("slowness", 0.0), lag_s, most)
         return LaggedResponse(commands, lag_s, values.get("product", 0.0))
 
 

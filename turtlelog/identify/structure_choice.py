@@ -23,6 +23,7 @@ from turtlelog.identify.axis_fit import (
     restart_axis,
 )
 from turtlelog.identify.axis_motion import AxisMotion
+from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_structure import Order, Structure
 from turtlelog.identify.step_noise import LEAST_STEP
 
@@ -169,10 +170,10 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         return tuple((known | value)[name] for name in other.names)
 
     lag_s = max(float(fit.parameters[LAG]), _LEAST_LAG_S)
-    span, is_short = max(float(np.ptp(commands)), LEAST_STEP), len(commands) <= _MOST_CHANGES
+    span = max(float(np.ptp(commands)), LEAST_STEP)
     for order in get_args(Order):
         other = replace(structure, order=order)
-        if order == structure.order or (order.startswith("limited") and not is_short):
+        if other == structure or not _is_open(other, commands):
             continue
         slowness = [known["slowness"]] if "slowness" in known else []
         tries = {
@@ -184,18 +185,22 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
             other,
             [start(other, **{name: value}) for value in tries[name]] if name else [start(other)],
         )
-    bounded, reverse, rubbing = (
-        replace(structure, has_bound=True),
+    bounded, stopped, reverse, rubbing = (
+        replace(structure, bound="command"),
+        replace(structure, bound="rate"),
         replace(structure, has_reverse=True),
         replace(structure, has_friction=True),
     )
     largest, turns_back = float(levels[-1]), commands.min() < 0.0 < commands.max()
+    bounds = [known["tightness"]] if structure.bound else []
+    bounds += [1.0 / (share * largest) for share in _BOUNDS]
     for other, name, values in (
-        (bounded, "tightness", [1.0 / (share * largest) for share in _BOUNDS]),
+        (bounded, "tightness", bounds),
+        (stopped, "tightness", bounds),
         (reverse, "reverse", [1.0] if turns_back else []),
         (rubbing, "friction", [share * largest for share in _FRICTIONS]),
     ):
-        if values and other != structure:
+        if values and other != structure and _is_open(other, commands):
             yield other, [start(other, **{name: value}) for value in values]
     small = levels[(levels > 0.0) & (levels <= 0.5 * levels[-1])]
     if not structure.deadband and len(small):
@@ -203,6 +208,11 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         for deadband in small[rows].tolist():
             other = replace(structure, deadband=deadband)
             yield other, [start(other)]
+
+
+def _is_open(structure: Structure, commands: Values) -> bool:
+    """Return whether a structure may be tried: one that follows commands singly, of few."""
+    return structure.is_possible and (not structure.is_slow or len(commands) <= _MOST_CHANGES)
 
 
 def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts:
