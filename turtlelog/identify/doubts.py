@@ -34,6 +34,10 @@ _CURVE: Final = 4.0
 """Standard deviations above which neighbours that are off alike are a curve: of 240 robots that a
 model explains one has more than 3, of those that it does not most have more than 10."""
 
+_IN_TURNS: Final = 0.1
+"""Correlation by which the nearest must be off in turns: slip that is taken for no less than
+something makes a hundredth or two, which a long log shows surely and which changes nothing."""
+
 _NEIGHBOURS_S: Final = 0.5
 """How far apart neighbours are at most [s]: a step of a usual robot lasts so long."""
 
@@ -108,7 +112,7 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
 
 
 def measure_curve(fit: AxisFit) -> float:
-    """Return by how many standard deviations neighbours are off alike, or in turns.
+    """Return by how many standard deviations neighbours are off alike, or the nearest in turns.
 
     The nearest ones, those within a few steps and those within a short time count for themselves: a
     curve that noise was taken for makes the nearest differ and the others alike.
@@ -116,7 +120,9 @@ def measure_curve(fit: AxisFit) -> float:
     sums = [(float(one.sum()), float(one @ one)) for one in _multiply_neighbours(fit)]
     along, squares = np.cumsum(sums, axis=0).T
     excess = along / np.sqrt(np.maximum(squares, LEAST_STEP))
-    return float(max(abs(excess[0]), *excess))
+    white = _clip(fit)
+    in_turns = -float(along[0]) / max(float(white @ white), LEAST_STEP)
+    return float(max(-excess[0] if in_turns > _IN_TURNS else 0.0, *excess))
 
 
 def _measure_sharing(fit: AxisFit) -> float:
