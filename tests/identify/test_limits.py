@@ -21,7 +21,7 @@ from turtlelog.identify import AxisModel, build_robot_scenario, predict_axis, re
 from turtlelog.identify.held_response import LaggedResponse, hold_commands, limit_within
 from turtlelog.run import Run
 
-LOG = Log(duration_s=40.0, poses_hz=25.0)
+LOG = Log(duration_s=25.0, poses_hz=25.0)
 TRUTHS = {
     "acceleration": Limited(acceleration=2.0),
     "ramp": Limited(ramp=2.0),
