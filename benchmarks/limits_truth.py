@@ -1,6 +1,6 @@
 """Robots with limits through the identification: do intervals hold, does its advice overshoot?
 
-python benchmarks/bench_limits.py [--robots 30] [--seed N] [--kind KIND ...] [--all]
+python benchmarks/limits_truth.py [--robots 30] [--seed N] [--kind KIND ...] [--all]
     [--noise TIMES] [--duration SECONDS]
 
 Prints per kind of robot how many are refused and doubted, the coverage of each interval, the median
