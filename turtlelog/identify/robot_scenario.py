@@ -207,6 +207,8 @@ def _list_plant(model: RobotModel, runs: Sequence[Run]) -> Part:
             f"{key}dead_time_s": _round(max(delay_s - lag.value, 0.0)),
             f"{key}lag_s": _round(max(lag.value, 0.0) + ramp_s),
         }
+        if axis.bound is not None:
+            values[f"{key}bound"] = _round(axis.bound.value)
         if axis.model == "second_order":
             notes.append(
                 f"The {name} is of second order, the plant of first: its time constant is the sum"
