@@ -11,7 +11,8 @@ from tests.identify.robots import Log, Truth, make_run
 from tests.known import known
 from turtlelog.identify.axis_fit import EXTRA, AxisFit, fit_axis, refit_axis
 from turtlelog.identify.axis_motion import read_axis_motion
-from turtlelog.identify.order_choice import is_distinct as judge_distinct, measure_effect
+from turtlelog.identify.robot_structure import SECOND_ORDER
+from turtlelog.identify.structure_choice import is_distinct as judge_distinct, measure_effect
 
 CLEAR = Log(poses_hz=50.0, noise_rad=1e-5, jitter_s=0.0, duration_s=15.0)
 SHORT_LAG = Truth(gain=0.9, dead_time_s=0.1, lag_s=0.2)
@@ -63,7 +64,7 @@ def test_a_second_lag_is_told_if_it_changes_a_rate_by_2_percent(lag_s: float, mo
 def fit_both(lag_s: float) -> tuple[AxisFit, AxisFit]:
     log = replace(CLEAR, turn_rate=replace(SHORT_LAG, second_lag_s=lag_s))
     fit = fit_axis([read_axis_motion(make_run(log, 1), "turn_rate")])
-    return fit, refit_axis(fit, "second_order", [0.005])
+    return fit, refit_axis(fit, SECOND_ORDER, [(0.005,)])
 
 
 def test_the_effect_of_a_second_lag_is_by_how_much_it_changes_a_rate() -> None:

@@ -64,6 +64,15 @@ def test_speed_way_and_heading_follow_a_step_by_their_closed_forms() -> None:
     assert robot.state == pytest.approx((0.0, 0.0, way_m, 0.0, rate), abs=1e-15)
 
 
+def test_commands_beyond_a_bound_lead_to_the_bound() -> None:
+    keys = LaggedKeys(speed_gain=0.5, speed_lag_s=0.1, speed_bound=0.6)
+    bound = drive(keys, [(0, -2.0, 0.0)], SECOND_NS)
+    assert bound.state == drive(keys, [(0, -1.2, 0.0)], SECOND_NS).state
+    assert bound.state != drive(keys, [(0, -1.1, 0.0)], SECOND_NS).state
+    turns = drive(LaggedKeys(turn_bound=0.3), [(0, 0.0, 2.0)], SECOND_NS)
+    assert turns.state == (0.0, 0.0, 0.3, 0.0, 0.3)
+
+
 def test_robot_without_lag_and_dead_time_drives_the_circle_of_its_command_at_once() -> None:
     robot = drive(LaggedKeys(), [(0, 2.0, 0.5)], 0)
     assert robot.state == (0.0, 0.0, 0.0, 2.0, 0.5)

@@ -49,10 +49,11 @@ def identify(
     Any log with commands and poses will do: a bag of a real robot, or a recording. Each step
     between two poses is compared with the response to the commands, which hold until the next one:
     rate = gain exp(-dead_time s) / (lag s + 1). Intervals contain the true value for 95 of 100
-    robots. A second lag, or a limit of the acceleration, must change a rate by 2 % and predict a
-    part of the log that was held back better. If a parameter cannot be identified, the output gives
-    the reason and suggests a test drive. Several files of one robot are fitted together, and
-    differences between them are listed.
+    robots. A second lag, a limit of acceleration or speed, a deadband, friction or another gain
+    backwards must change a rate by 2 % and predict a part of the log that was held back better.
+    Where no model explains the motion, intervals are wider and a doubt is named. If a parameter
+    cannot be identified, the output gives the reason and suggests a test drive. Several files of
+    one robot are fitted together, and differences between them are listed.
 
     Turtlesim needs no fit: each of its poses shows which command its tick took.
 
@@ -132,6 +133,13 @@ class AxisAnswer:
     total_delay_s: Interval | None
     lag_product_s2: Interval | None
     rate_limit: Interval | None
+    limit_acts: str | None
+    bound: Interval | None
+    bound_acts: str | None
+    deadband: Interval | None
+    reverse_gain: Interval | None
+    friction: Interval | None
+    doubts: tuple[str, ...]
     correlation_delay_s: Interval | None
     correlation_reason: str | None
     silent_stops_s: tuple[float, ...]
@@ -209,6 +217,13 @@ def _build_axis(axis: "AxisModel") -> AxisAnswer:
         total_delay_s=_take_interval(axis.total_delay_s),
         lag_product_s2=_take_interval(axis.lag_product_s2),
         rate_limit=_take_interval(axis.rate_limit),
+        limit_acts=axis.limit_acts or None,
+        bound=_take_interval(axis.bound),
+        bound_acts=axis.bound_acts or None,
+        deadband=_take_interval(axis.deadband),
+        reverse_gain=_take_interval(axis.reverse_gain),
+        friction=_take_interval(axis.friction),
+        doubts=axis.doubts,
         correlation_delay_s=_take_interval(axis.correlation_delay_s),
         correlation_reason=axis.correlation_reason or None,
         silent_stops_s=axis.silent_stops_s,

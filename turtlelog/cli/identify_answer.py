@@ -62,6 +62,8 @@ def format_robot(
     parts = [fill_lines([_describe_delays(model, files)])]
     if known:
         brackets = "intervals of 95 %" if model.tick_delays is None else "the least and the largest"
+        if any(axis.doubts for axis in known):
+            brackets += ", wider where a doubt is named below"
         parts += [f"{_format_values(known)}\nIn brackets: {brackets}.\n"]
         parts += [fill_lines([_describe_motion(known)])]
     trust = [*_list_trust(model), *_list_unknown(model)]
@@ -165,7 +167,8 @@ def _list_trust(model: "RobotModel") -> Iterator[str]:
             f"Dead time of {count}: least {1e3 * delays.least_s:.1f} ms, median"
             f" {1e3 * delays.median_s:.1f} ms, largest {1e3 * delays.largest_s:.1f} ms."
         )
-    yield from model.notes
+    doubts = [doubt for axis in model.axes for doubt in axis.doubts]
+    yield from (f"Doubt: {note}" if note in doubts else note for note in model.notes)
     yield from _list_events(model)
     clock = model.clock
     if clock is None or not any(axis.is_known for axis in model.axes):
@@ -190,10 +193,20 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
     yield from _describe_second_order(axis)
     if axis.rate_limit is not None:
         limit = axis.rate_limit
-        yield (
-            f"{name} changes by at most {limit.value:.3g} {limit.unit} ({limit.low:.3g} to"
-            f" {limit.high:.3g})."
-        )
+        where = "within its velocity loop" if axis.limit_acts == "within_lag" else "before the lag"
+        yield f"{name} changes by at most {_show_limit(limit)}, {where}."
+    if axis.bound is not None:
+        yield f"{name} reaches at most {_show_limit(axis.bound)}: larger commands do no more."
+    if axis.deadband is not None:
+        yield f"{name}: commands below {_show_limit(axis.deadband)} move nothing."
+    if axis.friction is not None:
+        yield f"{name}: friction takes {_show_limit(axis.friction)} off each command."
+    if axis.reverse_gain is not None:
+        yield f"{name}: commands below 0 have a gain of {format_value(axis.reverse_gain, 'gain')}."
+
+
+def _show_limit(found: "Estimate") -> str:
+    return f"{found.value:.3g} {found.unit} ({found.low:.3g} to {found.high:.3g})"
 
 
 def _describe_residual(axis: "AxisModel") -> str:
@@ -268,9 +281,9 @@ def _list_events(model: "RobotModel") -> list[str]:
 def _list_nav2(known: "Sequence[AxisModel]") -> list[str]:
     """Return what to paste into Nav2; its model is a pure delay, so the lag counts as delay."""
     lines = [
-        f"  {_NAV2[axis.axis]}: {axis.total_delay_s.value:.3f}"
+        f"  {_NAV2[axis.axis]}: {axis.advised_delay_s:.3f}"
         for axis in known
-        if axis.total_delay_s is not None
+        if axis.advised_delay_s is not None
     ]
     head = "For Nav2's MPPI controller, dead time and time constant as one delay [s]:"
     return ["", head, *lines] if lines else []

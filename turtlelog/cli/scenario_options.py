@@ -11,6 +11,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_law
 from turtlelog.cli.options import MaxDownload, Place, TopicOptions, Whole, read_chosen_run
+from turtlelog.cli.output import print_note
 from turtlelog.errors import ScenarioError, UsageError
 from turtlelog.remote.urls import make_path
 
@@ -133,6 +134,7 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     path, declared = make_path(name_or_path), None
     if name_or_path in tl.PRESETS or not is_recording(path):
         base = tl.load_scenario(name_or_path)
+        _note_doubts(path)
     else:
         run = read_chosen_run(path, TopicOptions())
         if not run.scenario_is_complete:
@@ -141,6 +143,13 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
         base = tl.scenario.restore_scenario(run)
         declared = None if named else run.declaration
     return apply_options(base, options, declared)
+
+
+def _note_doubts(path: Path) -> None:
+    """Print what `identify` doubted of the robot in a scenario file, before what is said of it."""
+    if path.suffix == ".toml" and path.is_file():
+        for doubt in tl.identify.read_doubts(path.read_text(encoding="utf-8", errors="replace")):
+            print_note(doubt)
 
 
 def apply_options(

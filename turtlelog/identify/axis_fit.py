@@ -2,8 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -11,7 +10,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
-from turtlelog.identify.held_response import LaggedResponse, Values, limit_changes
+from turtlelog.identify.held_response import LaggedResponse, Values
+from turtlelog.identify.robot_structure import FIRST_ORDER, Structure
 from turtlelog.identify.step_noise import LEAST_STEP, NORMAL_MAD, Whitening, estimate_noise
 
 _GRID_S: Final = 0.04
@@ -39,9 +39,6 @@ makes one in 1e15, stamp jitter at the highest speed five times the usual residu
 _LAG_STEP_S: Final = 1e-4
 """For differences with respect to the lag [s]."""
 
-_EXTRA_STEP: Final = MappingProxyType({"second_order": 1e-7, "limited": 1e-4})
-"""For differences with respect to the further parameter, in its unit."""
-
 _MOST_ROUNDS: Final = 40
 
 _ROUND_ENDS: Final = 1e-9
@@ -62,11 +59,6 @@ GAIN, DEAD_TIME, LAG, EXTRA = range(4)
 TOTAL: Final = DEAD_TIME
 """Place of the total delay in a covariance."""
 
-Kind = Literal["first_order", "second_order", "limited"]
-"""A robot with one lag; with two, whose product is the further parameter [s^2]; with one, that
-changes its rate no faster than a limit, the time that it needs per unit of the command being the
-further parameter [s^2/m] or [s^2/rad]."""
-
 
 class NoGainError(IdentifyError):
     """No gain above 0 explains anything of a motion."""
@@ -75,19 +67,16 @@ class NoGainError(IdentifyError):
 class StepModel:
     """What the commands of some runs lead to in each of their steps."""
 
-    def __init__(self, motions: Sequence[AxisMotion], kind: Kind = "first_order") -> None:
-        self.kind = kind
+    def __init__(self, motions: Sequence[AxisMotion], structure: Structure = FIRST_ORDER) -> None:
+        self.structure = structure
         self.motions = [motion for motion in motions if len(motion.moved)]
         self.moved = np.concatenate([motion.moved for motion in self.motions])
         self.duration_s = np.concatenate([motion.duration_s for motion in self.motions])
         self.follows = np.concatenate([motion.follows for motion in self.motions])
 
-    def prepare(self, lag_s: float, extra: float = 0.0) -> list[LaggedResponse]:
-        """Return the response of each run's commands to a lag."""
-        if self.kind == "limited":
-            limited = [limit_changes(motion.commands, extra) for motion in self.motions]
-            return [LaggedResponse(commands, lag_s) for commands in limited]
-        return [LaggedResponse(motion.commands, lag_s, extra) for motion in self.motions]
+    def prepare(self, lag_s: float, *extras: float) -> list[LaggedResponse]:
+        """Return the response of each run's commands to a lag, and further parameters."""
+        return [self.structure.respond(motion.commands, lag_s, extras) for motion in self.motions]
 
     def predict(
         self, dead_time_s: float, *lags: Sequence[LaggedResponse]
@@ -98,7 +87,7 @@ class StepModel:
             time_s, after = motion.time_s - dead_time_s, motion.first + 1
             places = None
             for steps, responses in zip(found, lags, strict=True):
-                if places is None or self.kind == "limited":
+                if places is None or self.structure.bends:
                     places = responses[row].place(time_s)
                 way, rate = responses[row].evaluate(places)
                 steps.append((way[after] - way[motion.first], rate[after] - rate[motion.first]))
@@ -109,12 +98,12 @@ class StepModel:
 
     def linearise(self, parameters: Values) -> tuple[Values, Values]:
         """Return the modelled steps and their derivatives, shape (n, parameters)."""
-        gain, dead_time_s, lag_s, *extra = parameters.tolist()
-        asked = [self.prepare(lag_s, *extra), self.prepare(lag_s + _LAG_STEP_S, *extra)]
-        width = [_LAG_STEP_S]
-        if extra:
-            width.append(_EXTRA_STEP[self.kind])
-            asked.append(self.prepare(lag_s, extra[0] + width[-1]))
+        gain, dead_time_s, lag_s, *extras = parameters.tolist()
+        asked, width = [self.prepare(lag_s, *extras)], [_LAG_STEP_S, *self.structure.steps]
+        for row, step in enumerate(width):
+            moved = [lag_s, *extras]
+            moved[row] += step
+            asked.append(self.prepare(*moved))
         (way, rate), *others = self.predict(dead_time_s, *asked)
         slopes = [
             gain * (other - way) / step for (other, _), step in zip(others, width, strict=True)
@@ -128,8 +117,8 @@ class AxisFit:
 
     Attributes:
         model: What was fitted.
-        parameters: Gain [1], dead time [s], lag [s], and the further one of the model's kind.
-        covariance: Of gain, total delay, lag and the further parameter: dead time and lag trade
+        parameters: Gain [1], dead time [s], lag [s], and further ones of the model's structure.
+        covariance: Of gain, total delay, lag and the further ones: dead time and lag trade
             against each other, and their sum is known far better than either.
         dispersion: How much larger the variance of the lag is than for normal noise.
         cost: Sum of the robust squares, each in units of the noise's variance.
@@ -175,25 +164,24 @@ def fit_without_lag(fit: AxisFit) -> AxisFit:
     return _conclude(fit.model, parameters, cost, fit.whitening, fit.is_outlier)
 
 
-def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
-    """Return the best fit of first order from other parameters on, with its own noise."""
-    found = _descend(fit.model, start[: LAG + 1], fit.whitening.apply)[0]
-    return _finish(fit.model, found)
-
-
-def refit_axis(fit: AxisFit, kind: Kind, starts: Sequence[float]) -> AxisFit:
-    """Return the best fit of another kind, with its own noise.
+def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]) -> AxisFit:
+    """Return the best fit of another structure, with its own noise.
 
     Args:
-        fit: Of first order.
-        kind: Of model.
-        starts: Values of its further parameter that are tried first.
+        fit: Of a structure.
+        structure: To fit.
+        starts: Values of its further parameters that are tried first.
     """
-    model = StepModel(fit.model.motions, kind)
-    tried = [
-        _descend(model, np.append(fit.parameters, start), fit.whitening.apply) for start in starts
-    ]
+    model = StepModel(fit.model.motions, structure)
+    near = fit.parameters[: LAG + 1]
+    tried = [_descend(model, np.append(near, start), fit.whitening.apply) for start in starts]
     return _finish(model, min(tried, key=lambda found: found[1])[0])
+
+
+def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
+    """Return the best fit of the same structure from other parameters on, with its own noise."""
+    near = np.append(start[: LAG + 1], fit.parameters[EXTRA:])
+    return _finish(fit.model, _descend(fit.model, near, fit.whitening.apply)[0])
 
 
 def _finish(model: StepModel, parameters: Values) -> AxisFit:
@@ -208,11 +196,11 @@ def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[Ax
 
     That is twice the negative logarithm of the likelihood, by the noise of the first part.
     """
-    model = StepModel(first, fit.model.kind)
+    model = StepModel(first, fit.model.structure)
     whitening, _ = _learn_noise(model, fit.parameters)
     parameters, _ = _descend(model, fit.parameters, whitening.apply)
     noise = _learn_noise(model, parameters)[0].noise
-    ahead = StepModel(rest, fit.model.kind)
+    ahead = StepModel(rest, fit.model.structure)
     residual = ahead.moved - ahead.linearise(parameters)[0]
     outlier = find_outliers(residual)
     whitening = Whitening(noise, ahead.duration_s, ahead.follows, outlier)
@@ -224,15 +212,30 @@ def measure_badness(fit: AxisFit) -> float:
     return fit.cost + fit.whitening.log_size
 
 
-def measure_gain(fit: AxisFit, kind: Kind, extra: float) -> float:
-    """Return by how much a further parameter could lower the sum of squares, to first order."""
+def measure_gain(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
+    """Return by how much further parameters could lower the sum of squares, to first order."""
     modelled, slopes = fit.model.linearise(fit.parameters)
-    other = StepModel(fit.model.motions, kind)
-    bent = other.linearise(np.append(fit.parameters, extra))[0] - modelled
+    gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
+    other = StepModel(fit.model.motions, structure)
+    bent = gain * other.predict(dead_time_s, other.prepare(lag_s, *extras))[0][0] - modelled
     columns = fit.whitening.apply(np.column_stack([slopes, bent]))
     white = np.clip(fit.white, -_SOFT, _SOFT)
     left = [white - part @ np.linalg.lstsq(part, white)[0] for part in (columns[:, :-1], columns)]
     return float(left[0] @ left[0] - left[1] @ left[1])
+
+
+def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
+    """Return by how much some steps alone would move the parameters, and the covariance of that.
+
+    Parameters are ordered as in the fit's covariance.
+    """
+    _, slopes = fit.model.linearise(fit.parameters)
+    slopes[:, LAG] -= slopes[:, DEAD_TIME]
+    white, slopes = fit.white[part], fit.whitening.apply(slopes)[part]
+    covariance, _ = _estimate_covariance(white, slopes)
+    bent = 1.0 + (white / _SOFT) ** 2
+    inverse = _invert(slopes.T @ (slopes * (bent**-1.5)[:, None]))
+    return inverse @ (slopes.T @ (white / np.sqrt(bent))), covariance
 
 
 def _learn_noise(model: StepModel, parameters: Values) -> tuple[Whitening, NDArray[np.bool_]]:

@@ -1,7 +1,8 @@
 """The values of an axis with their intervals, from a fit."""
 
 from dataclasses import replace
-from typing import Final
+from types import MappingProxyType
+from typing import Final, Literal
 
 import numpy as np
 
@@ -20,12 +21,17 @@ from turtlelog.identify.axis_motion import (
 )
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate
+from turtlelog.identify.robot_structure import FIRST_ORDER
 
 NORMAL_95: Final = 1.96
 """Standard deviations on either side that hold 95 % of normal noise."""
 
 _SHORT_LAG: Final = 2.0
 """A lag of so many steps between poses or less may as well be none."""
+
+_ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag"]](
+    {"limited_before": "before_lag", "limited_within": "within_lag"}
+)
 
 
 def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
@@ -36,12 +42,8 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
     moved, white = fit.model.moved[counted], fit.white[counted]
     left = float(np.sum(fit.residual[counted] ** 2))
     spread = float(np.sum((moved - moved.mean()) ** 2))
-    kind = fit.model.kind
-    product = limit = None
-    if kind == "second_order":
-        product = _estimate(float(parameters[EXTRA]), float(errors[EXTRA]), "s^2")
-    if kind == "limited":
-        limit = _estimate_limit(parameters, covariance, f"{UNITS[axis]}^2")
+    structure = fit.model.structure
+    names = {name: place for place, name in enumerate(structure.names, EXTRA)}
     total = _estimate(float(parameters[DEAD_TIME] + parameters[LAG]), float(errors[TOTAL]))
     dead_time, lag = _allow_no_lag(
         fit,
@@ -52,13 +54,19 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
     return AxisModel(
         axis=axis,
         status="ok",
-        model="second_order" if kind == "second_order" else "first_order",
+        model="second_order" if structure.order == "second_order" else "first_order",
         gain=_estimate(float(parameters[GAIN]), float(errors[GAIN]), "1"),
         dead_time_s=replace(dead_time, high=min(dead_time.high, total.high)),
         lag_s=replace(lag, high=min(lag.high, total.high)),
         total_delay_s=total,
-        lag_product_s2=product,
-        rate_limit=limit,
+        lag_product_s2=_take(fit, names.get("product"), "s^2"),
+        limit_acts=_ACTS.get(structure.order, ""),
+        rate_limit=_divide(fit, names.get("slowness"), f"{UNITS[axis]}^2"),
+        bound=_divide(fit, names.get("tightness"), UNITS[axis]),
+        bound_acts=structure.bound,
+        reverse_gain=_multiply(fit, names.get("reverse")),
+        friction=_take(fit, names.get("friction"), UNITS[axis]),
+        deadband=_estimate_deadband(fit, UNITS[axis]),
         explained=1.0 - left / spread if spread > 0.0 else None,
         whiteness=_measure_whiteness(white),
         outliers=int(np.count_nonzero(fit.is_outlier)),
@@ -81,7 +89,7 @@ def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Est
     its errors are not normal, and the cost tells more than its curvature does.
     """
     short_s = _SHORT_LAG * float(np.median(fit.model.duration_s))
-    if fit.model.kind != "first_order" or lag.low <= 0.0 or lag.value > short_s:
+    if fit.model.structure != FIRST_ORDER or lag.low <= 0.0 or lag.value > short_s:
         return dead_time, lag
     without = fit_without_lag(fit)
     if without.cost - fit.cost > NORMAL_95**2 * fit.dispersion:
@@ -97,13 +105,46 @@ def _estimate(value: float, error: float, unit: str = "s") -> Estimate:
     return Estimate(value=value, low=max(value - half, 0.0), high=value + half, unit=unit)
 
 
-def _estimate_limit(parameters: Values, covariance: Values, unit: str) -> Estimate:
-    """Return the largest change of the rate: the gain by the time that a unit takes."""
-    gain, slowness = float(parameters[GAIN]), float(parameters[EXTRA])
-    slope = np.array([1.0 / slowness, -gain / slowness**2])
-    rows = np.ix_([GAIN, EXTRA], [GAIN, EXTRA])
-    error = float(np.sqrt(max(slope @ covariance[rows] @ slope, 0.0)))
-    return _estimate(gain / slowness, error, unit)
+def _take(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
+    """Return a further parameter."""
+    if place is None:
+        return None
+    error = float(np.sqrt(max(fit.covariance[place, place], 0.0)))
+    return _estimate(float(fit.parameters[place]), error, unit)
+
+
+def _divide(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
+    """Return the gain by a further parameter, such as a limit of the rate."""
+    if place is None:
+        return None
+    gain, by = fit.parameters[[GAIN, place]].tolist()
+    if by <= 0.0:
+        return None
+    return _estimate(gain / by, _find_error(fit, place, [1.0 / by, -gain / by**2]), unit)
+
+
+def _multiply(fit: AxisFit, place: int | None) -> Estimate | None:
+    """Return the gain times a further parameter."""
+    if place is None:
+        return None
+    gain, by = fit.parameters[[GAIN, place]].tolist()
+    return _estimate(gain * by, _find_error(fit, place, [by, gain]), "1")
+
+
+def _find_error(fit: AxisFit, place: int, slope: list[float]) -> float:
+    """Return the standard error of what depends on the gain and a further parameter."""
+    rows = np.ix_([GAIN, place], [GAIN, place])
+    return float(np.sqrt(max(float(slope @ fit.covariance[rows] @ slope), 0.0)))
+
+
+def _estimate_deadband(fit: AxisFit, unit: str) -> Estimate | None:
+    """Return the deadband: between the commands that move nothing and those that do."""
+    low = fit.model.structure.deadband
+    if not low:
+        return None
+    sizes = np.abs(np.concatenate([motion.commands.value for motion in fit.model.motions]))
+    high = float(sizes[sizes > low].min())
+    return Estimate(value=0.5 * (low + high), low=low, high=high, unit=unit)
 
 
 def _measure_whiteness(white: Values) -> float | None:

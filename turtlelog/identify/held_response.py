@@ -6,6 +6,7 @@ time: there is no grid in time, however irregular commands and poses are.
 """
 
 import cmath
+import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -118,6 +119,69 @@ def limit_changes(commands: HeldCommands, slowness: float) -> HeldCommands:
     value = np.column_stack([begins, begins + slope * ramp_s])
     slopes = np.column_stack([slope, np.zeros(len(slope))])
     return _integrate_commands(time_s.ravel(), value.ravel(), slopes.ravel())
+
+
+def limit_within(
+    commands: HeldCommands, slowness: float, lag_s: float, most: float = math.inf
+) -> HeldCommands:
+    """Return what a lag must be asked for so that its rate, or the rate's change, has a limit.
+
+    rate' = clip((command - rate) / lag, +-limit) is a lag behind clip(command, rate +- limit lag):
+    a ramp that is ahead of the rate, and where it reaches the command, the command. Where the rate
+    is at its largest, it asks for no more.
+
+    Args:
+        commands: To follow.
+        slowness: Time that a change of 1 takes [s^2/m] or [s^2/rad]; 0 for no limit of that.
+        lag_s: The time constant [s].
+        most: The largest rate, of a gain of 1 [m/s] or [rad/s].
+    """
+    lag_s = max(lag_s, _LEAST_LAG_S)
+    ahead = lag_s / slowness if slowness > 0.0 else math.inf
+    rate, rows = float(commands.value[0]), []
+    ends_s = np.append(commands.time_s[1:], np.inf)
+    for begin_s, end_s, value in zip(
+        commands.time_s.tolist(), ends_s.tolist(), commands.value.tolist(), strict=True
+    ):
+        now_s, left_s, off = begin_s, end_s - begin_s, value - rate
+        stops, end = abs(value) > most, math.copysign(most, value)
+        if abs(off) > ahead:
+            way = min(abs(off) - ahead, abs(end - rate) if stops else math.inf)
+            took_s = min(way * slowness, left_s)
+            slope = math.copysign(1.0 / slowness, off)
+            rows.append((now_s, rate + slope * lag_s, slope))
+            now_s, left_s, rate = now_s + took_s, left_s - took_s, rate + slope * took_s
+            off = value - rate
+        if left_s > 0.0:
+            ends_after_s = lag_s * math.log(max(off / (value - end), 1.0)) if stops else math.inf
+            took_s = min(ends_after_s, left_s)
+            rows.append((now_s, value, 0.0))
+            now_s, left_s = now_s + took_s, left_s - took_s
+            rate = value - off * math.exp(-took_s / lag_s)
+        if left_s > 0.0:
+            rows.append((now_s, end, 0.0))
+            rate = end
+    return _integrate_commands(*np.array(rows).T)
+
+
+def shape_commands(
+    commands: HeldCommands, *, tightness: float, reverse: float, friction: float, deadband: float
+) -> HeldCommands:
+    """Return commands as a robot takes them that does not take all alike.
+
+    Args:
+        commands: To follow.
+        tightness: One by the largest that acts whole [s/m] or [s/rad]; 0 for none.
+        reverse: Gain of those below 0 by that of the others [1].
+        friction: What each lacks of its magnitude [m/s] or [rad/s].
+        deadband: Magnitude up to which they move nothing [m/s] or [rad/s].
+    """
+    size = np.maximum(np.abs(commands.value) - friction, 0.0)
+    value = np.where(commands.value < 0.0, -reverse, 1.0) * size
+    value[np.abs(commands.value) <= deadband] = 0.0
+    if tightness > 0.0:
+        value = np.clip(value, -1.0 / tightness, 1.0 / tightness)
+    return _integrate_commands(commands.time_s, value, commands.slope)
 
 
 class LaggedResponse:

@@ -7,7 +7,7 @@ import numpy as np
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import Axis, AxisMotion, measure_steps, read_axis_motion
-from turtlelog.identify.held_response import LaggedResponse, Values, limit_changes
+from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel
 from turtlelog.run import Run
 
@@ -93,9 +93,6 @@ def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Va
     if gain is None or dead_time_s is None or lag_s is None:
         raise IdentifyError(f"{model.axis}: not identified: {model.reason}")
     commands = read_axis_motion(run, model.axis).commands
-    if model.rate_limit is not None:
-        commands = limit_changes(commands, gain.value / model.rate_limit.value)
-    product_s2 = 0.0 if model.lag_product_s2 is None else model.lag_product_s2.value
-    response = LaggedResponse(commands, lag_s.value, product_s2)
+    response = model.structure.respond(commands, lag_s.value, model.extras)
     way, rate = response.evaluate(response.place(time_s - dead_time_s.value))
     return gain.value * (way - way[:1]), gain.value * rate

@@ -23,7 +23,7 @@ from turtlelog.identify.axis_motion import (
 )
 from turtlelog.identify.axis_values import NORMAL_95, describe_fit
 from turtlelog.identify.correlation import find_correlation_delay
-from turtlelog.identify.order_choice import choose_order
+from turtlelog.identify.doubts import cover_parts, cover_rivals
 from turtlelog.identify.refused_axes import (
     find_absurd,
     find_no_excitation,
@@ -32,12 +32,16 @@ from turtlelog.identify.refused_axes import (
     refuse_fit,
 )
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel
+from turtlelog.identify.structure_choice import choose_structure
 from turtlelog.identify.tick_delays import identify_ticks
 from turtlelog.run import Run
 
 _DIFFERENT: Final = 3.0
 """Standard deviations by which two runs must differ to be called different: by chance in 0.3 % of
 pairs."""
+
+_ALIKE: Final = 0.05
+"""Share by which commands of one size differ at most: less shows no other gain than noise does."""
 
 _FEWEST_STEPS: Final = 50
 """Fewest steps between poses from which noise can be told [1]: a second and a half at 30 Hz."""
@@ -66,7 +70,9 @@ def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
     if exact is not None:
         return exact
     found = [_identify_axis(runs, axis) for axis in AXES]
-    notes = [note for model, _ in found for note in _compare_runs(runs, model)]
+    notes = [doubt for model, _ in found for doubt in model.doubts]
+    notes += [note for model, _ in found for note in _compare_runs(runs, model)]
+    notes += [_note_one_size(model) for model, _ in found if _has_one_size(runs, model)]
     notes += [_note_stops(model) for model, _ in found if model.silent_stops_s]
     notes += [_note_part(model) for model, _ in found if model.steps < model.steps_in_all]
     return RobotModel(
@@ -99,8 +105,14 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     except NoGainError as err:
         opposite = find_opposite(axis, motions, None)
         return opposite or refuse_axis(axis, str(err)), []
-    fit = choose_order(fit)
-    found = describe_fit(axis, fit, sum(_count_changes(run, axis) for run in runs))
+    fit, rivals = choose_structure(fit)
+    changes = sum(_count_changes(run, axis) for run in runs)
+    found = cover_rivals(
+        describe_fit(axis, fit, changes),
+        fit.model.structure,
+        [(rival.model.structure, describe_fit(axis, rival, changes)) for rival in rivals],
+    )
+    found = cover_parts(found, fit)
     refused = refuse_fit(axis, motions, fit, found)
     if refused is not None:
         return refused, []
@@ -115,6 +127,20 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         silent_stops_s=tuple(waits_s),
     )
     return found, _list_events(names, axis, fit)
+
+
+def _has_one_size(runs: Sequence[Run], model: AxisModel) -> bool:
+    """Return whether all commands of an axis that is known have one magnitude."""
+    sizes = np.abs(np.concatenate([get_commands(run, model.axis) for run in runs]))
+    moving = sizes[sizes > 0.0]
+    return model.is_known and float(np.ptp(moving)) <= _ALIKE * float(moving.max())
+
+
+def _note_one_size(model: AxisModel) -> str:
+    return (
+        f"All commands of the {NAMES[model.axis]} have one size: whether its gain holds for"
+        " smaller ones, and where its speed ends, the log does not show."
+    )
 
 
 def _note_stops(model: AxisModel) -> str:
@@ -166,8 +192,9 @@ def _tell_differences(name: str, alone: AxisModel, together: AxisModel) -> list[
     told = []
     for field in ("gain", "dead_time_s", "lag_s", "total_delay_s"):
         one, other = getattr(alone, field), getattr(together, field)
-        half = [estimate.high - estimate.value for estimate in (one, other)]
-        error = float(np.hypot(*half)) / NORMAL_95
+        # All of them together may be wider for what differs, but never tell less than one.
+        half = one.high - one.value
+        error = float(np.hypot(half, min(half, other.high - other.value))) / NORMAL_95
         if abs(one.value - other.value) > _DIFFERENT * error:
             what = field.removesuffix("_s").replace("_", " ")
             told.append(f"{what} {_tell(one)} instead of {_tell(other)}")

@@ -1,11 +1,13 @@
 """What is known of a robot's dynamics: values with intervals, or the reason why there are none."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal, SupportsFloat
 
 from turtlelog.display import format_html
 from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
+from turtlelog.identify.robot_structure import Bound, Order, Structure
 from turtlelog.run import Clock
 
 
@@ -81,6 +83,15 @@ class AxisModel:
         total_delay_s: Dead time and lag together, which is better known than either [s].
         lag_product_s2: Product of both time constants of second order [s^2].
         rate_limit: Largest change of the rate [m/s^2] or [rad/s^2], where the motion shows one.
+        limit_acts: Where it acts: before the lag, which then follows a ramp, or within its loop, so
+            that the rate itself is a ramp; empty where there is none.
+        bound: Largest rate [m/s] or [rad/s], where commands go beyond it.
+        bound_acts: What ends there: the command, which the lag then follows, or the rate, which
+            until then follows larger commands; empty where there is none.
+        deadband: Command up to which nothing moves [m/s] or [rad/s], where the motion shows one.
+        reverse_gain: Gain of commands below 0, where it is another [1].
+        friction: What every command lacks of its magnitude [m/s] or [rad/s], where the motion shows
+            it; the gain is that of the rest.
         explained: Share of the variance of the steps between poses that the model explains.
         whiteness: Of what it leaves: the mean square of its changes by twice its mean square, 1
             for noise, near 0 for a curve; the noise of poses is taken out.
@@ -92,6 +103,8 @@ class AxisModel:
         steps: Steps between poses that were used.
         steps_in_all: Steps between poses in which commands act.
         changes: How often the command changes.
+        doubts: What its intervals cover beside noise, in sentences: structures that the log does
+            not tell apart, and parts of the motion that differ.
         silent_stops_s: How long after the last command the rate is down to half where the robot
             stops by itself because no command comes [s].
     """
@@ -107,6 +120,12 @@ class AxisModel:
     total_delay_s: Estimate | None = None
     lag_product_s2: Estimate | None = None
     rate_limit: Estimate | None = None
+    limit_acts: Literal["", "before_lag", "within_lag"] = ""
+    bound: Estimate | None = None
+    bound_acts: Bound = ""
+    deadband: Estimate | None = None
+    reverse_gain: Estimate | None = None
+    friction: Estimate | None = None
     explained: float | None = None
     whiteness: float | None = None
     outliers: int = 0
@@ -115,7 +134,50 @@ class AxisModel:
     steps: int = 0
     steps_in_all: int = 0
     changes: int = 0
+    doubts: tuple[str, ...] = ()
     silent_stops_s: tuple[float, ...] = ()
+
+    @property
+    def advised_delay_s(self) -> float | None:
+        """The total delay that a controller should reckon with: in doubt the longest [s]."""
+        total = self.total_delay_s
+        if total is None:
+            return None
+        return total.high if self.doubts else total.value
+
+    @property
+    def advised_gain(self) -> float | None:
+        """The gain likewise: of both directions, and in doubt, the largest [1]."""
+        gains = [one for one in (self.gain, self.reverse_gain) if one is not None]
+        return max((one.high if self.doubts else one.value for one in gains), default=None)
+
+    @property
+    def structure(self) -> Structure:
+        """Which further parameters it has."""
+        order: Order = "second_order" if self.model == "second_order" else "first_order"
+        if self.limit_acts:
+            order = "limited_before" if self.limit_acts == "before_lag" else "limited_within"
+        return Structure(
+            order=order,
+            bound=self.bound_acts,
+            has_reverse=self.reverse_gain is not None,
+            has_friction=self.friction is not None,
+            deadband=0.0 if self.deadband is None else self.deadband.low,
+        )
+
+    @property
+    def extras(self) -> list[float]:
+        """Values of these further parameters, as shares of its gain."""
+        gain = math.nan if self.gain is None else self.gain.value
+        values = {
+            "product": self.lag_product_s2,
+            "slowness": self.rate_limit,
+            "tightness": self.bound,
+            "reverse": self.reverse_gain,
+            "friction": self.friction,
+        }
+        found = [(name, values[name]) for name in self.structure.names]
+        return [_divide(name, one.value, gain) for name, one in found if one is not None]
 
     @property
     def is_known(self) -> bool:
@@ -126,6 +188,13 @@ class AxisModel:
     def is_idle(self) -> bool:
         """Whether it is never commanded, so that nothing is asked of it."""
         return self.reason == f"the {NAMES[self.axis]} is never commanded"
+
+
+def _divide(name: str, value: float, gain: float) -> float:
+    """Return a further parameter of a structure with a gain of 1."""
+    if name in {"slowness", "tightness"}:
+        return gain / value
+    return value / gain if name == "reverse" else value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from turtlelog.arithmetic import begin_row, called, least, to_float32, to_ns, wrap_angle
+from turtlelog.arithmetic import begin_row, called, clip, least, to_float32, to_ns, wrap_angle
 from turtlelog.parts import (
     LARGEST_FLOAT,
     LARGEST_M,
@@ -21,7 +21,9 @@ from turtlelog.parts import (
     Period,
     Plant,
     PlantPart,
+    Positive,
     Time,
+    absent,
 )
 
 LAGGED: Final = "lagged"
@@ -69,6 +71,8 @@ class LaggedKeys:
         turn_gain: Turn rate that a command of 1 rad/s leads to [1]; 1 where it is not given.
         turn_dead_time_s: As of the speed [s].
         turn_lag_s: As of the speed [s].
+        speed_bound: Largest speed that a command leads to [m/s]; inf, where it is not given: none.
+        turn_bound: Largest turn rate likewise [rad/s].
     """
 
     period_s: Period = 0.05
@@ -78,6 +82,8 @@ class LaggedKeys:
     turn_gain: Offset = 1.0
     turn_dead_time_s: Time = 0.0
     turn_lag_s: Time = 0.0
+    speed_bound: Positive = absent(math.inf, may_be_infinite=True)
+    turn_bound: Positive = absent(math.inf, may_be_infinite=True)
 
 
 def find_facts(keys: Any) -> Plant:
@@ -206,7 +212,7 @@ def _switch_speed(keys: Any, state: Any, rows: Any) -> None:
     axis = state.speed
     while axis.next_ns <= state.now_ns:
         wanted = keys.speed_gain * rows.waiting[axis.waiting_first].speed
-        _follow(axis, wanted, keys.speed_lag_s)
+        _follow(axis, clip(wanted, keys.speed_bound), keys.speed_lag_s)
         axis.next_ns = _find_next(axis, state, rows, keys.speed_dead_time_s)
 
 
@@ -214,7 +220,7 @@ def _switch_turn(keys: Any, state: Any, rows: Any) -> None:
     axis = state.turn
     while axis.next_ns <= state.now_ns:
         wanted = keys.turn_gain * rows.waiting[axis.waiting_first].turn_rate
-        _follow(axis, wanted, keys.turn_lag_s)
+        _follow(axis, clip(wanted, keys.turn_bound), keys.turn_lag_s)
         axis.next_ns = _find_next(axis, state, rows, keys.turn_dead_time_s)
 
 

@@ -35,8 +35,8 @@ def list_keys(kind: type) -> tuple[dataclasses.Field[Any], ...]:
 class _PlantTable:
     """What is driven: the table `[plant]`.
 
-    The keys are those of all kinds; of the plant's own, one that is not given has its default, and
-    one of another kind is refused.
+    The keys are those of all kinds; of the plant's own, one that is not given has its default, or
+    stays None where files do without it, and one of another kind is refused.
     """
 
     __slots__ = ()
@@ -44,7 +44,11 @@ class _PlantTable:
     kind: str
 
     def __post_init__(self) -> None:
-        own = {one.name: one.default for one in list_keys(PLANTS[self.kind].Keys)}
+        fields = list_keys(PLANTS[self.kind].Keys)
+        own = {
+            one.name: None if ABSENT_BY_DEFAULT.keys() <= one.metadata.keys() else one.default
+            for one in fields
+        }
         for one in list_keys(type(self)):
             value = getattr(self, one.name)
             if one.name in own and value is None:
@@ -57,7 +61,8 @@ class _PlantTable:
     def keys(self) -> Any:
         """The keys of its kind."""
         kind = PLANTS[self.kind].Keys
-        return kind(**{one.name: getattr(self, one.name) for one in list_keys(kind)})
+        given = {one.name: getattr(self, one.name) for one in list_keys(kind)}
+        return kind(**{name: value for name, value in given.items() if value is not None})
 
     @property
     def facts(self) -> Plant:
@@ -72,7 +77,7 @@ def _build_plant_table() -> type[Any]:
     }
     for part in PLANTS.values():
         for one in list_keys(part.Keys):
-            default = dataclasses.field(default=None)
+            default = dataclasses.field(default=None, metadata=one.metadata)
             kind = cast("type[Any]", one.type)
             fields.setdefault(one.name, (one.name, kind | None, default))
     made = dataclasses.make_dataclass(

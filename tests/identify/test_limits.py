@@ -1,0 +1,206 @@
+"""Robots with limits: what is found of them, what is doubted, and gains that suit them."""
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from tests.identify.limited_robots import (
+    Limited,
+    draw_robot,
+    find_headings,
+    turn_as_advised,
+    turn_on_the_spot,
+)
+from tests.identify.robots import Log, make_run
+from tests.known import known
+from turtlelog.identify import AxisModel, build_robot_scenario, predict_axis, read_doubts
+from turtlelog.identify.held_response import LaggedResponse, hold_commands, limit_within
+from turtlelog.run import Run
+
+LOG = Log(duration_s=25.0, poses_hz=25.0)
+TRUTHS = {
+    "acceleration": Limited(acceleration=2.0),
+    "ramp": Limited(ramp=2.0),
+    "bound": Limited(bound=0.7),
+    "stop": Limited(stop=0.7),
+    "both": Limited(acceleration=2.5, bound=0.8),
+    "friction": Limited(friction=0.2),
+    "deadband": Limited(deadband=0.3),
+    "direction": Limited(reverse=0.8),
+}
+
+
+@cache
+def identify(kind: str) -> tuple[Run, tl.RobotModel]:
+    run = turn_on_the_spot(TRUTHS[kind], LOG, 2)
+    return run, tl.identify_robot(run)
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        Limited(acceleration=2.0),
+        Limited(ramp=2.0),
+        Limited(acceleration=1.0, bound=0.5),
+        Limited(stop=0.6),
+        Limited(acceleration=2.0, stop=0.6),
+    ],
+    ids=["within", "before", "bound", "stop", "both"],
+)
+def test_the_robots_turn_as_small_steps_in_time_do(truth: Limited) -> None:
+    step_s, at_s = 1e-4, np.array([0.4, 0.7, 1.3, 2.0])
+    command_s, turns = np.array([0.1, 0.5, 0.55, 1.2]), np.array([1.0, -1.4, 0.2, 0.9])
+    heading = rate = asked = 0.0
+    headings = []
+    for tick in range(20_000):
+        held = np.searchsorted(command_s + truth.dead_time_s, tick * step_s, side="right")
+        wanted = truth.ask(float(turns[held - 1])) if held else 0.0
+        asked += float(np.clip(wanted - asked, -truth.ramp * step_s, truth.ramp * step_s))
+        heading += rate * step_s
+        most = truth.acceleration
+        rate += float(np.clip((asked - rate) / truth.lag_s, -most, most)) * step_s
+        rate = float(np.clip(rate, -truth.stop, truth.stop))
+        headings.append(heading)
+    rows = np.rint(at_s / step_s).astype(int) - 1
+    found = find_headings(truth, command_s, turns, at_s)
+    np.testing.assert_allclose(found, np.array(headings)[rows], atol=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "value"),
+    [
+        ("acceleration", "rate_limit", 2.0),
+        ("ramp", "rate_limit", 2.0),
+        ("bound", "bound", 0.7),
+        ("stop", "bound", 0.7),
+        ("both", "bound", 0.8),
+        ("both", "rate_limit", 2.5),
+        ("friction", "friction", 0.2),
+        ("direction", "reverse_gain", 0.95 * 0.8),
+    ],
+)
+def test_a_limit_is_found_where_there_is_one(kind: str, field: str, value: float) -> None:
+    """Each robot is identified once, by the first of these tests that asks for it."""
+    found = known(getattr(identify(kind)[1].turn_rate, field))
+    assert found.value == pytest.approx(value, rel=5e-3)
+    assert found.low < value < found.high
+
+
+@pytest.mark.parametrize("kind", TRUTHS)
+def test_a_limit_leaves_gain_and_delays_as_they_are(kind: str) -> None:
+    truth, found = TRUTHS[kind], identify(kind)[1].turn_rate
+    delays_s = known(found.dead_time_s), known(found.lag_s), known(found.total_delay_s)
+    assert known(found.gain).value == pytest.approx(truth.gain, rel=2e-3)
+    for delay, value in zip(delays_s, (0.07, 0.1, 0.17), strict=True):
+        assert delay.value == pytest.approx(value, abs=2e-3)
+        assert delay.high - delay.low < 0.01
+    assert found.doubts == ()
+
+
+def test_where_a_limit_acts_is_told() -> None:
+    kinds = "acceleration", "ramp", "bound", "stop"
+    found = [identify(kind)[1].turn_rate for kind in kinds]
+    assert [axis.limit_acts for axis in found] == ["within_lag", "before_lag", "", ""]
+    assert [axis.bound_acts for axis in found] == ["", "", "command", "rate"]
+
+
+def test_a_deadband_lies_between_the_commands_that_do_nothing_and_those_that_do() -> None:
+    found = known(identify("deadband")[1].turn_rate.deadband)
+    assert found.low < 0.3 <= found.high
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "ramp", "bound", "stop", "both", "direction"])
+def test_advised_gains_overshoot_by_no_more_than_was_wanted(kind: str) -> None:
+    run, model = identify(kind)
+    assert max(turn_as_advised(model, run, TRUTHS[kind])) <= 6.0
+
+
+def test_the_scenario_has_the_command_at_which_the_bound_is_reached() -> None:
+    run, model = identify("bound")
+    limit = build_robot_scenario(model, run).scenario.limits.turn_rate_rad_s
+    assert limit == pytest.approx(0.7 / 0.95, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "both", "stop", "friction", "direction"])
+def test_the_model_predicts_the_motion_of_a_robot_with_limits(kind: str) -> None:
+    run, model = identify(kind)
+    way, _ = predict_axis(model.turn_rate, run, run.poses.time_ns / 1e9)
+    off = np.unwrap(run.poses.heading_rad) - way
+    assert float(np.std(off)) < 0.02  # of turns by 10 rad
+
+
+def test_a_limit_within_the_loop_that_is_never_reached_changes_nothing() -> None:
+    at_s, values = np.array([0.1, 0.5, 0.9]), np.array([1.0, -1.0, 0.3])
+    commands, time_s = hold_commands(at_s, values, 0.0), np.linspace(0.0, 2.0, 50)
+    plain = LaggedResponse(commands, 0.2)
+    limited = LaggedResponse(limit_within(commands, 1e-3, 0.2), 0.2)
+    (way, rate), (other_way, other_rate) = (
+        response.evaluate(response.place(time_s)) for response in (plain, limited)
+    )
+    np.testing.assert_allclose(other_rate, rate, atol=1e-12)
+    np.testing.assert_allclose(other_way - other_way[0], way - way[0], atol=1e-12)
+
+
+BRAKING = Limited(lag_s=0.2, braking=0.45)
+
+
+@cache
+def identify_braking() -> tuple[Run, tl.RobotModel]:
+    run = turn_on_the_spot(BRAKING, LOG, 2)
+    return run, tl.identify_robot(run)
+
+
+def test_a_curve_that_no_model_explains_makes_intervals_wider_and_a_doubt() -> None:
+    _, model = identify_braking()
+    found, noted = model.turn_rate, " ".join(model.notes)
+    total_s = known(found.total_delay_s)
+    assert total_s.low <= 0.07 + 0.45 * 0.2 + 0.03
+    assert total_s.high >= 0.07 + 0.2 - 0.03
+    assert "No model explains the turn rate whole" in noted
+    assert "rising from falling ones" in noted
+
+
+def test_in_doubt_advice_has_the_longer_delay_and_says_so() -> None:
+    run, model = identify_braking()
+    axis, robot = model.turn_rate, build_robot_scenario(model, run)
+    plant: Any = robot.scenario.plant
+    assert axis.advised_delay_s == known(axis.total_delay_s).high
+    delay_s = plant.turn_dead_time_s + plant.turn_lag_s
+    assert delay_s >= known(axis.total_delay_s).high - 1e-5
+    assert plant.turn_gain == pytest.approx(known(axis.gain).high, rel=1e-4)
+    assert read_doubts(robot.text) == [f"Doubt: {axis.doubts[0]}"]
+    assert max(turn_as_advised(model, run, BRAKING)) <= 6.0
+
+
+def test_structures_that_the_log_does_not_tell_apart_are_both_covered() -> None:
+    truth, log = draw_robot("ramp before", 12)
+    log = replace(log, noise_rad=12.0 * log.noise_rad, duration_s=20.0)
+    found: AxisModel = tl.identify_robot(turn_on_the_spot(truth, log, 12)).turn_rate
+    dead_time_s = known(found.dead_time_s)
+    assert dead_time_s.low <= truth.dead_time_s <= dead_time_s.high
+    assert "within the velocity loop" in found.doubts[0]
+    assert "before the time constant" in found.doubts[0]
+
+
+def test_a_robot_that_one_lag_explains_has_neither_limits_nor_doubts() -> None:
+    found = tl.identify_robot(turn_on_the_spot(Limited(), LOG, 2)).turn_rate
+    limits = found.rate_limit, found.bound, found.deadband, found.friction, found.reverse_gain
+    assert limits == (None,) * 5
+    assert found.doubts == ()
+    assert found.advised_delay_s == known(found.total_delay_s).value
+
+
+@pytest.mark.parametrize(("small", "is_told"), [(0.5, False), (0.9, False), (0.96, True)])
+def test_commands_of_one_size_leave_the_gain_of_others_unknown(
+    small: float, *, is_told: bool
+) -> None:
+    time_s = np.arange(0.5, 14.5, 0.05)
+    sizes = np.array([1.0, -small, small, 0.0, -1.0])
+    turns = time_s, sizes[(time_s / 0.9).astype(int) % 5]
+    run = make_run(replace(LOG, duration_s=15.0), 2, speed=(time_s, 0.0 * time_s), turn=turns)
+    notes = " ".join(tl.identify_robot(run).notes)
+    assert ("All commands of the turn rate have one size" in notes) is is_told

@@ -1,0 +1,234 @@
+"""Doubts about a fit: structures between which the log does not decide, and curves it leaves.
+
+Both widen the intervals until they hold, and are told.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import join_words
+from turtlelog.identify.axis_fit import DEAD_TIME, GAIN, LAG, TOTAL, AxisFit, solve_part
+from turtlelog.identify.axis_motion import NAMES
+from turtlelog.identify.held_response import Values
+from turtlelog.identify.robot_model import AxisModel, Estimate
+from turtlelog.identify.robot_structure import Structure
+from turtlelog.identify.step_noise import LEAST_STEP
+
+_FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
+
+_FEWEST: Final = 50
+"""Steps of a part of the motion from which it has values of its own."""
+
+_APART: Final = 4.0
+"""Standard deviations by which two parts of the motion must differ to be a curve that the model
+leaves: by chance in 1 of 1,000 robots, of 16 differences each."""
+
+_LIKELY: Final = 2.0
+"""The same where the model leaves a curve, so that something must differ."""
+
+_CURVE: Final = 4.0
+"""Standard deviations above which neighbours that are off alike are a curve: of 240 robots that a
+model explains one has more than 3, of those that it does not most have more than 10."""
+
+_IN_TURNS: Final = 0.1
+"""Correlation by which the nearest must be off in turns: slip that is taken for no less than
+something makes a hundredth or two, which a long log shows surely and which changes nothing."""
+
+_NEIGHBOURS_S: Final = 0.5
+"""How far apart neighbours are at most [s]: a step of a usual robot lasts so long."""
+
+_MOST: Final = 3.0
+"""Standard deviations to which residuals are clipped there."""
+
+_TELLS: Final = 1.05
+"""By how much an interval must become wider to be told."""
+
+
+def cover_rivals(
+    found: AxisModel, structure: Structure, others: Sequence[tuple[Structure, AxisModel]]
+) -> AxisModel:
+    """Return an axis whose intervals cover those of other structures that explain it as well."""
+    covered = found
+    for _, other in others:
+        for field in _FIELDS:
+            covered = _widen(covered, field, getattr(other, field))
+    if not _is_wider(found, covered):
+        return covered
+    names = [describe_structure(one) for one in (structure, *(one for one, _ in others))]
+    doubt = (
+        f"The log does not show what limits the {NAMES[found.axis]}: {' or '.join(names)}."
+        " The intervals cover each, and advice uses the longer delay."
+    )
+    return replace(covered, doubts=(*found.doubts, doubt))
+
+
+def describe_structure(structure: Structure) -> str:
+    """Return what a structure has beside a dead time and a time constant."""
+    parts = {
+        "second_order": "a second time constant",
+        "limited_before": "a limit of the acceleration before the time constant",
+        "limited_within": "a limit of the acceleration within the velocity loop",
+    }
+    said = [parts[structure.order]] if structure.order in parts else []
+    said += [f"a bound of the {structure.bound}"] if structure.bound else []
+    said += ["another gain backwards"] if structure.has_reverse else []
+    said += ["friction"] if structure.has_friction else []
+    said += ["a deadband"] if structure.deadband else []
+    return join_words(said) if said else "one time constant alone"
+
+
+def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
+    """Return an axis whose intervals cover what parts of the motion say that differ.
+
+    Small commands and large ones, those of either sign, rising and falling ones, and both halves of
+    the log have one set of values where the model explains the motion. Where it leaves a curve they
+    count as different sooner, and all intervals grow by what neighbours share.
+    """
+    excess = measure_curve(fit)
+    is_curve = excess > _CURVE
+    covered, said = found, []
+    if is_curve:
+        for field in _FIELDS:
+            covered = _stretch(covered, field, _measure_sharing(fit))
+    for names, is_first in _split_steps(fit):
+        differing = [*_compare_parts(fit, is_first, _LIKELY if is_curve else _APART)]
+        for field, values in differing:
+            for value in values:
+                covered = _widen(covered, field, value)
+        if differing:
+            said.append(f"{names[0]} from {names[1]} ones")
+    if not said and not is_curve:
+        return covered
+    what = f" Commands differ: {join_words(said)}." if said else ""
+    doubt = (
+        f"No model explains the {NAMES[found.axis]} whole.{what} The intervals are wider for that,"
+        " and advice uses the longer delay."
+    )
+    return replace(covered, doubts=(*found.doubts, doubt))
+
+
+def measure_curve(fit: AxisFit) -> float:
+    """Return by how many standard deviations neighbours are off alike, or the nearest in turns.
+
+    The nearest ones, those within a few steps and those within a short time count for themselves: a
+    curve that noise was taken for makes the nearest differ and the others alike.
+    """
+    sums = [(float(one.sum()), float(one @ one)) for one in _multiply_neighbours(fit)]
+    along, squares = np.cumsum(sums, axis=0).T
+    excess = along / np.sqrt(np.maximum(squares, LEAST_STEP))
+    white = _clip(fit)
+    in_turns = -float(along[0]) / max(float(white @ white), LEAST_STEP)
+    return float(max(-excess[0] if in_turns > _IN_TURNS else 0.0, *excess))
+
+
+def _measure_sharing(fit: AxisFit) -> float:
+    """Return by how much larger errors are, as neighbours are off alike."""
+    along = sum(float(one.sum()) for one in _multiply_neighbours(fit))
+    white = _clip(fit)
+    return float(np.sqrt(max(1.0 + 2.0 * along / max(float(white @ white), LEAST_STEP), 1.0)))
+
+
+def _multiply_neighbours(fit: AxisFit) -> Iterator[Values]:
+    """Yield the products of what steps and later ones are off, within a short time."""
+    white = _clip(fit)
+    reach = int(_NEIGHBOURS_S / float(np.median(fit.model.duration_s)))
+    for lag in range(1, min(max(reach, 2), len(white) - 1) + 1):
+        yield white[lag:] * white[:-lag]
+
+
+def _clip(fit: AxisFit) -> Values:
+    """Return what steps are off, of which no outlier decides."""
+    return np.where(fit.is_outlier, 0.0, np.clip(fit.white, -_MOST, _MOST))
+
+
+def _split_steps(fit: AxisFit) -> Iterator[tuple[tuple[str, str], NDArray[np.bool_]]]:
+    """Yield what the steps are divided by: in which of them the first of two commands acts."""
+    dead_time_s = float(fit.parameters[DEAD_TIME])
+    acting, before = [], []
+    for motion in fit.model.motions:
+        end_s = motion.time_s[motion.first + 1] - dead_time_s
+        held = motion.commands.place(end_s).held
+        acting.append(motion.commands.value[held])
+        before.append(motion.commands.value[np.maximum(held - 1, 0)])
+    value, earlier = np.concatenate(acting), np.concatenate(before)
+    change = np.abs(value - earlier)
+    yield ("small", "large"), change <= float(np.median(change))
+    yield ("positive", "negative"), value + earlier > 0.0
+    yield ("rising", "falling"), np.abs(value) > np.abs(earlier)
+    yield ("earlier", "later"), np.arange(len(value)) < len(value) // 2
+
+
+def _compare_parts(
+    fit: AxisFit, is_first: NDArray[np.bool_], apart: float
+) -> Iterator[tuple[str, list[Estimate]]]:
+    """Yield which values differ between two parts of the motion, and what they are."""
+    counted = ~fit.is_outlier
+    parts = [counted & is_first, counted & ~is_first]
+    if min(int(np.count_nonzero(part)) for part in parts) < _FEWEST:
+        return
+    solved = [solve_part(fit, part) for part in parts]
+    for field, weights in _list_contrasts(len(fit.parameters)).items():
+        moves = [float(weights @ moved) for moved, _ in solved]
+        variances = [float(weights @ covariance @ weights) for _, covariance in solved]
+        error = float(np.sqrt(sum(variances)))
+        if abs(moves[0] - moves[1]) > apart * error:
+            value = _evaluate(fit, field)
+            yield (
+                field,
+                [
+                    Estimate(value=value + moved, low=value + moved, high=value + moved)
+                    for moved in moves
+                ],
+            )
+
+
+def _list_contrasts(count: int) -> dict[str, Values]:
+    """Return what of the fit's parameters makes each field."""
+    units = np.eye(count)
+    return {
+        "gain": units[GAIN],
+        "dead_time_s": units[TOTAL] - units[LAG],
+        "lag_s": units[LAG],
+        "total_delay_s": units[TOTAL],
+    }
+
+
+def _evaluate(fit: AxisFit, field: str) -> float:
+    gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
+    values = {
+        "gain": gain,
+        "dead_time_s": dead_time_s,
+        "lag_s": lag_s,
+        "total_delay_s": dead_time_s + lag_s,
+    }
+    return float(values[field])
+
+
+def _stretch(axis: AxisModel, field: str, factor: float) -> AxisModel:
+    """Return an axis whose interval of a field is wider by a factor, down to 0."""
+    own = getattr(axis, field)
+    if own is None:
+        return axis
+    low, high = (own.value + factor * (end - own.value) for end in (own.low, own.high))
+    return replace(axis, **{field: replace(own, low=max(low, 0.0), high=high)})
+
+
+def _widen(axis: AxisModel, field: str, other: Estimate | None) -> AxisModel:
+    """Return an axis whose interval of a field covers another, down to 0."""
+    own = getattr(axis, field)
+    if own is None or other is None:
+        return axis
+    low, high = min(own.low, max(other.low, 0.0)), max(own.high, other.high)
+    return replace(axis, **{field: replace(own, low=low, high=high)})
+
+
+def _is_wider(found: AxisModel, covered: AxisModel) -> bool:
+    for field in _FIELDS:
+        own, wide = getattr(found, field), getattr(covered, field)
+        if wide.high - wide.low > _TELLS * (own.high - own.low):
+            return True
+    return False

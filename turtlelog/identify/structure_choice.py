@@ -1,0 +1,242 @@
+"""What a robot has beside one lag: a second one, a limit of acceleration or speed, a deadband.
+
+More parameters always leave less. So another structure must leave clearly less, change what the
+robot does by more than can be neglected, and, fitted to the first part of the log only, predict the
+rest better than the simpler one does. Structures between which the log does not decide are rivals.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final, get_args
+
+import numpy as np
+
+from turtlelog.identify.axis_fit import (
+    EXTRA,
+    GAIN,
+    LAG,
+    AxisFit,
+    measure_badness,
+    measure_gain,
+    predict_badness,
+    refit_axis,
+    restart_axis,
+)
+from turtlelog.identify.axis_motion import AxisMotion
+from turtlelog.identify.held_response import Values
+from turtlelog.identify.robot_structure import Order, Structure
+from turtlelog.identify.step_noise import LEAST_STEP
+
+_FITTED: Final = 2 / 3
+"""Share of each log that is fitted; the rest is predicted."""
+
+_ASKS: Final = 8.0
+"""By how much a further parameter must be able to lower the sum of squares, in variances, for it to
+be tried: by chance it could in 0.5 % of robots."""
+
+_CLEARLY: Final = 15.0
+"""By how much it must lower twice the negative log-likelihood: by chance in 1 of 10,000 robots."""
+
+_MATTERS: Final = 0.02
+"""By how much of the largest rate another model must change some step between poses to be told: 2 %
+is what counts as settled. What changes less is not seen, though a log without noise would show it.
+"""
+
+_SEEN: Final = 1.96
+"""Standard deviations by which a further parameter must differ from 0: its interval of 95 % begins
+above."""
+
+_PREDICTED: Final = 2.0
+"""By how much it must lower that of the rest: noise alone makes it larger on average."""
+
+_STARTS_S: Final = (0.1, 0.5)
+"""Durations of the largest change of the command that a limit is looked for from [s]."""
+
+_BOUNDS: Final = (0.2, 0.4, 0.6, 0.75, 0.9)
+"""Shares of the largest command that a bound is looked for from."""
+
+_FRICTIONS: Final = (0.05, 0.15)
+"""Shares of the largest command that friction is looked for from."""
+
+_DEADBANDS: Final = 12
+"""Magnitudes of commands that are tried as deadband, up to half of the largest."""
+
+_REFINED: Final = 2
+"""How many of the starts are refined, the most promising."""
+
+_RIVAL: Final = 10.0
+"""Difference of twice the negative log-likelihood up to which a log does not decide between two
+structures of as many parameters: odds of 150 to 1."""
+
+_DOUBTFUL: Final = 6.0
+"""By how much a structure with a further parameter that is not taken must lower it to be a rival
+all the same: by chance in 1.5 % of robots."""
+
+_MOST_CHANGES: Final = 20_000
+"""Changes of the command up to which a limit is looked for: it follows them one by one."""
+
+_LEAST_LAG_S: Final = 0.02
+"""The lag that a second one is looked for beside, where the first is next to nothing [s]."""
+
+
+def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
+    """Return the fit of the structure that the motion asks for, and those of its rivals."""
+    first, rest = _split(fit.model.motions)
+    if not first or not rest:
+        return fit, []
+    tried: dict[Structure, AxisFit] = {}
+    while True:
+        fit = _try_neighbours(fit, tried)
+        for other in sorted(tried.values(), key=measure_score):
+            if other is fit:
+                return fit, [rival for rival in tried.values() if is_rival(fit, rival)]
+            if _is_better(fit, other, first, rest):
+                fit = other
+                break
+
+
+def _try_neighbours(fit: AxisFit, tried: dict[Structure, AxisFit]) -> AxisFit:
+    """Fit the structures beside one; return its own fit, by then perhaps a better one."""
+    tried[fit.model.structure] = fit
+    for structure, starts in _list_neighbours(fit):
+        if structure not in tried and (chosen := _choose_starts(fit, structure, starts)):
+            tried[structure] = refit_axis(fit, structure, chosen)
+    near = min(tried.values(), key=measure_badness)
+    if near is not fit:
+        # Where another has escaped from a local minimum, this one may follow.
+        fit = min(fit, restart_axis(fit, near.parameters), key=measure_badness)
+        tried[fit.model.structure] = fit
+    return fit
+
+
+def _is_better(
+    fit: AxisFit, other: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]
+) -> bool:
+    """Return whether a structure of a better score is taken."""
+    if other.model.structure.size <= fit.model.structure.size:
+        return True
+    gained = predict_badness(fit, first, rest) - predict_badness(other, first, rest)
+    return is_distinct(fit, other) and gained > _PREDICTED
+
+
+def measure_score(fit: AxisFit) -> float:
+    """Return how badly a fit explains its steps, and how many parameters it needs for that."""
+    return measure_badness(fit) + _CLEARLY * fit.model.structure.size
+
+
+def is_rival(fit: AxisFit, other: AxisFit) -> bool:
+    """Return whether another structure may be that of the robot, for all that the log tells."""
+    more = other.model.structure.size - fit.model.structure.size
+    worse = measure_badness(other) - measure_badness(fit)
+    if other is fit or more < 0:
+        return False
+    return worse <= (-_DOUBTFUL if more else _RIVAL)
+
+
+def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
+    """Return whether another structure leaves clearly less, and does something else."""
+    nothing = {"reverse": 1.0}
+    errors = np.sqrt(np.maximum(np.diag(other.covariance), 0.0))
+    for place, name in enumerate(other.model.structure.names, EXTRA):
+        off = abs(float(other.parameters[place]) - nothing.get(name, 0.0))
+        if name not in fit.model.structure.names and off <= _SEEN * float(errors[place]):
+            return False
+    is_clear = measure_badness(fit) - measure_badness(other) >= _CLEARLY
+    return is_clear and other.parameters[GAIN] > 0.0 and measure_effect(fit, other) >= _MATTERS
+
+
+def measure_effect(fit: AxisFit, other: AxisFit) -> float:
+    """Return by how much two models differ at most in a step, as a share of the largest rate."""
+    rates = [
+        one.model.linearise(one.parameters)[0][~other.is_outlier]
+        / one.model.duration_s[~other.is_outlier]
+        for one in (fit, other)
+    ]
+    return float(np.abs(rates[0] - rates[1]).max() / max(np.abs(rates[0]).max(), LEAST_STEP))
+
+
+Starts = list[tuple[float, ...]]
+"""Values of further parameters to begin from."""
+
+
+def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
+    """Yield structures that differ in one thing, with values of their further parameters."""
+    structure = fit.model.structure
+    known = dict(zip(structure.names, fit.parameters[EXTRA:].tolist(), strict=True))
+    commands = np.concatenate([motion.commands.value for motion in fit.model.motions])
+    levels = np.unique(np.abs(commands))
+
+    def start(other: Structure, **value: float) -> tuple[float, ...]:
+        return tuple((known | value)[name] for name in other.names)
+
+    lag_s = max(float(fit.parameters[LAG]), _LEAST_LAG_S)
+    span = max(float(np.ptp(commands)), LEAST_STEP)
+    for order in get_args(Order):
+        other = replace(structure, order=order)
+        if other == structure or not _is_open(other, commands):
+            continue
+        slowness = [known["slowness"]] if "slowness" in known else []
+        tries = {
+            "product": [share * lag_s**2 for share in (0.1, 0.25, 1.0)],
+            "slowness": [*slowness, *(start_s / span for start_s in _STARTS_S)],
+        }
+        name = next(iter({*other.names} & {*tries}), None)
+        yield (
+            other,
+            [start(other, **{name: value}) for value in tries[name]] if name else [start(other)],
+        )
+    bounded, stopped, reverse, rubbing = (
+        replace(structure, bound="command"),
+        replace(structure, bound="rate"),
+        replace(structure, has_reverse=True),
+        replace(structure, has_friction=True),
+    )
+    largest, turns_back = float(levels[-1]), commands.min() < 0.0 < commands.max()
+    bounds = [known["tightness"]] if structure.bound else []
+    bounds += [1.0 / (share * largest) for share in _BOUNDS]
+    for other, name, values in (
+        (bounded, "tightness", bounds),
+        (stopped, "tightness", bounds),
+        (reverse, "reverse", [1.0] if turns_back else []),
+        (rubbing, "friction", [share * largest for share in _FRICTIONS]),
+    ):
+        if values and other != structure and _is_open(other, commands):
+            yield other, [start(other, **{name: value}) for value in values]
+    small = levels[(levels > 0.0) & (levels <= 0.5 * levels[-1])]
+    if not structure.deadband and len(small):
+        rows = np.unique(np.linspace(0, len(small) - 1, _DEADBANDS).astype(int))
+        for deadband in small[rows].tolist():
+            other = replace(structure, deadband=deadband)
+            yield other, [start(other)]
+
+
+def _is_open(structure: Structure, commands: Values) -> bool:
+    """Return whether a structure may be tried: one that follows commands singly, of few."""
+    return structure.is_possible and (not structure.is_slow or len(commands) <= _MOST_CHANGES)
+
+
+def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts:
+    """Return the starts that promise most; none where no further parameter is worth a try."""
+    if structure.size <= fit.model.structure.size:
+        return starts
+    asks = {"reverse": 1.1}
+    gains = []
+    for extras in starts:
+        moved = tuple(
+            asks[name] if name in asks and value == 1.0 else value
+            for name, value in zip(structure.names, extras, strict=True)
+        )
+        gains.append((measure_gain(fit, structure, moved), extras))
+    gains.sort(reverse=True)
+    return [extras for gain, extras in gains[:_REFINED] if gain >= _ASKS]
+
+
+def _split(motions: Sequence[AxisMotion]) -> tuple[list[AxisMotion], list[AxisMotion]]:
+    """Return the first part of the steps of each run, and the rest."""
+    cuts = [int(_FITTED * len(motion.moved)) for motion in motions]
+    parts = [
+        (motion.take(slice(cut)), motion.take(slice(cut, None)))
+        for motion, cut in zip(motions, cuts, strict=True)
+    ]
+    kept = [(first, rest) for first, rest in parts if len(first.moved) and len(rest.moved)]
+    return [first for first, _ in kept], [rest for _, rest in kept]
