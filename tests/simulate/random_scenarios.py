@@ -101,6 +101,11 @@ def build_robot(draw: random.Random) -> Mapping[str, Any]:
         "plant.turn_gain": draw.choice([1.1, 1.0]),
         "plant.turn_dead_time_s": draw.choice([0.0, 0.05, 0.3]),
         "plant.turn_lag_s": draw.choice([0.0, 1e-9, 0.002, 0.15, 2.0]),
+    }
+
+
+def build_bounds(draw: random.Random) -> Mapping[str, Any]:
+    return {
         "plant.turn_bound": draw.choice([math.inf, 0.3, 1.0]),
         "plant.speed_bound": draw.choice([math.inf, 0.4]),
     }

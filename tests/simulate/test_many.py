@@ -12,6 +12,7 @@ from tests.effects_cases import EFFECTS
 from tests.simulate.random_scenarios import (
     DRAWN_EFFECTS,
     OTHER_LAWS,
+    build_bounds,
     build_other,
     build_random,
     build_robot,
@@ -115,7 +116,7 @@ def test_compiled_robot_is_the_plain_one_with_every_effect(effect: str) -> None:
     draw = random.Random(effect)
     for preset in PRESETS:
         changes: dict[str, Any] = {"max_duration_s": 8.0, **EFFECTS["lagged"], **EFFECTS[effect]}
-        changes |= {**build_robot(draw), "loop.period_ticks": 1}
+        changes |= {**build_robot(draw), **build_bounds(draw), "loop.period_ticks": 1}
         changes["loop.queue_policy"] = draw.choice(["one-per-tick", "newest"])
         require_same(override_scenario(get_preset(preset), changes))
 
