@@ -304,18 +304,18 @@ def test_scenario_file_is_watched_whatever_its_ending(tmp_path: Path) -> None:
     [
         (
             ("paper",),
-            "--watch: expected a law of the form path.py:Class, or a scenario file, found no file"
-            " to watch: the law sequential-p",
+            "--watch: the law sequential-p has no file to watch; name a scenario file, or a law"
+            " as path.py:Class",
         ),
         (
             ("--law", "sequential-p"),
-            "--watch: expected a law of the form path.py:Class, or a scenario file, found no file"
-            " to watch: the law sequential-p",
+            "--watch: the law sequential-p has no file to watch; name a scenario file, or a law"
+            " as path.py:Class",
         ),
         (
             ("--law", "mine:Law"),
-            "--watch: expected a law of the form path.py:Class, or a scenario file, found no file"
-            " to watch: the law mine:Law",
+            "--watch: the law mine:Law has no file to watch; name a scenario file, or a law"
+            " as path.py:Class",
         ),
         (("--law", "none.py:Law"), "none.py: no such file to watch"),
         (("none.toml",), "none.toml: no such file to watch"),
