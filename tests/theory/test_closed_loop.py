@@ -81,10 +81,9 @@ def test_the_saturated_loop_needs_a_step_and_a_limit(changed: dict[str, float]) 
     "compute",
     [
         lambda: compute_closed_loop_response(1.0, [0.0, 1.0]),
-        lambda: compute_root_locus([1.0]),
         lambda: compute_plant_response("ramp", [0.0, 1.0]),
     ],
-    ids=["step", "locus", "plant"],
+    ids=["step", "plant"],
 )
 def test_without_python_control_one_line_says_what_to_install(
     compute: Callable[[], object], monkeypatch: pytest.MonkeyPatch

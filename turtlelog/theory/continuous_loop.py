@@ -230,7 +230,7 @@ def compute_closed_loop_response(kp: float, time_s: ArrayLike) -> NDArray[np.flo
 
 
 def compute_root_locus(kp: ArrayLike) -> NDArray[np.complex128]:
-    """Return the closed loop's pole for gains from 0 up, by python-control (figure 5).
+    """Return the closed loop's pole for gains from 0 up (figure 5): where D(s) + Kp N(s) is 0.
 
     Args:
         kp: Gains [1/s], shape (n,), none negative.
@@ -241,9 +241,11 @@ def compute_root_locus(kp: ArrayLike) -> NDArray[np.complex128]:
     Raises:
         TheoryError: Where a gain is negative or no number.
     """
-    control, gains = load_library("control"), require_gains(kp)
-    loci = control.root_locus_map(control.tf(*PLANT), gains=gains).loci
-    return np.asarray(loci, dtype=np.complex128).reshape(len(gains))
+    numerator, denominator = map(np.array, PLANT)
+    poles = [
+        np.roots(np.polyadd(denominator, gain * numerator)) for gain in require_gains(kp).tolist()
+    ]
+    return np.asarray(poles, dtype=np.complex128).reshape(len(poles))
 
 
 def compute_step_response(
