@@ -24,7 +24,7 @@ test: .venv/compiled
 test-all: .venv/compiled-all
 test test-all:
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime $(CHOSEN)"
-	$(BIN)/python -m pytest -n 2 -m "realtime $(CHOSEN)" \
+	$(BIN)/python -m pytest -n 3 -m "realtime $(CHOSEN)" \
 		$$(grep -rl realtime tests --include='test_*.py')
 
 # Once: each worker of the tests would compile them for itself.

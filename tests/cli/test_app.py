@@ -93,8 +93,11 @@ def test_a_reader_that_goes_away_ends_the_command_quietly(tmp_path: Path) -> Non
     assert done.stderr == ""
 
 
-def test_the_demo_writes_recordings_views_and_table_1(call: Call, tmp_path: Path) -> None:
-    answer = call("demo", "-o", tmp_path / "out")
+def test_the_demo_writes_recordings_views_and_table_1(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answer = call("demo", "-o", "out")
     assert answer.code == 0
     runs = ("kp1", "kp2", "kp4", "kp10")
     expected = {f"{run}.{suffix}" for run in runs for suffix in ("mcap", "rrd")}
