@@ -31,7 +31,7 @@ LABELS = {
     "error-log": ["|heading error| [deg]", "distance [m]"],
     "plane": ["y [m]", ""],
     "panel": [
-        *("heading [deg]", "along-track [m]", "|heading error| [deg]", "cross-track [m]"),
+        *("y [m]", "heading [deg]", "along-track [m]", "|heading error| [deg]", "cross-track [m]"),
         *("turn rate [rad/s]", "speed [m/s]"),
     ],
 }
@@ -84,10 +84,10 @@ OF_POSES: list[tuple[str, int, Read]] = [
     ("position-error", 1, lambda run: to_goal(run)[:, 1]),
     ("error-log", 0, lambda run: np.abs(heading_error(run))),
     ("error-log", 1, distance),
-    ("panel", 0, heading),
-    ("panel", 1, along_track),
-    ("panel", 2, lambda run: np.abs(heading_error(run))),
-    ("panel", 3, cross_track),
+    ("panel", 1, heading),
+    ("panel", 2, along_track),
+    ("panel", 3, lambda run: np.abs(heading_error(run))),
+    ("panel", 4, cross_track),
 ]
 OF_SAMPLES: list[tuple[str, int, Read]] = [
     ("turn-rate", 0, lambda run: run.samples.turn_rate_rad_s),
@@ -95,21 +95,21 @@ OF_SAMPLES: list[tuple[str, int, Read]] = [
     ("wanted-speed", 0, lambda run: run.samples.wanted_speed_m_s),
     ("world-velocity", 0, lambda run: read_world_velocity(run)[:, 0]),
     ("world-velocity", 1, lambda run: read_world_velocity(run)[:, 1]),
-    ("panel", 4, lambda run: run.samples.turn_rate_rad_s),
-    ("panel", 5, lambda run: run.samples.speed_m_s),
+    ("panel", 5, lambda run: run.samples.turn_rate_rad_s),
+    ("panel", 6, lambda run: run.samples.speed_m_s),
 ]
 IDEAL = [
-    *(entry[:2] for entry in OF_POSES if entry[:2] != ("panel", 3)),
+    *(entry[:2] for entry in OF_POSES if entry[:2] != ("panel", 4)),
     *(("world-velocity", axis) for axis in (0, 1)),
 ]
 TARGETS = {
     ("heading", 0): 128.502645,
-    ("panel", 0): 128.502645,
-    ("panel", 1): 5.693423,
+    ("panel", 1): 128.502645,
+    ("panel", 2): 5.693423,
     ("position", 0): 2.0,
     ("position", 1): 10.0,
 }
-TURNING = {("heading", 0), ("heading-error", 0), ("error-log", 0), ("panel", 0), ("panel", 2)}
+TURNING = {("heading", 0), ("heading-error", 0), ("error-log", 0), ("panel", 1), ("panel", 3)}
 
 
 @cache
@@ -209,7 +209,7 @@ def test_the_ideal_heading_turns_the_way_that_the_robot_turned() -> None:
         ("heading", 0, "goal bearing", [128.5026]),
         ("position", 0, "goal", [2.0]),
         ("position", 1, "goal", [10.0]),
-        ("panel", 1, "goal", [5.693423]),
+        ("panel", 2, "goal", [5.693423]),
         ("turn-rate", 0, "limit", [-1.0, 1.0]),
         ("speed", 0, "limit", [-1.0, 1.0]),
         ("wanted-speed", 0, "limit", [-1.0, 1.0]),

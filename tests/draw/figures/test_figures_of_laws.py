@@ -114,9 +114,9 @@ def test_the_bearing_of_the_goal_is_drawn_where_it_is_asked_for() -> None:
 def test_the_panel_of_a_distance_loop_has_the_distance_with_its_ideal_decay() -> None:
     figure = tl.draw.draw_figure("panel", [STRANGE])
     labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels[:2] == ["heading [deg]", "distance [m]"]
+    assert labels[:3] == ["y [m]", "heading [deg]", "distance [m]"]
     assert "along-track [m]" not in labels
-    time_s, ideal = find_line(figure.axes[1], "ideal")
+    time_s, ideal = find_line(figure.axes[2], "ideal")
     two = next(span for span in STRANGE.find_phase_spans() if span.phase == "two")
     assert time_s[0] == (two.start_ns - STRANGE.start_ns) / 1e9
     np.testing.assert_allclose(ideal, ideal[0] * np.exp(-(time_s - time_s[0])))
@@ -124,12 +124,12 @@ def test_the_panel_of_a_distance_loop_has_the_distance_with_its_ideal_decay() ->
 
 def test_the_panel_of_several_laws_has_a_view_for_the_loops_of_each() -> None:
     labels = [axes.get_ylabel() for axes in tl.draw.draw_figure("panel", [KP4, STRANGE]).axes]
-    assert labels[:3] == ["heading [deg]", "along-track [m]", "distance [m]"]
+    assert labels[1:4] == ["heading [deg]", "along-track [m]", "distance [m]"]
 
 
 def test_a_panel_is_no_higher_for_what_only_other_laws_have() -> None:
     kind = tl.draw.FIGURES["panel"]
-    assert kind.find_height([KP4]) == kind.find_height([STRANGE]) == kind.height
+    assert kind.find_height([KP4]) == kind.find_height([STRANGE]) == 1.0
 
 
 @pytest.mark.parametrize(

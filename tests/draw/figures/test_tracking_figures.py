@@ -95,7 +95,7 @@ def test_errors_from_the_path_are_those_along_and_across() -> None:
 
 def test_of_a_path_without_a_speed_there_is_no_error_along_it() -> None:
     assert list_labels(UNTIMED, "path-error") == ["cross-track [m]"]
-    assert list_labels(UNTIMED, "panel")[1] == "along-track [m]"
+    assert list_labels(UNTIMED, "panel")[2] == "along-track [m]"
     left_out = list_left_out([KANAYAMA, UNTIMED], ["path-error"])
     assert left_out == (
         "left untimed out of path-error (along-track error): needs a path with a speed",
@@ -104,8 +104,8 @@ def test_of_a_path_without_a_speed_there_is_no_error_along_it() -> None:
 
 def test_the_panel_of_a_tracker_has_heading_errors_and_commands() -> None:
     assert list_labels(KANAYAMA, "panel") == [
-        *("heading [deg]", "along-track error [m]", "|heading error| [deg]", "cross-track [m]"),
-        *("turn rate [rad/s]", "speed [m/s]"),
+        *("y [m]", "heading [deg]", "along-track error [m]", "|heading error| [deg]"),
+        *("cross-track [m]", "turn rate [rad/s]", "speed [m/s]"),
     ]
 
 
@@ -135,7 +135,7 @@ def test_of_a_run_on_its_path_the_reason_for_no_close_up_is_given() -> None:
 
 def test_states_stand_beside_the_command_that_they_belong_to() -> None:
     figure = tl.draw.draw_figure("panel", [PID])
-    turning, driving = figure.axes[6:]
+    turning, driving = figure.axes[7:]
     assert turning.get_ylabel() == "states of the turn rate"
     assert driving.get_ylabel() == "states of the speed"
     assert PID.samples.states is not None
@@ -174,7 +174,7 @@ def test_states_that_are_always_0_have_no_panel() -> None:
     idle = replace_states(PID, [0.0] * 4)
     expected = "states of its law that are not always 0"
     assert tl.draw.FIGURES["states"].find_lack([idle]) == expected
-    assert len(list_labels(idle, "panel")) == 6
+    assert len(list_labels(idle, "panel")) == 7
 
 
 @pytest.mark.parametrize(("count", "left"), [(12, 0), (13, 1)])

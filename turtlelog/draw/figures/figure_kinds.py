@@ -29,7 +29,12 @@ from turtlelog.draw.figures.needs import (
     find_lacks,
     has_states,
 )
-from turtlelog.draw.figures.panels import Draw, draw_overview, draw_stack
+from turtlelog.draw.figures.panels import (
+    Draw,
+    count_plane_rows,
+    draw_overview,
+    draw_stack,
+)
 from turtlelog.draw.figures.plane_panels import draw_plane, has_one_plane
 from turtlelog.draw.figures.rates_figure import draw_rates
 from turtlelog.draw.figures.sampled_loops import (
@@ -48,6 +53,9 @@ Arrange = Callable[[Figure, Sequence[Run], Sequence[Draw]], None]
 
 MOST_STATES: Final = 12
 """Panels of states in a figure: of more it would be higher than any page."""
+
+_ROW_HEIGHT: Final = 0.25
+"""A row of two panels, over the width of both."""
 
 _LOOPS: Final[Mapping[str, str]] = {
     "heading": "a loop of the heading",
@@ -140,8 +148,11 @@ class FigureKind:
         """Return its height over its width: fewer panels need less, and beside a plane more."""
         if self.draw is draw_plane and has_one_plane(runs):
             return 1.0
-        if self.arrange is draw_overview and lack_samples(runs):
-            return 0.31 + 0.08 * len(self.choose_panels(runs))
+        if self.arrange is draw_overview:
+            panels = self.choose_panels(runs)
+            if lack_samples(runs):
+                return 0.31 + 0.08 * len(panels)
+            return _ROW_HEIGHT * (len(panels) + count_plane_rows(panels)) / 2.0
         kept, usual = len(self.choose_panels(runs)), sum(panel.is_usual for panel in self.panels)
         return self.height * (1.0 + kept) / (1.0 + usual)
 
@@ -425,7 +436,6 @@ _NAMED: Final[Mapping[str, FigureKind]] = MappingProxyType(
                 list_state_panels(runs, of_commands=True) if len(runs) == 1 else ()
             ),
             arrange=draw_overview,
-            height=0.85,
         ),
     },
 )

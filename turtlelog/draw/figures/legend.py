@@ -43,26 +43,28 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
     What is named elsewhere is left out, and what would stand alone where nothing is. Curves come
     first, and what looks alike in several panels shares an entry.
     """
-    named: dict[str, Any] = {}
+    named: dict[tuple[str, bool], Any] = {}
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             if label not in without:
-                named.setdefault(label, handle)
+                # A goal is a cross in the plane and a line over time.
+                is_mark = isinstance(handle, Line2D) and handle.get_linestyle() == "None"
+                named.setdefault((label, is_mark), handle)
     if len(named) < 2 and not (named and without):
         return
-    entries = _join_alike(named)
+    labels, handles = zip(*_join_alike(named), strict=True)
     width, height = figure.get_size_inches()
-    columns = count_columns(list(entries), width * _POINTS_PER_INCH)
-    lines = ceil(len(entries) / columns)
+    columns = count_columns(labels, width * _POINTS_PER_INCH)
+    lines = ceil(len(labels) / columns)
     line_points = _LINE_HEIGHT * rcParams["legend.fontsize"]
     figure.set_size_inches(width, height + (lines + 0.5) * line_points / _POINTS_PER_INCH)
     legend = figure.legend(
-        entries.values(),
-        entries.keys(),
+        handles,
+        labels,
         loc="outside upper center",
-        ncols=ceil(len(entries) / lines),
+        ncols=ceil(len(labels) / lines),
     )
-    for label, entry in zip(entries, legend.legend_handles, strict=True):
+    for label, entry in zip(labels, legend.legend_handles, strict=True):
         if label in _OF_ALL_RUNS and entry is not None:
             entry.set(color="0.35")
 
@@ -76,12 +78,12 @@ def name_some(axes: Axes, labels: Sequence[str]) -> list[str | None]:
     return [label if number in shown else None for number, label in enumerate(labels)]
 
 
-def _join_alike(named: Mapping[str, Any]) -> dict[str, Any]:
+def _join_alike(named: Mapping[tuple[str, bool], Any]) -> list[tuple[str, Any]]:
     """Return the entries of a legend: curves first, then what lies below them."""
-    groups: dict[Any, list[str]] = {}
-    for label in sorted(named, key=lambda label: named[label].get_zorder() < _CURVES):
-        groups.setdefault(_describe_looks(label, named[label]), []).append(label)
-    return {", ".join(labels): named[labels[0]] for labels in groups.values()}
+    groups: dict[Any, list[tuple[str, bool]]] = {}
+    for key in sorted(named, key=lambda key: named[key].get_zorder() < _CURVES):
+        groups.setdefault(_describe_looks(key[0], named[key]), []).append(key)
+    return [(", ".join(label for label, _ in keys), named[keys[0]]) for keys in groups.values()]
 
 
 def _describe_looks(label: str, handle: Any) -> Any:

@@ -23,38 +23,37 @@ def draw_stack(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> N
         axes.set_xlabel("")
 
 
-def draw_columns(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
-    """Draw panels in two columns on one time axis, from left to right."""
-    grid = figure.subplots(-(-len(panels) // 2), min(len(panels), 2), sharex=True, squeeze=False)
-    for number, axes in enumerate(grid.flat):
-        if number >= len(panels):
-            axes.remove()
-            continue
-        panels[number](axes, runs)
-        if number + 2 < len(panels):
-            axes.set_xlabel("")
-        else:
-            axes.tick_params(labelbottom=True)
-
-
 def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
-    """Draw panels in two columns; of runs without samples over each other, beside the plane."""
-    if not lack_samples(runs):
-        draw_columns(figure, runs, panels)
-        return
-    grid = figure.add_gridspec(len(panels), 2, width_ratios=(1.0, 1.25))
-    plane = figure.add_subplot(grid[:, 0])
+    """Draw where runs drove, and panels on one time axis in two columns around it.
+
+    The plane stands at the top of the left column. Of runs without samples it takes all of that.
+    """
+    if lack_samples(runs):
+        grid = figure.add_gridspec(len(panels), 2, width_ratios=(1.0, 1.25))
+        rows = len(panels)
+    else:
+        rows = count_plane_rows(panels)
+        grid = figure.add_gridspec((len(panels) + rows) // 2, 2)
+    plane = figure.add_subplot(grid[:rows, 0])
     draw_paths(plane, runs)
     show_all(plane, runs)
+    places = [(row, column) for row in range(grid.nrows) for column in (0, 1)]
+    places = [(row, column) for row, column in places if column or row >= rows]
     shared: Axes | None = None
-    for number, panel in enumerate(panels):
-        shared = axes = figure.add_subplot(grid[number, 1], sharex=shared)
+    for panel, (row, column) in zip(panels, places, strict=True):
+        shared = axes = figure.add_subplot(grid[row, column], sharex=shared)
         panel(axes, runs)
-        # Low panels have no room for a unit beside its name.
-        axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
-        if number + 1 < len(panels):
+        if rows == grid.nrows:
+            # Low panels have no room for a unit beside its name.
+            axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
+        if row + 1 < grid.nrows:
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
+
+
+def count_plane_rows(panels: Sequence[object]) -> int:
+    """Return the rows of two columns that a plane takes so that beside panels no place is empty."""
+    return 1 + (len(panels) + 1) % 2
 
 
 def finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
