@@ -1,5 +1,6 @@
 """What holds for all tests."""
 
+import atexit
 import gc
 import os
 import shutil
@@ -44,8 +45,6 @@ _ROOM_BYTES: Final = 4 * 2**30
 """What must be free there: the files of all tests together are below 1 GiB, a container may have
 64 MiB."""
 
-_FOLDER: Final = pytest.StashKey[Path]()
-
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let tests write into memory, where there is room: half of their time they wait for a disk.
@@ -56,13 +55,13 @@ def pytest_configure(config: pytest.Config) -> None:
     if is_named or not os.access(_MEMORY, os.W_OK):
         return
     if shutil.disk_usage(_MEMORY).free >= _ROOM_BYTES:
-        config.stash[_FOLDER] = folder = Path(tempfile.mkdtemp(prefix="turtlelog-", dir=_MEMORY))
-        os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
+        os.environ["TMPDIR"] = tempfile.tempdir = tempfile.mkdtemp(prefix="tests-", dir=_MEMORY)
+        # At the very end: what other modules leave there they remove before.
+        atexit.register(_give_back, tempfile.tempdir, os.getpid())
 
 
-def pytest_unconfigure(config: pytest.Config) -> None:
-    """Give the memory back."""
-    if folder := config.stash.get(_FOLDER, None):
+def _give_back(folder: str, owner: int) -> None:
+    if os.getpid() == owner:  # no process that a test forks
         shutil.rmtree(folder, ignore_errors=True)
 
 
