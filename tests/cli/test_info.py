@@ -134,8 +134,9 @@ def test_a_recording_of_ours_is_told_from_its_summary(
 ) -> None:
     monkeypatch.setattr("turtlelog.log.ros2.read_bag", pytest.fail)
     lines = call("info", kp4).out.splitlines()
-    assert lines[:6] == [
-        "kp4.mcap: turtlelog recording, complete, 11.3 s",
+    assert lines[:7] == [
+        "kp4.mcap: missed the goal by 8.52 mm after 11.2 s.",
+        "  file        turtlelog recording, complete, 11.3 s",
         "  run         paper-kp4",
         "  robot       turtlesim, simulated",
         "  controller  sequential-p, Kp = 4 1/s (turning and driving)",
@@ -147,6 +148,21 @@ def test_a_recording_of_ours_is_told_from_its_summary(
         "a recording of turtlelog's: sequential-p on turtlesim, 681 samples and 705 poses in 11.3 s"
     )
     assert (answer["clock"], answer["missing"]) == (None, [])
+    assert answer["ending"] == "missed the goal by 8.52 mm after 11.2 s"
+
+
+def test_how_a_run_ended_is_told_of_what_is_quickly_read_and_had_a_goal(
+    call: Call, kp4: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = call("run", "paper-kp4").out
+    assert "missed the goal by 8.52 mm after 11.2 s" in told
+    monkeypatch.setattr(info_summary, "LARGEST_BYTES", kp4.stat().st_size - 1)
+    assert call("info", kp4).out.startswith("kp4.mcap: turtlelog recording, complete, 11.3 s\n")
+    square = tmp_path / "square.mcap"
+    assert call("run", "track-square", "-o", square).code == 0
+    (answer,) = call("info", square, "--json").json
+    assert answer["ending"] is None
+    assert "goal" not in call("info", square).out
 
 
 def test_of_large_bags_the_poses_are_read_where_that_is_asked_for(

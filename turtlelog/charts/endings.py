@@ -1,19 +1,14 @@
 """How runs ended, in a sentence: `run`, `plot`, `report` and `view` say it."""
 
 from collections.abc import Mapping, Sequence
-from math import dist
 from typing import Final
 
 from turtlelog.compare import name_runs
-from turtlelog.compare.ranking import allow_position
 from turtlelog.display import describe_count, format_short
 from turtlelog.explain import choose_metric
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
-
-_REACHED: Final = "within_tolerance"
-_MISSED: Final = ("standstill", "settled", "timeout", "max_duration")
-"""Reasons to stop of built-in laws that do not reach the goal."""
+from turtlelog.run.ending import describe_goal_end
 
 _ERROR: Final = "final.position_error"
 _DURATION: Final = "run.duration"
@@ -52,25 +47,8 @@ def describe_end(run: Run) -> str:
     size = format_short(value, found[metric].unit)
     if metric != _ERROR:
         return f"ended{after}, {metric} {size}"
-    # A law that reads other poses than the robot's stops where it believes the goal to be.
-    is_seen = run.poses.sensed_xy_m is None
-    if (run.stop_reason == _REACHED and is_seen) or value <= _allow(run):
-        return f"reached the goal within {size}{after}"
-    if run.stop_reason in _MISSED:
-        return f"missed the goal by {size}{after}"
-    return f"ended {size} from the goal{after}"
+    return describe_goal_end(run, value, duration_s)
 
 
 def _measure(run: Run, *names: str) -> Mapping[str, Metric]:
     return measure_run(run, only=names)
-
-
-def _allow(run: Run) -> float:
-    """Return the distance to the goal that the tolerances of the law allow [m]; 0 without them."""
-    heading_rad = run.parameters.get("law.heading_tolerance_rad")
-    position_m = run.parameters.get("law.position_tolerance_m")
-    if not isinstance(heading_rad, float | int) or not isinstance(position_m, float | int):
-        return 0.0
-    if run.goal_xy_m is None:
-        return 0.0
-    return allow_position(heading_rad, position_m, dist(run.goal_xy_m, run.poses.xy_m[0]))

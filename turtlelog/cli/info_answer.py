@@ -32,6 +32,7 @@ class InfoAnswer:
     Attributes:
         file: As it was given.
         summary: What the file is, in one sentence.
+        ending: How its run ended at its goal; None if that is not known.
         format_version: Of the recording; None if turtlelog did not write it.
         source: Where the data are from.
         name: Of the run.
@@ -52,6 +53,7 @@ class InfoAnswer:
 
     file: str
     summary: str
+    ending: str | None
     format_version: int | None
     source: str
     name: str
@@ -75,6 +77,7 @@ def build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> In
     return InfoAnswer(
         file=str(path),
         summary=summary.text,
+        ending=summary.ending,
         format_version=recording.format_version,
         source=recording.source,
         name=recording.name,
@@ -121,8 +124,12 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
     """
     name = escape_controls(tl.log.split_topic(Path(answer.file))[0].name or answer.file)
     rows = [*_list_rows(answer), *_list_lacks(answer, topics=topics)]
+    what = _write_head(answer)
+    if answer.ending is not None:
+        rows.insert(0, ("file", what))
+        what = f"{answer.ending}."
     width = max((len(key) for key, _ in rows), default=0)
-    lines = [_fill(f"{name}: ", _write_head(answer))]
+    lines = [_fill(f"{name}: ", what)]
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
     if topics and answer.topics:
         lines += ["", format_table(_tabulate(answer))]
@@ -208,7 +215,8 @@ def _list_own(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         yield "source", answer.source
     if "law.kind" in known:
         yield "controller", f"{known['law.kind']}{_write_gains(known)}"
-    if "goal.x_m" in known and "goal.y_m" in known and "goal_xy_m" not in answer.absent:
+    has_goal = "goal.x_m" in known and "goal_xy_m" not in answer.absent
+    if has_goal and "path.kind" not in known:
         yield "goal", f"({known['goal.x_m']:g}, {known['goal.y_m']:g}) m"
     counts = {
         noun: sum(topic.count for topic in answer.topics if topic.type == kind)

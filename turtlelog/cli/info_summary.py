@@ -10,6 +10,7 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
 from turtlelog.processes import count_bytes
 from turtlelog.remote.urls import RemotePath
+from turtlelog.run.ending import describe_goal_end, find_goal_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -87,6 +88,7 @@ class Summary:
 
     Attributes:
         text: One sentence without a full stop.
+        ending: How its run ended at its goal; None where that is not known.
         run: Of the run in the file; None where it was not read.
         missing: What it lacks, each with what that would unlock.
         clock: What times its poses, as in JSON; None where there is one clock, or nobody looked.
@@ -94,6 +96,7 @@ class Summary:
     """
 
     text: str
+    ending: str | None = None
     run: ReadRun | None = None
     missing: tuple[str, ...] = ()
     clock: Mapping[str, Any] | None = None
@@ -113,7 +116,8 @@ def summarise(
     """
     is_lost = not info.complete and not any(topic.count for topic in info.topics)
     if info.format_version is not None:
-        return Summary(text=_summarise_own(info, NOTHING_LEFT if is_lost else ""))
+        text = _summarise_own(info, NOTHING_LEFT if is_lost else "")
+        return Summary(text=text, ending=_find_ending(path, info, is_asked=is_asked))
     if not info.complete:
         text = NOTHING_LEFT if is_lost else _summarise_topics(info, "it is not complete")
         return Summary(text=text)
@@ -156,6 +160,18 @@ def _summarise_own(info: "RecordingInfo", lost: str) -> str:
     parts = [f"{law} on {plant}" if law and info.scenario else str(law or ""), f"{rows}{length}"]
     state = "" if info.complete else ", not complete"
     return f"a recording of turtlelog's{state}{origin}: {', '.join(filter(None, parts)) or 'empty'}"
+
+
+def _find_ending(path: Path, info: "RecordingInfo", *, is_asked: bool) -> str | None:
+    """Return how the run of a recording of ours ended at its goal, where it is not large."""
+    if not info.complete or (not is_asked and _find_large(path, info)):
+        return None
+    try:
+        run = tl.log.read_run(path)
+    except TurtlelogError:
+        return None  # what can be read of it is told, and `metrics` says what cannot
+    error_m = find_goal_error(run)
+    return None if error_m is None else describe_goal_end(run, error_m, run.duration_s)
 
 
 def _find_large(path: Path, info: "RecordingInfo") -> str:
@@ -227,6 +243,9 @@ def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
     clock = run.clock
     return Summary(
         text=_describe_run(run),
+        ending=None
+        if (error_m := find_goal_error(run)) is None
+        else describe_goal_end(run, error_m, run.duration_s),
         run=ReadRun(
             kind=_describe_kind(run),
             duration_s=run.duration_s,

@@ -24,7 +24,6 @@ from .ranking import (
     ConditionDifference as ConditionDifference,
     Conditions as Conditions,
     Ranking as Ranking,
-    allow_position as allow_position,
     judge_runs as judge_runs,
 )
 from .robot_comparison import (

@@ -11,6 +11,7 @@ from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.measure import is_lawless
 from turtlelog.paths import closes_by_itself
 from turtlelog.run import Run
+from turtlelog.run.ending import allow_position
 
 if TYPE_CHECKING:
     from turtlelog.compare.run_summary import RunSummary
@@ -192,17 +193,6 @@ def _is_usual(key: str, value: Any, parameters: Mapping[str, Any]) -> bool:
     """Return whether a key says what its table means without it: a polygon is closed."""
     kind = parameters.get("path.kind")
     return key == "path.closed" and value is closes_by_itself(str(kind))
-
-
-def allow_position(heading_rad: float, position_m: float, distance_m: float) -> float:
-    """Return what tolerances leave of a final position error [m].
-
-    Args:
-        heading_rad: Tolerance of the heading [rad].
-        position_m: Tolerance of the position [m].
-        distance_m: How far the goal is from the start [m].
-    """
-    return heading_rad * distance_m + position_m
 
 
 def _find_reach(parameters: Mapping[str, Any], distance_m: float) -> tuple[float, float]:

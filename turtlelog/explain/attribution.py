@@ -6,10 +6,10 @@ from html import escape
 from typing import Final
 
 from turtlelog.angles import wrap_angle
-from turtlelog.compare.ranking import allow_position
 from turtlelog.display import format_html
 from turtlelog.loops import Declaration
 from turtlelog.measure import list_metrics
+from turtlelog.run.ending import allow_position
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 
 _SHARE: Final = 0.01
