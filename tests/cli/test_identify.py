@@ -53,7 +53,8 @@ def test_the_first_line_is_how_late_the_robot_follows(call: Call, bag: Path) -> 
     text = call("identify", bag).out
     lines = text.splitlines()
     first = (
-        r"robot\.mcap: speed follows its commands after ([\d.]+) ms \(.*\), turn rate after (\d+)"
+        r"robot\.mcap: speed follows its commands with gain 0\.\d+ after ([\d.]+) ms \(.*\),"
+        r" turn rate with gain 0\.\d+ after (\d+)"
     )
     found = re.match(first, " ".join(lines[:2]))
     assert found is not None
@@ -106,7 +107,7 @@ def test_an_axis_without_a_value_has_a_reason_and_what_to_drive(call: Call, tmp_
     answer = call("identify", bag)
     text = " ".join(answer.out.split())
     assert answer.code == 0
-    assert text.startswith("turns.mcap: turn rate follows its commands after ")
+    assert text.startswith("turns.mcap: turn rate follows its commands with gain ")
     assert "The speed could not be identified." in text
     assert (
         "Speed: not identifiable: the speed is never commanded. To know it, step the speed ten"
@@ -184,7 +185,8 @@ def test_turtlesim_tells_its_dead_time_in_ticks(call: Call, kp10: Path) -> None:
     delays = answer["tick_delays"]
     assert (delays["least_s"], delays["median_s"], delays["largest_s"]) == (0.016, 0.112, 0.112)
     text = call("identify", kp10).out
-    assert text.startswith("kp10.mcap: speed follows its commands after 112 ms (16 to 112), turn")
+    told = "kp10.mcap: speed follows its commands with gain 1.000 after 112 ms (16 to 112),"
+    assert text.startswith(told)
     assert "In brackets: the least and the largest.\n" in text
     assert "least 16.0 ms, median 112.0 ms, largest 112.0 ms" in text
     assert text.splitlines()[-1] == f"Why? turtlelog explain {kp10}"

@@ -134,15 +134,15 @@ def test_a_recording_of_ours_is_told_from_its_summary(
 ) -> None:
     monkeypatch.setattr("turtlelog.log.ros2.read_bag", pytest.fail)
     lines = call("info", kp4).out.splitlines()
-    assert lines[:7] == [
-        "kp4.mcap: missed the goal by 8.52 mm after 11.2 s.",
-        "  file        turtlelog recording, complete, 11.3 s",
+    assert lines[:6] == [
+        "kp4.mcap: turtlelog recording, complete, 11.3 s",
         "  run         paper-kp4",
         "  robot       turtlesim, simulated",
         "  controller  sequential-p, Kp = 4 1/s (turning and driving)",
         "  goal        (2, 10) m",
         "  data        705 poses, 681 controller samples, 681 commands",
     ]
+    assert lines[7] == "  ended       standstill: missed the goal by 8.52 mm after 11.2 s"
     (answer,) = call("info", kp4, "--json").json
     assert answer["summary"] == (
         "a recording of turtlelog's: sequential-p on turtlesim, 681 samples and 705 poses in 11.3 s"
@@ -157,7 +157,7 @@ def test_how_a_run_ended_is_told_of_what_is_quickly_read_and_had_a_goal(
     told = call("run", "paper-kp4").out
     assert "missed the goal by 8.52 mm after 11.2 s" in told
     monkeypatch.setattr(info_summary, "LARGEST_BYTES", kp4.stat().st_size - 1)
-    assert call("info", kp4).out.startswith("kp4.mcap: turtlelog recording, complete, 11.3 s\n")
+    assert "  ended       standstill\n" in call("info", kp4).out
     square = tmp_path / "square.mcap"
     assert call("run", "track-square", "-o", square).code == 0
     (answer,) = call("info", square, "--json").json

@@ -84,11 +84,11 @@ def _describe_scenario(robot: "RobotScenario", path: Path | None, *, shows_notes
 
 
 def _describe_delays(model: "RobotModel", files: Sequence[Path]) -> str:
-    """Return how late each axis follows its commands, with the interval."""
+    """Return with what gain and how late each axis follows its commands."""
     one = tl.compare.name_file(files[0]) if files else "no file"
     name = one if len(files) == 1 else f"{len(files)} runs of one robot"
     said = [
-        f"{_NAMES[axis.axis]} {{}}after {_show_delay(axis.total_delay_s)}"
+        f"{_NAMES[axis.axis]} {{}}{_show_gain(axis.gain)}after {_show_delay(axis.total_delay_s)}"
         for axis in model.axes
         if axis.total_delay_s is not None
     ]
@@ -100,6 +100,10 @@ def _describe_delays(model: "RobotModel", files: Sequence[Path]) -> str:
         [said[0].format("follows its commands "), *(one.format("") for one in said[1:])]
     )
     return f"{name}: {words}.{rest}"
+
+
+def _show_gain(found: "Estimate | None") -> str:
+    return "" if found is None else f"with gain {format_value(found, 'gain').partition(' ')[0]} "
 
 
 def _show_delay(found: "Estimate") -> str:

@@ -124,12 +124,8 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
     """
     name = escape_controls(tl.log.split_topic(Path(answer.file))[0].name or answer.file)
     rows = [*_list_rows(answer), *_list_lacks(answer, topics=topics)]
-    what = _write_head(answer)
-    if answer.ending is not None:
-        rows.insert(0, ("file", what))
-        what = f"{answer.ending}."
     width = max((len(key) for key, _ in rows), default=0)
-    lines = [_fill(f"{name}: ", what)]
+    lines = [_fill(f"{name}: ", _write_head(answer))]
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
     if topics and answer.topics:
         lines += ["", format_table(_tabulate(answer))]
@@ -174,8 +170,10 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
         yield from ((key, text) for key, text in rows.items() if text)
     yield from _describe_durations(answer)
-    if answer.stop_reason and not answer.summary.endswith(NOTHING_LEFT):
-        yield "ended", answer.stop_reason.replace("_", " ")
+    if not answer.summary.endswith(NOTHING_LEFT):
+        reason = (answer.stop_reason or "").replace("_", " ")
+        told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
+        yield from [("ended", told)] if told else []
     yield from ((key.replace("_", " "), text) for key, text in answer.notes.items())
 
 

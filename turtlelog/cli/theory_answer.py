@@ -166,7 +166,7 @@ def _list_recommended(
         yield f"No gains are recommended: {next(iter(reasons), 'no rule gives any')}."
         return
     yield (
-        f"Recommended: {best.controller} with {_show_gains(best.gains)} for"
+        f"Recommended, if no limit acts: {best.controller} with {_show_gains(best.gains)} for"
         f" {wishes.describe(best.rule)}."
     )
 
