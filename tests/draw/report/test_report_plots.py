@@ -96,6 +96,16 @@ def test_the_marks_of_one_run_are_named_and_those_of_many_are_left_out() -> None
 
 
 @pytest.mark.thorough
+def test_every_plot_says_in_words_what_it_shows() -> None:
+    run = read(10)
+    plots = draw(run, violations=(violate(run, "always(abs(cross_track) <= 0.05)"),))
+    assert plots.alternatives.keys() == plots.roots.keys()
+    assert plots.alternatives["plot-heading"] == (
+        "heading [deg] over time. run 0: from 0 to 127.4, between 0 and 129.8."
+    )
+    assert plots.alternatives["plane"].endswith("drives from (5.544, 5.544) to (2.084, 10.07) m.")
+
+
 def test_a_hundred_runs_share_one_model_for_each_plot() -> None:
     """Plots of a hundred runs are made."""
     plots = draw(*[read(4)] * 100)

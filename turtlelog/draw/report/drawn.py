@@ -59,6 +59,7 @@ class Plots:
         points: How many points a curve has at most.
         kinds: Which kinds of curves there are.
         crosshair: The time under the mouse, in all plots over time.
+        alternatives: What each figure shows in words, by its place.
     """
 
     roots: dict[str, Any] = field(default_factory=dict)
@@ -67,6 +68,7 @@ class Plots:
     points: int = MOST_POINTS
     kinds: set[CurveKind] = field(default_factory=set)
     crosshair: Any = field(default_factory=_make_crosshair)
+    alternatives: dict[str, str] = field(default_factory=dict)
 
 
 def to_hex(color: Color) -> str:
@@ -105,5 +107,6 @@ def make_figure(plots: Plots, place: str, title: str, **options: Any) -> Any:
     figure.yaxis.formatter.power_limit_low = -4
     figure.title.text_font_size = "14px"
     plots.roots[place] = figure
+    plots.alternatives[place] = title
     plots.config["figures"].append(figure.id)
     return figure

@@ -27,6 +27,7 @@ from turtlelog.charts.plotted_curves import (
 from turtlelog.charts.pose_gaps import list_seen_gaps
 from turtlelog.charts.ranges import find_range
 from turtlelog.charts.state_groups import group_states
+from turtlelog.charts.text_alternatives import describe_plot
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.draw.report.drawn import (
@@ -203,6 +204,10 @@ def _draw_plot(
     listed = _list_plotted(drawn, plot)
     source = models.ColumnDataSource(data=_list_curves(plots, drawn, listed, config))
     config["source"] = source.id
+    done = [
+        (drawn[number].name, found.curve.values) for number, found in listed if found.kind == "run"
+    ]
+    plots.alternatives[f"plot-{name}"] = describe_plot(label, done)
     plots.kinds |= {found.kind for _, found in listed}
     lines = figure.multi_line(
         "xs", "ys", source=source, color="color", line_width="width", line_dash="dash",

@@ -7,6 +7,7 @@ import numpy as np
 
 from turtlelog.charts.close_up import CloseUp, format_length
 from turtlelog.charts.robot_curves import find_break_rows, is_turtlesim, part_path
+from turtlelog.charts.text_alternatives import describe_plane
 from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin, to_hex
 from turtlelog.libraries import load_library
@@ -46,6 +47,8 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
             plots, place, title, match_aspect=True, height=430, x_axis_label="x [m]",
             y_axis_label="y [m]",
         )  # fmt: skip
+        ways_m = [(one.name, one.run.poses.xy_m) for one in drawn]
+        plots.alternatives[place] = describe_plane(title, ways_m)
         figure.toolbar.active_scroll = None
         still = _draw_still(figure, drawn, shown)
         lines = figure.multi_line(

@@ -207,7 +207,11 @@ def _write_stage(plots: Plots, count: int, origin: str) -> str:
         f' style="--ink:{run["color"]}"></span><span>{show(run["name"])}</span></label>'
         for number, run in enumerate(plots.config["runs"])
     )
-    places = {place: f'<div class="plot" id="{place}"></div>' for place in plots.roots}
+    places = {
+        place: f'<div class="plot" id="{place}" role="figure"'
+        f' aria-label="{show(plots.alternatives[place])}"></div>'
+        for place in plots.roots
+    }
     planes = "".join(places.pop(place) for place in ("plane", "goal") if place in places)
     series = "".join(place for name, place in places.items() if name.startswith("plot-"))
     marks = '<label><input type="checkbox" checked id="marks">marks</label>'
