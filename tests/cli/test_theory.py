@@ -47,7 +47,7 @@ def test_theory_reads_well_in_a_terminal(call: Call) -> None:
     assert (answer.code, answer.err) == (0, "")
     lines = answer.out.splitlines()
     assert lines[:4] == [
-        "Recommended, if no limit acts: P with Kp = 4.95 1/s for 5 % overshoot.",
+        "Recommended without command limits: P with Kp = 4.95 1/s for 5 % overshoot.",
         "Overshoot begins above Kp = 3.541 1/s, instability at 15.07 1/s.",
         "Kp = 1, 2: no overshoot. Kp = 4, 10: overshoots, and settles. Kp = 16: unstable.",
         "Sampling period 16 ms, dead time 6 ticks (96 ms).",
@@ -142,8 +142,8 @@ def test_an_integral_and_a_lag_have_their_range_and_margins(call: Call) -> None:
     assert re.search(r"stable for Kp \[1/s\] +0.2326 to 10.83  0.2326 to 10.83", text)
     assert re.search(r"overshoots +by 22.43 % +without end", text)
     lines = text.splitlines()
-    gains = "PI with Kp = 1.58 1/s and Ki = 0.139 1/s^2 for 5 % overshoot"
-    assert " ".join(lines[:2]) == f"Recommended, if no limit acts: {gains}."
+    first = "Recommended without command limits: PI with Kp = 1.58 1/s and Ki = 0.139 1/s^2"
+    assert lines[:2] == [first, "for 5 % overshoot."]
     assert lines[2] == "Stable for Kp from 0.233 to 10.8 1/s."
     assert lines[3].startswith("Kp = 2: stable, overshoots by 22.43 %, settles in ")
     assert lines[4] == "Kp = 30: unstable."
@@ -180,8 +180,8 @@ def test_a_recording_gives_its_own_dead_times_and_says_where_they_are_from(
     assert rotate["sources"]["gains"] == "from the scenario"
     lines = call("theory", kp10).out.splitlines()
     words = " ".join(lines)
-    first = "kp10.mcap: recommended Kp for 5 % overshoot: 7.14 1/s (rotate), 4.95 1/s (translate)."
-    assert words.startswith(first)
+    first = "kp10.mcap: recommended Kp for 5 % overshoot, without command limits: 7.14 1/s"
+    assert words.startswith(f"{first} (rotate), 4.95 1/s (translate).")
     assert "translate: Kp = 10 1/s: stable, overshoots by 54.24 %, settles in 1.34 s;" in words
     assert "--set law.kp_angular=7.14 --set law.kp_linear=4.95" in words
     assert len(lines) <= 40
@@ -305,9 +305,8 @@ def test_gains_that_do_not_exist_are_null_with_their_reason(call: Call) -> None:
     assert [(one["kp"], one["ki"], one["kd"]) for one in found] == [(None, None, None)] * 3
     assert found[0]["reason"].startswith("the integrator alone lags by 90 deg")
     words = ("theory", "--dead-time", "6", "--phase-margin", "90")
-    assert call(*words).out.startswith(
-        "Recommended, if no limit acts: P with Kp = 4.81 1/s for the rule of SIMC.\n"
-    )
+    first = "Recommended without command limits: P with Kp = 4.81 1/s for the rule of SIMC."
+    assert call(*words).out.startswith(f"{first}\n")
     text = " ".join(call(*words, "--details").out.split())
     assert "No P for 90 deg margin and PI for 90 deg margin: the integrator alone lags" in text
 

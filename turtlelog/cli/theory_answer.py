@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 _MOST_COLUMNS: Final = 3
 """Loops beside each other: a line has no room for more."""
 
+_IDEAL: Final = "without command limits"
+"""What recommended gains hold for."""
+
 _UNLIMITED: Final = "Commands are not clipped: limits change overshoot and settling time."
 
 
@@ -127,7 +130,7 @@ def _conclude(name: str, found: "dict[str, Recommendation]", wishes: Wishes) -> 
         f"{format_short(best.gains.kp)} 1/s ({loop})" for loop, best in found.items() if best.gains
     ]
     wish = wishes.describe(next(iter(found.values())).rule)
-    return f"{name}: recommended Kp for {wish}: {', '.join(gains)}."
+    return f"{name}: recommended Kp for {wish}, {_IDEAL}: {', '.join(gains)}."
 
 
 def _describe_loop(answer: LoopAnswer) -> str:
@@ -166,7 +169,7 @@ def _list_recommended(
         yield f"No gains are recommended: {next(iter(reasons), 'no rule gives any')}."
         return
     yield (
-        f"Recommended, if no limit acts: {best.controller} with {_show_gains(best.gains)} for"
+        f"Recommended {_IDEAL}: {best.controller} with {_show_gains(best.gains)} for"
         f" {wishes.describe(best.rule)}."
     )
 
