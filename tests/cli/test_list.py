@@ -43,3 +43,12 @@ def test_lists_fit_the_terminal(call: Call, monkeypatch: pytest.MonkeyPatch, kin
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "80")
     assert max(map(len, call("list", kind).out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("kind", ["metrics", "signals", "presets"])
+def test_a_pipe_has_every_meaning_in_the_line_of_its_name(call: Call, kind: str) -> None:
+    lines = call("list", kind).out.splitlines()
+    for entry in call("list", kind, "--json").json["entries"]:
+        assert any(
+            line.split()[:1] == [entry["name"]] and entry["meaning"] in line for line in lines
+        )

@@ -1,6 +1,7 @@
 """`turtlelog list`: the names that commands, checks and scenarios take; completion offers them."""
 
 import dataclasses
+import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -63,21 +64,22 @@ def list_(kind: Kind, /, *, json: bool = False) -> None:
 
 
 def _align(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Yield lines of cells; names stay whole, and the last cell has as many lines as it needs."""
+    """Yield lines of cells: in a terminal the last cell goes on below, in a pipe grep finds it."""
     *widths, last = (max(map(len, column)) for column in zip(*rows, strict=True))
     indent = sum(widths) + 2 * len(widths)
+    width = find_width() if sys.stdout.isatty() else indent + last
     for number, (*first, text) in enumerate(rows):
         head = "".join(f"{cell:<{width + 2}}" for cell, width in zip(first, widths, strict=True))
         yield textwrap.fill(
             text,
-            find_width(),
+            width,
             initial_indent=head,
             subsequent_indent=" " * indent,
             break_long_words=False,
             break_on_hyphens=False,
         )
         if not number:
-            yield "-" * min(indent + last, find_width())
+            yield "-" * min(indent + last, width)
 
 
 _IN_JSON: Final = frozenset({"scenario", "parameters"})
