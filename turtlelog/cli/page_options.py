@@ -1,5 +1,6 @@
 """Where figures of `turtlelog plot` will stand, and what of the runs they show there."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Final, Literal
@@ -69,6 +70,8 @@ class PageOptions:
         if self.text_width is not None and self.kind == "slide":
             raise UsageError("--text-width: needs --for column or page, not slide")
         for option, bound_s in (("--from", self.from_s), ("--to", self.to_s)):
+            if bound_s is not None and not math.isfinite(bound_s):
+                raise UsageError(f"{option} {bound_s:g}: must be a finite time [s]")
             if bound_s is not None and names and TIMELESS.issuperset(names):
                 found = ", ".join(names)
                 raise UsageError(f"{option}: needs a figure over time, not {found}")
