@@ -120,7 +120,7 @@ def test_explain_draws_the_run_beside_its_what_ifs(call: Call, tmp_path: Path, k
 def test_the_answer_begins_with_the_value_and_its_causes(call: Call, kp10: Path) -> None:
     lines = call("explain", kp10).out.splitlines()
     assert lines[:3] == [
-        "kp10.mcap: why final.position_error is 0.1067 m",
+        "kp10.mcap: final.position_error is 0.1067 m: queue +0.05108 m, pause +0.05057 m",
         "",
         "Two effects of the implementation cause it, in about equal parts:",
     ]
@@ -158,7 +158,8 @@ def test_the_answer_fits_a_screen(call: Call, kp10: Path, tmp_path: Path) -> Non
 def test_a_law_of_ones_own_shows_the_settings_of_its_causes(call: Call, turn: Path) -> None:
     words = ("explain", turn, "--metric", "run.turn_rate_total_variation", "--trust-law")
     lines = call(*words).out.splitlines()
-    assert lines[0] == "turn.mcap: why run.turn_rate_total_variation is 6.435 rad/s"
+    size = "run.turn_rate_total_variation is 6.435 rad/s"
+    assert lines[0] == f"turn.mcap: {size}: delay +5.4 rad/s"
     assert lines[3] == "  delay  +5.4 rad/s  loop.transport_delay_ticks = 6"
 
 

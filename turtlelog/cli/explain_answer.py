@@ -216,7 +216,7 @@ def format_answer(answer: ExplainAnswer, found: "Identification") -> str:
     if not named:
         lines = [f"{name}: {tl.explain.write_value(attribution)}"]
     else:
-        lines = [f"{name}: why {_write_why(attribution)}", ""]
+        lines = [f"{name}: {_write_size(attribution)}: {tl.explain.write_main(attribution)}", ""]
         lines += [f"{tl.explain.write_cause_head(attribution)}:"]
     sizes = [tl.explain.format_contribution(attribution, one) for one in named]
     widths = [max(map(len, column), default=0) for column in ([one.cause for one in named], sizes)]
@@ -232,7 +232,7 @@ def _fill(lines: list[str]) -> str:
     return "\n".join(line if line.startswith("  ") else fill_lines([line]) for line in lines)
 
 
-def _write_why(found: "Attribution") -> str:
+def _write_size(found: "Attribution") -> str:
     """Return the value of the log, and the re-simulation's where it is another."""
     if found.as_logged is None:
         return f"{found.metric} is {tl.explain.format_value(found, found.resimulated)}"

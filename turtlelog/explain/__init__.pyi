@@ -52,6 +52,7 @@ from .report import (
     format_contribution as format_contribution,
     format_value as format_value,
     write_cause_head as write_cause_head,
+    write_main as write_main,
     write_reasons as write_reasons,
     write_sentences as write_sentences,
     write_value as write_value,

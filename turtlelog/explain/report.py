@@ -75,6 +75,16 @@ def write_cause_head(found: Attribution) -> str:
     return f"{head}, in about equal parts" if is_alike else head
 
 
+def write_main(found: Attribution) -> str:
+    """Return the largest contribution, with those that are about equal to it."""
+    named = choose_named(found)
+    largest = abs(named[0].contribution or 0.0)
+    main = [one for one in named if largest <= _ALIKE * abs(one.contribution or 0.0)]
+    label = "mainly " if len(main) < len(named) else ""
+    mean = " in the mean over seeds" if found.seeds is not None else ""
+    return label + ", ".join(write_part(found, one) for one in main) + mean
+
+
 def _name_kinds(found: Attribution, named: list[Contribution]) -> str:
     many = "s" * (len(named) > 1)
     effects = [one for one in named if one.cause in found.effects]
