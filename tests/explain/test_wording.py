@@ -64,7 +64,7 @@ def test_the_gain_of_ten_in_words() -> None:
         "Two effects of the implementation cause it, in about equal parts: queue +0.05108 m and"
         " pause +0.05057 m.",
         "Without both it would be 0.005077 m; the tolerances alone allow 0.006693 m.",
-        "They act together: 0.05761 m arises only if queue and pause both act.",
+        "Queue and pause need each other: 0.05761 m arises only if both act.",
         "It depends on single samples: for 17 start headings within +-0.458 deg it is 0.03943 to"
         " 0.4734 m. Queue contributes 16 to 62 % of what queue and pause add. Without queue and"
         " pause it is 0.00482 to 0.005677 m.",
@@ -191,15 +191,14 @@ def test_what_is_not_there_is_not_said_to_act() -> None:
 def test_what_arises_only_together_is_told_from_a_tenth_on(size: float, *, is_told: bool) -> None:
     case = Together(causes=("queue", "pause"), value=size)
     sentences = write_sentences(describe(queue=0.1, together=(case,)))
-    told = f"They act together: {size} m arises only if queue and pause both act."
+    told = f"Queue and pause need each other: {size} m arises only if both act."
     assert (told in sentences) == is_told
 
 
 def test_what_makes_less_together_is_told_too() -> None:
     case = Together(causes=("queue", "pause"), value=-0.011)
     sentences = write_sentences(describe(queue=0.1, together=(case,)))
-    told = "queue and pause together add 0.011 m less than the sum of their parts"
-    assert f"They act together: {told}." in sentences
+    assert "Queue and pause together add 0.011 m less than the sum of their parts." in sentences
 
 
 @pytest.mark.parametrize(

@@ -226,16 +226,16 @@ def _write_together(found: Attribution) -> str:
         if abs(case.value) > _NAMED * _sum_contributions(found)
         and is_clear(case.value, case.standard_error)
     ]
-    return f"They act together: {'; '.join(parts)}." if parts else ""
+    return " ".join(parts)
 
 
 def _write_case(found: Attribution, case: Together) -> str:
     size = format_value(found, abs(case.value), case.standard_error)
-    names = join_words(case.causes)
+    names = _capitalise(join_words(case.causes))
     if case.value > 0.0:
         both = "both" if len(case.causes) == 2 else "all"
-        return f"{size} arises only if {names} {both} act"
-    return f"{names} together add {size} less than the sum of their parts"
+        return f"{names} need each other: {size} arises only if {both} act."
+    return f"{names} together add {size} less than the sum of their parts."
 
 
 def _write_seeds(found: Attribution) -> str:
