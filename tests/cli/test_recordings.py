@@ -158,6 +158,7 @@ def test_bad_input_is_one_line(
     Path("cut.mcap").write_bytes(kp4.read_bytes()[:20_000])
     Path("zeros.mcap").write_bytes(bytes(1000))
     Path("empty.mcap").touch()
+    Path("a.rrd").touch()
     Path("wrong.json").write_text("{")
     Path("json.mcap").write_text("{")
     Path("folder").mkdir()

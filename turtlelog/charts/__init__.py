@@ -1,1 +1,8 @@
-"""What a picture shows: its curves, levels, marks, colours and words. No room draws here."""
+"""What a picture shows: its curves, levels, marks, colours and words. No room draws here.
+
+The names stand in `__init__.pyi` and load on first use.
+"""
+
+from turtlelog.libraries import attach_names
+
+__getattr__, __dir__ = attach_names(__name__, __file__)

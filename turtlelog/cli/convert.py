@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import File, Json, Place, ReadingOptions, read_runs
+from turtlelog.cli.options import (
+    File,
+    Json,
+    Place,
+    ReadingOptions,
+    read_runs,
+    require_there,
+)
 from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.recover import recover_file
@@ -116,6 +123,7 @@ def convert(
         output: What to write; may stand several times.
         json: Print one JSON object instead of lines.
     """
+    require_there([file])
     tables = tables or TableOptions()
     if tables.recover:
         recover_file(file, output, json=json)

@@ -18,6 +18,7 @@ from turtlelog.cli.options import (
     ReadingOptions,
     read_runs,
     require_jobs,
+    require_there,
     split_names,
 )
 from turtlelog.cli.output import print_json, print_note, print_text
@@ -97,6 +98,7 @@ def explain(
             that change the metric most.
         json: Print one JSON object.
     """
+    require_there([file])
     options = options or ExplainOptions()
     require_new_target(options.scenario, [file], suffix=".toml")
     require_new_target(options.rrd, [file], suffix=".rrd")

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.identify_answer import format_robot
-from turtlelog.cli.options import Files, Json, Place, TopicOptions, read_runs
+from turtlelog.cli.options import Files, Json, Place, TopicOptions, read_runs, require_there
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_text
 from turtlelog.cli.targets import require_new_target, require_pictures
 
@@ -81,6 +81,7 @@ def identify(
     plot, rrd, scenario = written.plot, written.rrd, written.scenario
     require_pictures(plot, rrd, files, drawn=files, of="file")
     require_new_target(scenario, files, suffix=".toml")
+    require_there(files)
     runs = read_runs(files, topics)
     model = tl.identify_robot(runs)
     robot = None if scenario is None else tl.identify.build_robot_scenario(model, runs)

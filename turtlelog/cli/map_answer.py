@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 import turtlelog as tl
 from turtlelog.cli.output import find_command_name
 from turtlelog.display import describe_count, format_number, join_words
@@ -193,6 +191,8 @@ def _describe_limits(view: "SweptView", limits: "LoopLimits") -> LimitsAnswer:
 def _describe_metric(
     view: "SweptView", metric: "SweptMetric", limits: "Sequence[LoopLimits]"
 ) -> MetricOfTable:
+    import numpy as np
+
     values = tl.sweep.list_shown_values(view, metric)[1]
     known = values[np.isfinite(values)]
     reasons: dict[str, int] = {}

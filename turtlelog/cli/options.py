@@ -14,7 +14,8 @@ from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.processes import FILE_S, choose_jobs
-from turtlelog.remote.urls import make_path, parse_size, set_max_download
+from turtlelog.remote.urls import RemotePath, make_path, parse_size, set_max_download
+from turtlelog.text_files import describe_missing
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -314,6 +315,19 @@ def split_names(text: str, option: str) -> list[str]:
     if not all(names):
         raise UsageError(f"{option} {text[:60]}: must be names separated by commas")
     return names
+
+
+def require_there(paths: Sequence[Path]) -> None:
+    """Refuse files that are not there, before anything is loaded that draws them.
+
+    Raises:
+        UsageError: Where one is neither a file nor a preset.
+    """
+    for path in paths:
+        file, _ = tl.log.split_topic(path)
+        is_known = isinstance(file, RemotePath) or file.exists() or str(path) in tl.PRESETS
+        if not is_known:
+            raise UsageError(f"{path}: {describe_missing(path, tl.PRESETS)}")
 
 
 def require_files(paths: Sequence[Path]) -> None:

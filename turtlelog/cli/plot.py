@@ -11,7 +11,6 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog import draw
-from turtlelog.charts.endings import describe_runs
 from turtlelog.cli.asked_figures import AskedOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.map import ViewOptions, draw_table, find_table
@@ -23,6 +22,7 @@ from turtlelog.cli.options import (
     ReadingOptions,
     read_runs,
     require_jobs,
+    require_there,
     split_names,
 )
 from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
@@ -32,7 +32,6 @@ from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import UsageError
 from turtlelog.remote.urls import RemotePath
-from turtlelog.text_files import describe_missing
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -104,6 +103,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         json: Print one JSON object instead of lines.
     """
     jobs = require_jobs(jobs)
+    require_there(files or [])
     movie, asked, view = movie or MovieOptions(), asked or AskedOptions(), view or ViewOptions()
     table = find_table(files or [], view)
     if table is not None:
@@ -189,9 +189,6 @@ def _tell_whole(names: Iterable[str], page: "Page") -> None:
 
 def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]:
     """Return the files of a movie without figures."""
-    for path in files or []:
-        if str(path) not in tl.PRESETS and not path.exists():
-            raise UsageError(f"{path}: {describe_missing(path, tl.PRESETS)}")
     if movie.movie is None:
         raise UsageError("plot needs a file or a folder to write: -o NAME.png or -o FOLDER")
     if not files:
@@ -242,7 +239,7 @@ def _build_answer(
 ) -> PlotAnswer:
     return PlotAnswer(
         files=[str(path) for path in files],
-        ending=describe_runs(runs) if runs else None,
+        ending=tl.charts.describe_runs(runs) if runs else None,
         figures=[
             FigureAnswer(
                 file=str(path),

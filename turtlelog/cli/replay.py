@@ -15,6 +15,7 @@ from turtlelog.cli.options import (
     TopicOptions,
     choose_step_budget,
     read_runs,
+    require_there,
 )
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_verdicts
 from turtlelog.cli.replay_answer import (
@@ -74,6 +75,7 @@ def replay(
         output: Write the run of the closed loop to this .mcap file.
         json: Print one JSON object instead of tables.
     """
+    require_there([] if file is None else [file])
     mode = mode or ReplayOptions()
     require_sound(mode, changes, output)
     file, kind = settle_file(file, mode)

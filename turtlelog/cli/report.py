@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.charts.endings import describe_runs
 from turtlelog.cli.check_answers import CountedResults, conclude
 from turtlelog.cli.options import (
     Files,
@@ -19,6 +18,7 @@ from turtlelog.cli.options import (
     list_reading_words,
     read_runs,
     require_files,
+    require_there,
 )
 from turtlelog.cli.output import (
     EXIT_FAILED,
@@ -70,6 +70,7 @@ def report(
         json: Print one JSON object instead of lines.
     """
     require_files(files)
+    require_there(files)
     inputs = [*files, *([] if spec is None else [spec])]
     require_new_target(output, inputs, suffix=".html")
     runs = read_runs(files, topics)
@@ -90,7 +91,7 @@ def report(
         )
     verdict = tl.check.join_verdicts(results) if results else None
     answer = ReportAnswer(
-        ending=describe_runs(runs),
+        ending=tl.charts.describe_runs(runs),
         output=str(output),
         bytes=output.stat().st_size,
         runs=[

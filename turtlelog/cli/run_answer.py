@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.charts.endings import describe_end
 from turtlelog.cli.output import describe_metrics, fill_lines, format_table
 from turtlelog.display import describe_count
 
@@ -52,7 +51,7 @@ def build_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAns
 def write_end(run: "Run") -> str:
     """Return how far from the goal a run ended and when, and why it ended."""
     name, changes = _split_name(run)
-    lines = [f"{name}: {describe_end(run)}."]
+    lines = [f"{name}: {tl.charts.describe_end(run)}."]
     lines += [f"Changed: {changes}"] if changes else []
     lines += [f"{describe_count(len(run.samples), 'sample')}. {run.events[-1].text}"]
     return fill_lines(lines)

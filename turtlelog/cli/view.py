@@ -13,9 +13,16 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.charts.endings import describe_runs
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
-from turtlelog.cli.options import Connect, Files, Place, ReadingOptions, read_runs, require_files
+from turtlelog.cli.options import (
+    Connect,
+    Files,
+    Place,
+    ReadingOptions,
+    read_runs,
+    require_files,
+    require_there,
+)
 from turtlelog.cli.output import (
     fill_lines,
     list_written,
@@ -104,6 +111,7 @@ def view(
     _require_one_way(files, outputs, window)
     _require_picture(picture, movie)
     require_movie(movie, files)
+    require_there(files)
     require_new_target(save, files, suffix=".rrd")
     require_new_target(picture.snapshot, files, suffix=".png")
     width_and_height = _parse_size(picture.size)
@@ -138,7 +146,7 @@ def view(
 def _tell(written: Sequence[Path], runs: "Sequence[Run]") -> None:
     """Say how the runs ended that a file shows, and what was written."""
     if written:
-        ending = [fill_lines([describe_runs(runs)])] if runs else []
+        ending = [fill_lines([tl.charts.describe_runs(runs)])] if runs else []
         print_text("\n".join([*ending, *list_written(written)]))
 
 

@@ -41,7 +41,7 @@ def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
     except _DEFECTS:
         raise
     except FileNotFoundError as err:
-        from turtlelog.scenario import PRESETS  # Only mistakes pay for it.
+        from turtlelog.scenario import PRESETS  # only mistakes need them
 
         raise LogError(f"{path}: {describe_missing(path, PRESETS)}") from err
     except OSError as err:

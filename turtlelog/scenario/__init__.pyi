@@ -13,8 +13,6 @@ from .dotted_keys import (
     nest_parameters as nest_parameters,
 )
 from .files import (
-    PAPER_RUNS as PAPER_RUNS,
-    PRESETS as PRESETS,
     format_scenario as format_scenario,
     get_preset as get_preset,
     iterate_paper_runs as iterate_paper_runs,
@@ -35,6 +33,10 @@ from .overrides import (
     override_scenario as override_scenario,
     parse_assignments as parse_assignments,
     replay_commands as replay_commands,
+)
+from .presets import (
+    PAPER_RUNS as PAPER_RUNS,
+    PRESETS as PRESETS,
 )
 from .tables import (
     Disturbance as Disturbance,

@@ -1,0 +1,4 @@
+from .endings import (
+    describe_end as describe_end,
+    describe_runs as describe_runs,
+)
