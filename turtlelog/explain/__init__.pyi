@@ -23,6 +23,8 @@ from .departure import (
     find_departure as find_departure,
 )
 from .difference_report import (
+    format_change as format_change,
+    format_size as format_size,
     name_change as name_change,
 )
 from .explained_difference import (

@@ -138,6 +138,13 @@ def _write_move(found: "ExplainedDifference", size: float, *, is_many: bool) -> 
     return f"{verb}{'' if is_many else 's'} {format_size(found, abs(size))}{end}"
 
 
+def format_change(found: "ExplainedDifference", one: "Change") -> str:
+    """Return a contribution with its sign, unit, and standard error if it has one."""
+    size = one.contribution or 0.0
+    spread = f" +- {one.standard_error:.2g}" if one.standard_error else ""
+    return f"{'+' if size >= 0.0 else ''}{format_size(found, size)}{spread}"
+
+
 def name_change(one: "Change") -> str:
     """Return a group of settings in words: `the gains`, `the shorter pause`, or its key."""
     if one.name in _WORDS:
@@ -291,7 +298,7 @@ def write_effects(found: "ExplainedDifference") -> str:
 
 
 def _write_shift(found: "ExplainedDifference", one: "EffectShift") -> str:
-    return f"{one.cause} {'+' if one.shift > 0.0 else ''}{format_size(found, one.shift)}"
+    return f"{one.cause} {'+' if one.shift >= 0.0 else ''}{format_size(found, one.shift)}"
 
 
 def _write_idle(found: "ExplainedDifference") -> str:
