@@ -126,7 +126,6 @@ from .replay import (
 )
 from .run import (
     CommandColumns as CommandColumns,
-    Event as Event,
     PoseColumns as PoseColumns,
     Run as Run,
     SampleColumns as SampleColumns,

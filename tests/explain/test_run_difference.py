@@ -243,7 +243,7 @@ def spoil(run: Run, *, part: str) -> Run:
     ("part", "at_s", "cause"),
     [
         ("controller", 6.768, "the cause lies in the controller"),
-        ("robot", 8.0, "the cause lies in the robot"),
+        ("robot", 8.0, "the cause lies after the controller"),
         ("start", 0.0, "They start from other poses"),
     ],
 )

@@ -33,7 +33,9 @@ def add_reason(
     trust_law: bool = False,
     limit_s: float = LIMIT_S,
 ) -> list[CheckResult]:
-    """Return results, the first failed one with the reason why the run differs from its reference.
+    """Return results, one of those that fail with why the run differs from its reference.
+
+    That is the check of the metric that matters most, or else the first that names a metric.
 
     Args:
         run: That was judged.
@@ -46,18 +48,14 @@ def add_reason(
     failed = [one for one in results if one.verdict == "FAIL"]
     if not failed:
         return [*results]
-    first = min(failed, key=_read_first)
     known = list_metrics(run.declaration).keys() & list_metrics(reference.declaration).keys()
-    named = [name for one in (first, *failed) for name in _list_metrics(one) if name in known]
-    metric = next(iter(named), None) or choose_common_metric(reference, run)
-    words = ["turtlelog", "compare", place, first.file, "--why", metric]
+    main = choose_common_metric(reference, run)
+    named = [(one, name) for one in failed for name in _list_metrics(one) if name in known]
+    chosen, metric = min(named or [(failed[0], main)], key=lambda pair: pair[1] != main)
+    words = ["turtlelog", "compare", place, chosen.file, "--why", metric]
     more = shlex.join([*words, *(["--trust-law"] if trust_law else [])])
     why = (*_explain(run, reference, metric, limit_s, trust_law=trust_law), f"More: {more}")
-    return [replace(one, why=why) if one is first else one for one in results]
-
-
-def _read_first(result: CheckResult) -> float:
-    return float("inf") if result.first_violation_s is None else result.first_violation_s
+    return [replace(one, why=why) if one is chosen else one for one in results]
 
 
 def _list_metrics(result: CheckResult) -> list[str]:

@@ -54,8 +54,10 @@ def describe_results(run: Run, *results: CheckResult) -> list[str]:
     return [escape_controls(line) for line in lines]
 
 
-def _read_first(result: CheckResult) -> float:
-    return math.inf if result.first_violation_s is None else result.first_violation_s
+def _read_first(result: CheckResult) -> tuple[bool, float]:
+    """Return what puts the explained result first, then the first violated."""
+    first_s = result.first_violation_s
+    return not result.why, math.inf if first_s is None else first_s
 
 
 def _list_figures(result: CheckResult) -> Iterator[str]:

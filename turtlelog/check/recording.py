@@ -206,7 +206,7 @@ class Recording:
         )
 
     def add_reason(self, results: Sequence[CheckResult]) -> Sequence[CheckResult]:
-        """Return results, the first failed one with why the run differs from its reference."""
+        """Return results, a failed one with why the run differs from its reference."""
         reference = next((one.reference for one in results if one.reference is not None), None)
         if reference is None:
             return results

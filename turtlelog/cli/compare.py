@@ -152,9 +152,9 @@ def compare(
 
     Example: turtlelog compare --reference good.mcap new.mcap
 
-    Example: turtlelog compare yesterday.mcap today.mcap --why
+    Example: turtlelog compare good.mcap new.mcap --why
 
-    Example: turtlelog compare nightly --first "final.position_error > 0.01" --why
+    Example: turtlelog compare runs --first "final.position_error > 0.005" --why
 
     Example: turtlelog compare robot_bag robot.toml
 

@@ -242,6 +242,8 @@ def _list_settings(one: "Change") -> Iterator[str]:
     """Yield the settings of a change; those of one pair of values together."""
     pairs: dict[tuple[str, str], list[str]] = {}
     for key, before, after in zip(one.keys, one.first, one.second, strict=True):
+        if before == after:  # the seed of both runs
+            continue
         pairs.setdefault((_show(before), _show(after)), []).append(key)
     for number, ((before, after), keys) in enumerate(pairs.items()):
         if number == _MOST_SETTINGS:

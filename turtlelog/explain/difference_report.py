@@ -26,6 +26,11 @@ _FEW: Final = 3
 _DIGITS: Final = 4
 """Of the largest value; all others have as many decimals."""
 
+_FEWEST: Final = 2
+"""Digits of the largest contribution, however small it is beside the values."""
+
+_MOST_DECIMALS: Final = 9
+
 _SAME: Final = 1e-6
 """Of a value: a smaller difference is none. Two platforms differ by no more in one scenario."""
 
@@ -35,8 +40,8 @@ _WORDS: Final = {"law": "the law itself"}
 
 _PARTS: Final = {
     "start": "They start from other poses",
-    "robot": "Until then all commands are equal, so the cause lies in the robot or in what acts on"
-    " it, not in the controller",
+    "robot": "Until then all commands are equal, so the cause lies after the controller: in the"
+    " transport of commands, in the robot, or in what acts on it",
     "sensor": "Until then the robot moves equally, so the cause lies in the sensor",
     "controller": "Until then the controller reads equal poses, so the cause lies in the"
     " controller: its code, its version or its state",
@@ -171,16 +176,22 @@ def is_negligible(found: "ExplainedDifference") -> bool:
 
 def format_size(found: "ExplainedDifference", value: float) -> str:
     """Return a value with its unit, in as many decimals as all values of this answer."""
-    sides = [side.as_logged for side in (found.first, found.second)]
-    values = [abs(one) for one in sides if one is not None]
-    largest = max(
-        [*values, *(abs(one.contribution or 0.0) for one in found.contributions)], default=0
-    )
-    digits = _DIGITS - 1 - (math.floor(math.log10(largest)) if largest else 0)
-    text = f"{value:.{min(max(digits, 0), 9)}f}"
+    text = f"{value:.{_count_decimals(found)}f}"
     if not float(text):
         text = f"{value:.1g}" if value else "0"
     return f"{text} {found.unit}".removesuffix(" 1")
+
+
+def _count_decimals(found: "ExplainedDifference") -> int:
+    """Return how many decimals show four digits of the largest value, two of a contribution."""
+    sides = (found.first.as_logged, found.second.as_logged)
+    sizes = [one.contribution for one in found.contributions]
+    decimals = [
+        digits - 1 - math.floor(math.log10(largest))
+        for digits, values in ((_DIGITS, (*sides, *sizes)), (_FEWEST, sizes))
+        if (largest := max((abs(one) for one in values if one is not None), default=0.0))
+    ]
+    return min(max([*decimals, 0]), _MOST_DECIMALS)
 
 
 def _write_obstacle(found: "ExplainedDifference") -> list[str]:
