@@ -132,6 +132,7 @@ def test_another_law_is_exchanged_as_a_whole_where_both_may_run(
     assert "law.kind old.py:Law -> new.py:Law" in answer.flat
 
 
+@pytest.mark.thorough
 def test_the_contributions_are_drawn(call: Call, kp4: Path, kp10: Path, tmp_path: Path) -> None:
     """Takes some 2 s: matplotlib is loaded."""
     plot = tmp_path / "why.svg"

@@ -1,4 +1,5 @@
 import math
+import random
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
+from tests.explain.changed_pairs import draw_pair
 from turtlelog.errors import ExplainError, ScenarioError
 from turtlelog.explain import Depth, ExplainedDifference, explain_difference
 from turtlelog.explain.run_changes import find_changes, undo_changes
@@ -168,7 +170,7 @@ def test_without_a_value_the_smallest_set_of_changes_is_the_answer() -> None:
 
 
 def test_settings_that_contradict_each_other_have_no_value() -> None:
-    far = change(get_preset("lagged"), goal__x_m=50.0)
+    far = change(get_preset("lagged"), goal__x_m=50.0, max_duration_s=2.0)
     found = explain(KP2, far, metric="run.duration")
     assert found.withheld
     assert "contradict each other" in " ".join(found.sentences)
@@ -197,7 +199,7 @@ def test_sampled_orders_add_up_and_their_errors_hold_the_exact_value() -> None:
     exact = read(explain(KP2, second, metric="run.duration"))
     depth = replace(BRIEF, most_exact=2)
     found = explain(KP2, second, metric="run.duration", depth=depth)
-    assert found.orders == 64
+    assert found.orders == 256
     assert math.fsum(read(found).values()) == pytest.approx(found.difference, abs=1e-9)
     for one in found.contributions:
         assert one.standard_error is not None
@@ -269,9 +271,10 @@ def test_a_run_without_samples_has_no_cause_and_says_what_is_missing() -> None:
         if isinstance(value := getattr(run.samples, name), np.ndarray)
     }
     bag = replace(run, samples=replace(run.samples, **none), scenario_is_complete=False)
-    found = explain_difference(run, bag, metric="run.path_length", depth=BRIEF)
+    found = explain_difference(run, replace(bag, goal_xy_m=None), depth=BRIEF)
+    assert found.metric == "run.path_length"
     assert found.withheld is not None
-    assert "no controller samples" in found.withheld
+    assert "without controller samples no scenario is known" in found.withheld
 
 
 def test_a_metric_that_one_run_lacks_is_refused() -> None:
@@ -284,3 +287,21 @@ def test_laws_that_nobody_trusts_do_not_run() -> None:
     other = replace(run, parameters={**run.parameters, "law.kind": "mine.py:Law"})
     with pytest.raises(ScenarioError, match="trust"):
         explain_difference(run, other)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", range(4))
+def test_pairs_of_known_changes_are_divided_as_brute_force_does(seed: int) -> None:
+    """Four pairs are simulated in every combination, twice."""
+    source = random.Random(seed)
+    for _ in range(4):
+        pair = draw_pair(source)
+        truth = pair.divide()
+        found = explain(pair.first, pair.second, metric=pair.metric)
+        if truth is None:
+            assert found.contributions == ()
+            continue
+        sizes = read(found)
+        assert sizes.keys() <= truth.keys()
+        assert {name: sizes.get(name, 0.0) for name in truth} == pytest.approx(truth, abs=1e-9)
+        assert math.fsum(sizes.values()) == pytest.approx(found.difference, abs=1e-9)

@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
@@ -36,6 +37,9 @@ from turtlelog.escapes import escape_controls
 if TYPE_CHECKING:
     from turtlelog.compare import RunSummary, Table
     from turtlelog.explain import Change, ExplainedDifference
+
+_LONGEST: Final = 40
+"""Of the settings in a line [characters]; the rest of a longer list is in JSON and CSV."""
 
 _MOST_SETTINGS: Final = 3
 """Settings of a change that its line shows; of a law there are ten and more."""
@@ -235,7 +239,8 @@ def format_why(
 def _list_cells(found: "ExplainedDifference", one: "Change") -> tuple[str, ...]:
     size = tl.explain.format_change(found, one)
     undone = "" if one.undone is None else f"undone: {tl.explain.format_size(found, one.undone)}"
-    return one.name, size, "; ".join(_list_settings(one)), undone
+    settings = shorten("; ".join(_list_settings(one)), _LONGEST, placeholder=" ...")
+    return one.name, size, settings, undone
 
 
 def _list_settings(one: "Change") -> Iterator[str]:

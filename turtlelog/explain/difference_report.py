@@ -55,6 +55,7 @@ def write_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
     """Return how the metric differs and why, what that depends on, and what else differs."""
     sentences = [
         write_headline(found),
+        _write_resimulated(found),
         *_write_departure(found),
         *_write_obstacle(found),
         _write_together(found),
@@ -111,6 +112,17 @@ def _write_side(found: "ExplainedDifference", side: "Side") -> str:
     if side.as_logged is None:
         return f"{side.name} has no value ({side.reason})"
     return f"{side.name} has {format_size(found, side.as_logged)}"
+
+
+def _write_resimulated(found: "ExplainedDifference") -> str:
+    """Return the values of the re-simulations, which contributions are of, if they are others."""
+    sides = (found.first, found.second)
+    pairs = [(one.as_logged, one.resimulated) for one in sides]
+    known = [(a, b) for a, b in pairs if a is not None and b is not None]
+    if len(known) < 2 or all(abs(a - b) <= _SAME * abs(a) for a, b in known):
+        return ""
+    values = [format_size(found, value) for _, value in known]
+    return f"Simulated again it is {values[0]} and {values[1]}."
 
 
 def choose_told(found: "ExplainedDifference") -> list["Change"]:

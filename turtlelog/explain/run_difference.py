@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from turtlelog.display import join_words
 from turtlelog.errors import ExplainError
 from turtlelog.explain.attribute import attribute_scenario, divide_game
 from turtlelog.explain.attribution import (
@@ -59,6 +60,12 @@ _ROUNDING: Final = 1e-12
 
 _NAMES: Final = ("the first run", "the second run")
 """Names of runs that have one name."""
+
+
+_NO_SAMPLES: Final = (
+    "without controller samples no scenario is known (turtlelog identify shows how a robot follows"
+    " its commands)"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,11 +144,10 @@ def explain_difference(
     )
     one, other = scenarios
     if one is None or other is None:
-        unknown = [side for side in sides if side.basis is None]
         is_same = _hold_same_settings(first, second)
         return replace(
             answer,
-            withheld="; ".join(f"{side.name}: {side.note}" for side in unknown),
+            withheld=_describe_unknown(sides),
             has_same_settings=is_same,
             departure=find_departure(first, second) if is_same else None,
         )
@@ -157,6 +163,15 @@ def explain_difference(
     return _divide(answer, (one, other), changes, depth, work)
 
 
+def _describe_unknown(sides: Sequence[Side]) -> str:
+    """Return of which runs no scenario is known, and why not."""
+    names: dict[str, list[str]] = {}
+    for side in sides:
+        if side.basis is None:
+            names.setdefault(side.note, []).append(side.name)
+    return "; ".join(f"{join_words(who)}: {note}" for note, who in names.items())
+
+
 def _take_unknown(scenario: Scenario, other: Scenario, side: Side) -> Scenario:
     """Return a scenario with another one's values of what is not identified."""
     values = flatten_scenario(other)
@@ -166,20 +181,26 @@ def _take_unknown(scenario: Scenario, other: Scenario, side: Side) -> Scenario:
 def choose_common_metric(first: Run, second: Run) -> str:
     """Return the metric to explain if none is named: what matters most to a run of both laws."""
     known = list_metrics(first.declaration).keys() & list_metrics(second.declaration).keys()
+    if first.goal_xy_m is None or second.goal_xy_m is None:
+        known = {name for name in known if not name.startswith("final.")}
     chosen = [choose_metric(run.declaration) for run in (second, first)]
-    return next((name for name in chosen if name in known), "run.duration")
+    return next((name for name in chosen if name in known), "run.path_length")
 
 
 def require_common_metric(first: Run, second: Run, metric: str) -> None:
     """Require a metric that both runs have.
 
     Raises:
-        ExplainError: If one of them has no such metric; with the names nearest to it.
+        ExplainError: If one of them has no such metric, with the names nearest to it, or if its
+            unit differs.
     """
     for run in (first, second):
         known = list_metrics(run.declaration)
         if metric not in known:
             raise ExplainError(f"{run.name}: {describe_no_metric(metric, known)}")
+    units = [list_metrics(run.declaration)[metric].unit for run in (first, second)]
+    if units[0] != units[1]:
+        raise ExplainError(f"{metric} has the unit {units[0]} in one run, {units[1]} in the other")
 
 
 def _hold_same_settings(first: Run, second: Run) -> bool:
@@ -200,8 +221,7 @@ def _stand_for(
     length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
     note = "the recording does not contain its scenario"
     if not len(run.samples):
-        note = "it contains no controller samples, so no scenario is known"
-        return replace(side, note=note), None
+        return replace(side, note=_NO_SAMPLES), None
     if run.scenario_is_complete and length_s <= LONGEST_S:
         recorded = check_recorded_scenario(run, mark_breaks(trace_run(run)), trust_law=trust_law)
         note = recorded.reach

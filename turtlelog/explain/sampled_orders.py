@@ -11,8 +11,8 @@ from typing import Final
 from turtlelog.explain.attribution import Attribution, Contribution
 from turtlelog.explain.game import SEEDS, Game
 
-_PAIRS: Final = len(SEEDS)
-"""Orders, each with its reverse: a pair for each seed."""
+_PAIRS: Final = 4 * len(SEEDS)
+"""Orders, each with its reverse: some 6 s of the paper's runs with fourteen groups."""
 
 ORDERS: Final = 2 * _PAIRS
 """How many orders are sampled."""
@@ -22,13 +22,13 @@ def sample_game(found: Attribution, game: Game) -> Attribution:
     """Return an attribution whose contributions are means over sampled orders of its causes.
 
     Each order comes with its reverse, which takes out what the place in an order makes. If the game
-    is random, each pair has a seed of its own.
+    is random, every seed has as many pairs, and the errors are those over seeds.
     """
     orders = list_orders(found.causes)
-    seeds = SEEDS if game.is_random else (None,) * _PAIRS
+    seeds = SEEDS if game.is_random else (None,)
     added: dict[str, list[float]] = {name: [] for name in found.causes}
     plays = [
-        (frozenset(order[place:]), seeds[row // 2])
+        (frozenset(order[place:]), seeds[row // 2 % len(seeds)])
         for row, order in enumerate(orders)
         for place in range(len(order) + 1)
     ]
@@ -49,7 +49,7 @@ def sample_game(found: Attribution, game: Game) -> Attribution:
                 contribution=fmean(sizes),
                 alone=game.take_out([name]).value,
                 meaning=game.causes[name].meaning,
-                standard_error=_find_error(sizes),
+                standard_error=_find_error(sizes, len(seeds)),
             )
             for name, sizes in added.items()
         ),
@@ -63,6 +63,8 @@ def list_orders(names: Sequence[str]) -> list[tuple[str, ...]]:
     return [order for one in drawn for order in (one, one[::-1])]
 
 
-def _find_error(sizes: Sequence[float]) -> float:
-    pairs = [fmean(pair) for pair in zip(sizes[::2], sizes[1::2], strict=True)]
-    return stdev(pairs) / math.sqrt(len(pairs))
+def _find_error(sizes: Sequence[float], seeds: int) -> float:
+    parts = [fmean(pair) for pair in zip(sizes[::2], sizes[1::2], strict=True)]
+    if seeds > 1:  # what one seed makes is in all of its pairs
+        parts = [fmean(parts[seed::seeds]) for seed in range(seeds)]
+    return stdev(parts) / math.sqrt(len(parts))
