@@ -169,7 +169,9 @@ def test_without_a_value_the_smallest_set_of_changes_is_the_answer() -> None:
     assert "the first run has 5.774 s; the second run has no value" in found.sentences[0]
 
 
+@pytest.mark.thorough
 def test_settings_that_contradict_each_other_have_no_value() -> None:
+    """A compiled loop of another plant is loaded."""
     far = change(get_preset("lagged"), goal__x_m=50.0, max_duration_s=2.0)
     found = explain(KP2, far, metric="run.duration")
     assert found.withheld
