@@ -62,6 +62,11 @@ def test_the_metric_may_be_left_out_wherever_the_word_is(call: Call, kp4: Path, 
     )
 
 
+def test_a_missing_file_after_why_is_no_metric(call: Call, kp4: Path) -> None:
+    answer = call("compare", "--why", "missing.mcap", kp4)
+    assert (answer.code, "missing.mcap: no such file" in answer.err) == (2, True)
+
+
 def test_contributions_as_json_add_up(call: Call, kp4: Path, kp10: Path) -> None:
     found = call("compare", kp4, kp10, "--why", "run.duration", "--json").json
     assert (found["first"], found["second"], found["condition"]) == (str(kp4), str(kp10), None)
@@ -107,9 +112,10 @@ def test_a_series_without_such_a_pair_says_so(
 
 @pytest.mark.thorough
 def test_a_file_of_a_series_that_cannot_be_read_is_reported(call: Call, night: Path) -> None:
-    """Takes some 3 s: three recordings are made, and two are explained."""
+    """Takes some 3 s: three recordings are made, read in two processes, and two are explained."""
     (night / "2026-05-04.mcap").write_bytes(b"no recording")
-    answer = call("compare", night, "--first", "final.position_error > 0.01", "--why")
+    words = ["--first", "final.position_error > 0.01", "--why", "--jobs", 2]
+    answer = call("compare", night, *words)
     assert answer.code == 2
     assert "2026-05-04.mcap" in answer.err
     assert "the gains" in answer.out

@@ -3,6 +3,7 @@
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -33,8 +34,10 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_pictures
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.escapes import escape_controls
+from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
+    from turtlelog import Run
     from turtlelog.compare import RunSummary, Table
     from turtlelog.explain import Change, ExplainedDifference
 
@@ -43,6 +46,10 @@ _LONGEST: Final = 40
 
 _MOST_SETTINGS: Final = 3
 """Settings of a change that its line shows; of a law there are ten and more."""
+
+
+_SUFFIXES: Final = (".mcap", ".json", ".csv", ".parquet", ".tum", ".db3", ".bag")
+"""How the names of recordings end, but for folders: such a word after --why is no metric."""
 
 
 @Parameter(name="*")
@@ -110,11 +117,14 @@ class WhyAnswer:
 
 def take_metric(options: WhyOptions, files: Sequence[Path]) -> tuple[str | None, list[Path]]:
     """Return the metric and the files: the word after --why may be the first file."""
-    if not isinstance(options.why, str):
+    word = options.why
+    if not isinstance(word, str):
         return None, [*files]
-    if Path(options.why).exists():
-        return None, [Path(options.why), *files]
-    return options.why, [*files]
+    is_metric = tl.measure.find_metric_kind(word) is not None
+    path = make_path(word)
+    if not is_metric and ("/" in word or path.suffix.lower() in _SUFFIXES or path.exists()):
+        return None, [path, *files]
+    return word, [*files]
 
 
 def compare_why(
@@ -133,8 +143,9 @@ def compare_why(
     if options.first is None:
         if len(files) != 2:
             raise UsageError(
-                f"--why compares two runs, but {len(files)} were given; of more, --first EXPRESSION"
-                " takes the first that meets a condition and the one before it"
+                f"--why compares two runs, but {len(files)} {'was' if len(files) == 1 else 'were'}"
+                " given; of more, --first EXPRESSION takes the first that meets a condition and the"
+                " one before it"
             )
         pair: tuple[Path, Path] | None = files[0], files[1]
     else:
@@ -177,7 +188,7 @@ def _find_pair(
     needed = tl.compare.list_needed_metrics([], where=condition, sort=None, source="--first")
     found = tl.compare.summarise_files(
         paths,
-        only=lambda _: needed,
+        only=partial(_take_needed, needed),
         topics=topics.build_choice(),
         jobs=count_jobs(place.jobs, paths),
     )
@@ -193,6 +204,10 @@ def _find_pair(
         return (Path(summaries[row - 1].file), Path(summaries[row].file)), code
     _print_nothing(condition, summaries, kind, is_met=bool(met))
     return None, code
+
+
+def _take_needed(needed: tuple[str, ...], _: "Run") -> tuple[str, ...]:
+    return needed
 
 
 def _is_folder_of_recordings(path: Path) -> bool:

@@ -343,5 +343,6 @@ def _write_identified(side: "Side") -> str:
     reason, _, _ = side.note.partition(":")
     return (
         f"The scenario of {side.name} is identified from its samples: {reason}."
+        f" It {'reproduces all samples' if side.is_exact else 'does not reproduce every sample'}."
         f"{unknown if side.unknown else ''}"
     )

@@ -22,6 +22,7 @@ class Side:
         basis: The scenario that stands for the run: the one that it holds, which reproduces every
             sample, or the identified one; None if no scenario does.
         note: How far the scenario that the run holds reproduces it, or why none stands for it.
+        is_exact: Whether the scenario that stands for the run reproduces every sample.
         unknown: Keys that are not identified: the other run's values stand for them.
     """
 
@@ -31,6 +32,7 @@ class Side:
     reason: str = ""
     basis: str | None = None
     note: str = ""
+    is_exact: bool = False
     unknown: tuple[str, ...] = ()
 
 

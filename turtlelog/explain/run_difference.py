@@ -125,22 +125,12 @@ def explain_difference(
         sides = [replace(s, name=n) for s, n in zip(sides, _NAMES, strict=True)]
     scenarios = [scenario for _, scenario in found]
     unit = list_metrics(second.declaration)[metric].unit
-    value = max(abs(side.as_logged or 0.0) for side in sides)
-    resolutions = [
-        find_resolution(scenario, declare_scenario(scenario), metric, value)
-        for scenario in scenarios
-        if scenario is not None
-    ]
     answer = ExplainedDifference(
         metric=metric,
         unit=unit,
         first=sides[0],
         second=sides[1],
-        resolution=max(
-            resolutions,
-            key=lambda one: one.size,
-            default=Resolution(size=0.0, reason="nothing is known of it"),
-        ),
+        resolution=_find_resolution(metric, sides, scenarios),
     )
     one, other = scenarios
     if one is None or other is None:
@@ -161,6 +151,20 @@ def explain_difference(
             departure=find_departure(first, second),
         )
     return _divide(answer, (one, other), changes, depth, work)
+
+
+def _find_resolution(
+    metric: str, sides: Sequence[Side], scenarios: Sequence[Scenario | None]
+) -> Resolution:
+    """Return the larger resolution of two runs; 0 if no scenario is known."""
+    value = max(abs(side.as_logged or 0.0) for side in sides)
+    found = [
+        find_resolution(scenario, declare_scenario(scenario), metric, value)
+        for scenario in scenarios
+        if scenario is not None
+    ]
+    none = Resolution(size=0.0, reason="no scenario is known")
+    return max(found, key=lambda one: one.size, default=none)
 
 
 def _describe_unknown(sides: Sequence[Side]) -> str:
@@ -226,7 +230,8 @@ def _stand_for(
         recorded = check_recorded_scenario(run, mark_breaks(trace_run(run)), trust_law=trust_law)
         note = recorded.reach
         if recorded.scenario is not None:
-            return replace(side, basis="recorded", note=note), recorded.scenario
+            side = replace(side, basis="recorded", note=note, is_exact=True)
+            return side, recorded.scenario
     if not depth.identifies:
         return replace(side, note=note), None
     identified = identify_run(run, trust_law=trust_law)
@@ -236,7 +241,9 @@ def _stand_for(
     unknown = tuple(
         key for key, one in identified.findings.items() if one.value is None and key in known
     )
-    side = replace(side, basis="identified", note=note, unknown=unknown)
+    again = identified.resimulation
+    is_exact = again is not None and again.is_exact
+    side = replace(side, basis="identified", note=note, is_exact=is_exact, unknown=unknown)
     return side, identified.scenario
 
 
