@@ -143,6 +143,8 @@ OTHER = [
     "scenario run.mcap",
     "import run.mcap",
     "replay sound.mcap --scenario run.mcap",
+    "compare run.mcap sound.mcap --why",
+    "compare sound.mcap run.mcap --why run.duration --json",
 ]
 """What takes no such recording, or whose answer is of no matter here."""
 
@@ -209,6 +211,7 @@ def test_nothing_else_runs_it(folder: Path, words: str) -> None:
         "run --from table.parquet --row 0 --trust-law",
         f"run --from table.parquet --row 0 --law {EVIL}",
         "sweep run.mcap --grid seed=0:1 --trust-law -o trusted.parquet",
+        "compare run.mcap sound.mcap --why --trust-law",
         f"sweep textbook --law {EVIL} --grid seed=0:1 -o named.parquet",
         f"sweep textbook --grid law.kind={EVIL},posture -o varied.parquet",
     ],

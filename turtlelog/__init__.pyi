@@ -80,6 +80,7 @@ from .errors import (
 )
 from .explain import (
     attribute_run as attribute_run,
+    explain_difference as explain_difference,
     identify_run as identify_run,
 )
 from .identify import (
@@ -125,7 +126,6 @@ from .replay import (
 )
 from .run import (
     CommandColumns as CommandColumns,
-    Event as Event,
     PoseColumns as PoseColumns,
     Run as Run,
     SampleColumns as SampleColumns,

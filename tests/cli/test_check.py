@@ -291,3 +291,36 @@ def test_junit_has_times_and_timestamps(call: Call, spec: Path, kp4: Path, tmp_p
     assert float(suites[0].attrib["time"]) > 0.0
     total = sum(float(suite.attrib["time"]) for suite in suites)
     assert abs(float(root.attrib["time"]) - total) <= 0.002
+
+
+WHY = """format = 1
+reference = "REFERENCE"
+[checks.error]
+expect = "final.position_error < 0.02"
+[metrics]
+"run.duration" = { abs = 0.1, reason = "a test" }
+"""
+
+
+@pytest.mark.parametrize("words", [(), ("--no-why",), ("--marks",)])
+def test_a_failure_says_why_the_run_differs_from_the_reference(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    spec, report = tmp_path / "spec.toml", tmp_path / "report.xml"
+    spec.write_text(WHY.replace("REFERENCE", kp4.as_posix()), encoding="utf-8")
+    answer = call("check", spec, kp10, "--junit", report, *words)
+    assert answer.code == 1
+    told = "final.position_error rose from 0.0085 m to 0.1067 m: the gains add 0.1499 m,"
+    assert (f"WHY {kp10}: {told}" in answer.flat) is (not words)
+    assert (told in report.read_text("utf-8")) is (not words)
+
+
+def test_the_reason_of_a_failure_stands_in_json(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    spec = tmp_path / "spec.toml"
+    spec.write_text(WHY.replace("REFERENCE", kp4.as_posix()), encoding="utf-8")
+    results = call("check", spec, kp4, kp10, kp10, kp10, kp10, "--json").json["results"]
+    whys = [one["why"] for one in results if one["check"] == "error"]
+    assert [len(why) for why in whys] == [0, 3, 3, 3, 0]
+    assert whys[1][2] == f"More: turtlelog compare {kp4} {kp10} --why final.position_error"

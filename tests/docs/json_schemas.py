@@ -29,6 +29,7 @@ ANSWERS: Final = {
     "metrics -o TABLE": "folders:TableAnswer",
     "compare": "compare:_AcrossAnswer",
     "compare --reference": "compare_reference:_ReferenceAnswer",
+    "compare --why": "compare_why:WhyAnswer",
     "compare BAG SCENARIO": "compare_robot:_RobotAnswer",
     "explain": "explain_answer:ExplainAnswer",
     "identify": "identify:IdentifyAnswer",

@@ -26,6 +26,7 @@ TYPED = {
     "metrics": ["metrics", "KP4", "KP10"],
     "compare": ["compare", "KP4", "KP10"],
     "compare --reference": ["compare", "--reference", "KP4", "KP10"],
+    "compare --why": ["compare", "KP4", "KP10", "--why", "run.duration"],
     "explain": ["explain", "KP4", "--causes", "queue"],
     "identify": ["identify", "KP4"],
     "replay": ["replay", "KP4", "--set", "law.kp_linear=3", "--expect-equal"],

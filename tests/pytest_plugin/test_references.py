@@ -91,6 +91,26 @@ def test_a_shorter_run_does_not_match(suite: pytest.Pytester) -> None:
     )
 
 
+WHY = """def test_it(recording):
+    tolerance = Tolerance(abs=0.001)
+    assert recording.matches('runs/kp4.mcap', tolerance=tolerance)
+"""
+
+
+@pytest.mark.parametrize(("words", "is_told"), [((), True), (("--turtlelog-no-why",), False)])
+def test_a_failure_says_why_the_recording_differs_from_its_reference(
+    suite: pytest.Pytester, words: tuple[str, ...], *, is_told: bool
+) -> None:
+    report = suite.path / "report.xml"
+    result = run(suite, WHY, f"--junitxml={report}", *words, marker='"runs/kp10.mcap"')
+    result.assert_outcomes(failed=1)
+    for text in (" ".join(result.stdout.str().split()), " ".join(report.read_text().split())):
+        told = "why final.position_error rose from 0.0085 m to 0.1067 m: the gains add 0.1499 m,"
+        assert (told in text) is is_told
+        more = "turtlelog compare REFERENCE runs/kp10.mcap --why final.position_error"
+        assert (more in text) is is_told
+
+
 BAD = {
     "empty": ("{}", "*LogError: good.json: data: expected a JSON object*"),
     "none": ('{"metrics": []}', "*metrics: must not be empty"),

@@ -113,9 +113,14 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
 
 def choose_step_scale(found: Attribution) -> StepScale:
     """Return the unit and the decimals of an attribution's values: they are those of all of it."""
-    values = (found.as_logged, found.resimulated, found.without_all)
-    largest = max(abs(value) for value in (*values, found.divided, 0.0) if value is not None)
-    factor, unit = (1e3, "mm") if found.unit == "m" and largest < 1.0 else (1.0, found.unit)
+    values = (found.as_logged, found.resimulated, found.without_all, found.divided)
+    return choose_scale(values, found.unit)
+
+
+def choose_scale(values: Sequence[float | None], unit: str) -> StepScale:
+    """Return the unit and the decimals in which values of a metric's unit are drawn."""
+    largest = max(abs(value) for value in (*values, 0.0) if value is not None)
+    factor, unit = (1e3, "mm") if unit == "m" and largest < 1.0 else (1.0, unit)
     digits = _DIGITS - 1 - (math.floor(math.log10(largest * factor)) if largest else 0)
     return StepScale(
         factor=factor, unit="" if unit == "1" else unit, decimals=min(max(digits, 0), 9)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from hashlib import sha256
+from itertools import zip_longest
 from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Final
@@ -53,8 +54,10 @@ def describe_results(run: Run, *results: CheckResult) -> list[str]:
     return [escape_controls(line) for line in lines]
 
 
-def _read_first(result: CheckResult) -> float:
-    return math.inf if result.first_violation_s is None else result.first_violation_s
+def _read_first(result: CheckResult) -> tuple[bool, float]:
+    """Return what puts the explained result first, then the first violated."""
+    first_s = result.first_violation_s
+    return not result.why, math.inf if first_s is None else first_s
 
 
 def _list_figures(result: CheckResult) -> Iterator[str]:
@@ -71,6 +74,11 @@ def _list_figures(result: CheckResult) -> Iterator[str]:
         yield f"  margin          {format_number(result.margin, result.unit)}"
     if result.reason:
         yield f"  reason          {result.reason}"
+    for head, text in zip(["why", *([""] * len(result.why))], result.why, strict=False):
+        lines = textwrap.wrap(text, _WIDTH - 18, break_on_hyphens=False, break_long_words=False)
+        yield from (
+            f"  {name:<16}{line}" for name, line in zip_longest([head], lines, fillvalue="")
+        )
 
 
 def _list_violation(run: Run, result: CheckResult) -> Iterator[str]:

@@ -72,10 +72,13 @@ def match_run(
     if not isinstance(reference, Run):
         return _match_metrics(run, reference, tolerance, file)
     if isinstance(tolerance, Tolerances):
-        return [*_judge_run(run, reference, tolerance, file, alignment)]
-    tolerances = _spread(run, reference, tolerance or _SIGNALS_APART)
-    length = _judge_length(run, reference, 0.0 if tolerance is None else tolerance.time_s, file)
-    return [*_judge_run(run, reference, tolerances, file, alignment), length]
+        results = [*_judge_run(run, reference, tolerance, file, alignment)]
+    else:
+        tolerances = _spread(run, reference, tolerance or _SIGNALS_APART)
+        window_s = 0.0 if tolerance is None else tolerance.time_s
+        length = _judge_length(run, reference, window_s, file)
+        results = [*_judge_run(run, reference, tolerances, file, alignment), length]
+    return [dataclasses.replace(one, reference=reference) for one in results]
 
 
 def judge_replay(

@@ -205,6 +205,15 @@ class Recording:
             self.run, law, self._conclude, file=self.file, trust_law=self._trust_law
         )
 
+    def add_reason(self, results: Sequence[CheckResult]) -> Sequence[CheckResult]:
+        """Return results, a failed one with why the run differs from its reference."""
+        reference = next((one.reference for one in results if one.reference is not None), None)
+        if reference is None:
+            return results
+        from turtlelog.check.difference_reason import add_reason
+
+        return add_reason(self.run, reference, results, trust_law=self._trust_law)
+
     def describe(self, *results: CheckResult) -> list[str]:
         """Return all that there is to say of failed checks, line by line."""
         return describe_failure(self._run, *results)

@@ -77,6 +77,8 @@ class CheckResult:
         reason: Why it fails or is skipped, where figures do not say it.
         names: Signals to look at around the violation.
         is_decided: Whether that is known; where not, the check fails, and `bool` of it raises.
+        why: Why the run is another one than its reference, in lines; empty if that was not asked.
+        reference: The run that it was held to; None without one.
         judged: What was judged, for a closer look at the violation; None where that is no signal,
             formula or metric.
     """
@@ -95,6 +97,8 @@ class CheckResult:
     reason: str = ""
     names: tuple[str, ...] = ()
     is_decided: bool = True
+    why: tuple[str, ...] = ()
+    reference: "Run | None" = field(default=None, repr=False, compare=False)
     judged: "Check | JudgedSignal | JudgedMetric | None" = field(
         default=None, repr=False, compare=False
     )

@@ -48,6 +48,7 @@ class ResultAnswer:
         first_violation_s: When the check is first violated [s].
         reason: Why a check fails or is skipped.
         decided: Whether there was enough to judge.
+        why: Why the run differs from its reference, in lines; empty without a reference.
     """
 
     file: str
@@ -63,6 +64,7 @@ class ResultAnswer:
     first_violation_s: float | None
     reason: str | None
     decided: bool
+    why: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,6 +92,7 @@ def build_results(results: "Iterable[CheckResult]") -> list[ResultAnswer]:
             first_violation_s=result.first_violation_s,
             reason=result.reason or None,
             decided=result.is_decided,
+            why=result.why,
         )
         for result in results
     ]
@@ -454,6 +457,10 @@ def _list_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") -> Iter
             found.setdefault(alike, []).append(result.check)
     for (verdict, file, reason), checks in found.items():
         yield f"{verdict} {file}: {', '.join(checks)}: {reason}"
+    for result in results:
+        if result.why:
+            yield f"WHY {result.file}: {result.why[0]}"
+            yield from (f"  {line}" for line in result.why[1:])
 
 
 def _is_told_by_row(result: "CheckResult", meant: Mapping[str, str]) -> bool:

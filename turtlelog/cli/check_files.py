@@ -49,6 +49,8 @@ class ReportOptions(WorkOptions):
             that is read, which one process then reads.
         recursive: Take every recording below the folders given.
         all_: Print the checks that pass, too.
+        no_why: Do not explain recordings that fail. Default: with a reference, the first three that
+            fail are explained, each within 10 s: why they differ from it.
         marks: Print one line for each recording: its verdict, and how many of its checks pass.
     """
 
@@ -57,6 +59,7 @@ class ReportOptions(WorkOptions):
     report: Place | None = None
     recursive: Recursive = False
     all_: Annotated[bool, Parameter(name="--all")] = False
+    no_why: Annotated[bool, Parameter(negative=())] = False
     marks: bool = False
 
 
@@ -121,6 +124,7 @@ def _check_files(
     is_described = reports.junit is not None
     judge = _prepare_judge(spec, topics, is_described=is_described, keeps_runs=keeps_runs)
     judged = map_in_processes(judge, files, jobs)
+    explain = None if reports.no_why or reports.marks else judge.build_explainer()
     checked: list[CheckedFile] = []  # what a report needs
     runs: dict[str, Run] = {}
     with ExitStack() as stack:
@@ -128,6 +132,8 @@ def _check_files(
             tl.check.ArtifactWriter(reports.artifacts)
         )
         for path, file in zip(files, watch_files(judged, len(files)), strict=True):
+            if explain is not None:
+                file = explain(path, file)
             if reports.junit is not None or reports.report is not None:
                 checked.append(file.checked)
             print_run_notes(file.checked.file, file.notes)
@@ -167,10 +173,22 @@ class _Judge:
     is_described: bool
     keeps_runs: bool
 
+    def read_reference(self) -> "Run | None":
+        """Return the reference, also if nothing is held to it."""
+        if self.reference is not None or self.spec.reference is None:
+            return self.reference
+        return tl.log.read_as_chosen(self.spec.reference, self.choice)
+
     def look_closer(self, path: Path, file: _Judged) -> _Judged:
         """Return what was found of a file with its run, where a check fails."""
         has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
         return replace(self, keeps_runs=True, is_described=False)(path) if has_failed else file
+
+    def build_explainer(self) -> "_Explainer | None":
+        """Return what explains recordings that fail; None without a reference."""
+        if self.spec.reference is None:
+            return None
+        return _Explainer(judge=self, place=str(self.spec.reference))
 
     def judge_file(self, path: str) -> "tuple[CheckResult, ...]":
         """Return the results of a file."""
@@ -196,7 +214,7 @@ class _Judge:
         took_s = clock.read()
         if not self.keeps_runs:
             # What was judged may hold the reference: it is for a closer look beside the run.
-            results = tuple(replace(result, judged=None) for result in results)
+            results = tuple(replace(one, judged=None, reference=None) for one in results)
         checked = CheckedFile(
             file=file,
             results=results,
@@ -206,6 +224,40 @@ class _Judge:
             **more,
         )
         return _Judged(checked=checked, notes=notes, run=run if self.keeps_runs else None)
+
+
+_MOST_EXPLAINED: Final = 3
+"""Recordings of one command that are explained: a series fails for one reason."""
+
+
+@dataclass(slots=True, kw_only=True)
+class _Explainer:
+    """Explains why the first recordings that fail differ from the reference."""
+
+    judge: _Judge
+    place: str
+    explained: int = 0
+
+    def __call__(self, path: Path, file: _Judged) -> _Judged:
+        has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
+        if not has_failed or self.explained == _MOST_EXPLAINED:
+            return file
+        from turtlelog.check.difference_reason import add_reason
+
+        # Of files judged in other processes those that fail are read here once more.
+        closer = self.judge.look_closer(path, file) if file.run is None else file
+        reference = self.judge.read_reference()
+        if closer.run is None or reference is None:
+            return file
+        self.explained += 1
+        found = add_reason(closer.run, reference, closer.checked.results, place=self.place)
+        whys = {one.check: one.why for one in found if one.why}
+        results = tuple(replace(one, why=whys.get(one.check, ())) for one in file.checked.results)
+        details = {
+            name: "\n".join([text, *whys.get(name, ())])
+            for name, text in file.checked.details.items()
+        }
+        return replace(file, checked=replace(file.checked, results=results, details=details))
 
 
 def _write_report(

@@ -17,6 +17,7 @@ from turtlelog.cli.compare_reference import (
     take_metric,
 )
 from turtlelog.cli.compare_robot import compare_with_robot, list_scenario_files
+from turtlelog.cli.compare_why import WhyOptions, WhyPlace, compare_why
 from turtlelog.cli.folders import Recursive, describe_unread, list_files
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReferenceOptions:
+class ReferenceOptions(WhyOptions):
     """The reference, and how to compare with it. `turtlelog check` gives verdicts.
 
     Attributes:
@@ -110,8 +111,8 @@ class DrawingOptions:
     """Pictures of what is compared.
 
     Attributes:
-        plot: Draw paths, errors and rates of a robot and its scenario into this .pdf, .png or .svg
-            file.
+        plot: Draw paths, errors and rates of a robot and its scenario, or with --why the
+            contributions, into this .pdf, .png or .svg file.
         rrd: Write all runs, or a recorded robot beside a simulated one, into one Rerun recording.
     """
 
@@ -131,6 +132,12 @@ def compare(
 ) -> int:
     """Compare runs: which is best at what. With --reference: how far each is from it.
 
+    With --why: why a metric of the second run is another one than that of the first. The settings
+    in which their scenarios differ are exchanged in every combination, and the difference of the
+    metric is divided among them: contributions are Shapley values. Without a recorded scenario that
+    reproduces a run, an identified scenario stands for it. If no setting differs, the answer is the
+    first sample at which the runs depart.
+
     If the scenario of a robot is among the files (its plant is lagged), each recorded robot is
     compared with the simulated one, driven with the recorded commands. The answer is the error of
     the pose 1 s and 5 s after both were equal, and how many errors lie within the central 95 % of
@@ -145,6 +152,10 @@ def compare(
 
     Example: turtlelog compare --reference good.mcap new.mcap
 
+    Example: turtlelog compare good.mcap new.mcap --why
+
+    Example: turtlelog compare runs --first "final.position_error > 0.005" --why
+
     Example: turtlelog compare robot_bag robot.toml
 
     Args:
@@ -156,6 +167,11 @@ def compare(
     pictures = pictures or DrawingOptions()
     rrd = pictures.rrd
     is_recursive = against.recursive
+    if against.is_why:
+        _require_why_sense(against, choice, rrd)
+        paths = [*([] if against.reference is None else [against.reference]), *files]
+        folders = WhyPlace(plot=pictures.plot, jobs=against.jobs, is_recursive=is_recursive)
+        return compare_why(against, paths, folders, topics=topics, kind=kind)
     files = list_files(files, is_recursive=is_recursive, without=against.reference)
     jobs = count_jobs(against.jobs, files)
     if list_scenario_files(files):
@@ -197,6 +213,18 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
     for name in () if against.reference is None else ("metric", "sort", "where", "varied"):
         if getattr(choice, name) is not None:
             raise UsageError(f"--{name}: leave out --reference")
+
+
+def _require_why_sense(against: ReferenceOptions, choice: ChoiceOptions, rrd: Path | None) -> None:
+    given = {
+        "align": against.align,
+        **{name: getattr(choice, name) for name in ("metric", "sort", "where", "varied")},
+        "rrd": rrd,
+    }
+    for name, value in given.items():
+        if value is not None:
+            hint = f"--why {value} names the metric" if name == "metric" else "leave out --why"
+            raise UsageError(f"--{name}: {hint}")
 
 
 def _describe_too_few(paths: Sequence[Path], against: ReferenceOptions) -> str:

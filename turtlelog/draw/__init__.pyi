@@ -5,6 +5,7 @@ from .figures import (
     draw_figure as draw_figure,
     list_left_out as list_left_out,
     list_unmarked as list_unmarked,
+    write_difference_figure as write_difference_figure,
     write_figures as write_figures,
     write_map_figure as write_map_figure,
     write_prediction_figure as write_prediction_figure,

@@ -18,6 +18,22 @@ from .causes import (
     find_causes as find_causes,
     simulate_without as simulate_without,
 )
+from .departure import (
+    Departure as Departure,
+    find_departure as find_departure,
+)
+from .difference_report import (
+    format_change as format_change,
+    format_size as format_size,
+    name_change as name_change,
+)
+from .explained_difference import (
+    Change as Change,
+    DifferenceRange as DifferenceRange,
+    EffectShift as EffectShift,
+    ExplainedDifference as ExplainedDifference,
+    Side as Side,
+)
 from .game import (
     Work as Work,
 )
@@ -59,6 +75,12 @@ from .report import (
 )
 from .resimulation import (
     Resimulation as Resimulation,
+)
+from .run_difference import (
+    Depth as Depth,
+    choose_common_metric as choose_common_metric,
+    explain_difference as explain_difference,
+    require_common_metric as require_common_metric,
 )
 from .what_ifs import (
     simulate_what_ifs as simulate_what_ifs,

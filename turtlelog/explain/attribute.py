@@ -158,17 +158,33 @@ def attribute_scenario(
         effects=list_effects(table),
         remarks=() if SAMPLING in table else (_write_no_sampling(scenario),),
     )
-    if game.is_random and built.value is not None:
+    found = divide_game(found, game)
+    if found.seeds is not None or found.withheld:
+        return found
+    starts = vary_start(
+        scenario,
+        metric,
+        added=(found.resimulated or 0.0) - (found.without_all or 0.0),
+        resolution=found.resolution.size,
+        acting=found.acting,
+    )
+    return replace(found, starts=starts)
+
+
+def divide_game(found: Attribution, game: Game) -> Attribution:
+    """Return an attribution with the contributions of its causes, or why there are none."""
+    if game.is_random and found.resimulated is not None:
         return divide_over_seeds(found, game)
     # A run without a value has its reason in its own seed.
     outcomes = {
-        inside: game.play_as_recorded({*chosen} - inside) for inside in list_coalitions(chosen)
+        inside: game.play_as_recorded({*found.causes} - inside)
+        for inside in list_coalitions(found.causes)
     }
-    worth = {key: found.value for key, found in outcomes.items() if found.value is not None}
+    worth = {key: one.value for key, one in outcomes.items() if one.value is not None}
+    found = replace(found, without_all=outcomes[frozenset()].value)
     if len(worth) < len(outcomes):
-        found = replace(found, without_all=outcomes[frozenset()].value)
         return _tell_what_has_no_value(found, outcomes)
-    return _divide(found, game, scenario, worth)
+    return _divide(found, game, worth)
 
 
 def require_causes(run: Run, metric: str, causes: Sequence[str] | None) -> None:
@@ -232,24 +248,16 @@ def _compare(left: Outcome, right: Outcome) -> float:
     return abs(left.value - right.value)
 
 
-def _divide(found: Attribution, game: Game, scenario: Scenario, worth: Worth) -> Attribution:
+def _divide(found: Attribution, game: Game, worth: Worth) -> Attribution:
     contributions = compute_contributions(worth, found.causes)
     dividends = compute_dividends(worth, found.causes)
-    found = replace(
+    return replace(
         found,
         contributions=tuple(
             describe_alone(game, name, contribution) for name, contribution in contributions.items()
         ),
         together=tuple(Together(causes=names, value=value) for names, value in dividends.items()),
     )
-    starts = vary_start(
-        scenario,
-        found.metric,
-        added=worth[frozenset(found.causes)] - worth[frozenset()],
-        resolution=found.resolution.size,
-        acting=found.acting,
-    )
-    return replace(found, starts=starts)
 
 
 def _tell_what_has_no_value(

@@ -6,7 +6,7 @@ simulated with every one of `SEEDS`, and the same seeds with and without a cause
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, combinations, islice
@@ -24,6 +24,7 @@ from turtlelog.explain.causes import (
 )
 from turtlelog.explain.law_identification import describe_phase
 from turtlelog.laws import LAWS
+from turtlelog.loops import Cause
 from turtlelog.measure import measure_run
 from turtlelog.processes import count_cores, map_in_processes
 from turtlelog.run import Run
@@ -98,13 +99,18 @@ class Game:
         is_random: Whether the scenario's run is another one with another seed.
     """
 
-    def __init__(self, scenario: Scenario, metric: str, work: Work | None = None) -> None:
-        """Take the scenario with all causes in."""
+    def __init__(
+        self,
+        scenario: Scenario,
+        metric: str,
+        work: Work | None = None,
+        *,
+        causes: Mapping[str, Cause] | None = None,
+    ) -> None:
+        """Take the scenario with all causes in: those that `find_causes` finds unless given."""
         self._scenario, self._metric, self._work = scenario, metric, work or Work()
-        self.causes = find_causes(scenario)
-        self.present = tuple(
-            name for name, found in self.causes.items() if is_present(scenario, found)
-        )
+        self.causes = find_causes(scenario) if causes is None else causes
+        self.present = self._list_present()
         self.is_random = draws_random(scenario)
         self._without: dict[Coalition, Scenario] = {}
         self._outcomes: dict[_Play, Outcome] = {}
@@ -130,6 +136,11 @@ class Game:
         self._simulate([(out, None)])
         return self._outcomes[out, None]
 
+    def play_each(self, plays: Sequence[_Play]) -> list[Outcome]:
+        """Return the outcomes without each of these sets of causes, with each of these seeds."""
+        self._simulate(plays)
+        return [self._outcomes[one] for one in plays]
+
     def prepare(self, sets: Iterable[Iterable[str]]) -> None:
         """Simulate without each of these sets of causes."""
         outs = dict.fromkeys(frozenset(names).intersection(self.present) for names in sets)
@@ -152,15 +163,22 @@ class Game:
     def _take_out(self, out: Coalition) -> Scenario:
         if out not in self._without:
             causes = [found for name, found in self.causes.items() if name in out]
-            self._without[out] = take_out(self._scenario, causes)
+            self._without[out] = self._build_without(causes)
         return self._without[out]
+
+    def _list_present(self) -> tuple[str, ...]:
+        found = self.causes.items()
+        return tuple(name for name, cause in found if is_present(self._scenario, cause))
+
+    def _build_without(self, causes: Iterable[Cause]) -> Scenario:
+        return take_out(self._scenario, causes)
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
         """Return the seeds to simulate with; None alone where what is left draws nothing."""
         return SEEDS if self.is_random and draws_random(self._take_out(out)) else (None,)
 
     def _simulate(self, wanted: Sequence[_Play]) -> None:
-        missing = [one for one in wanted if one not in self._outcomes]
+        missing = [one for one in dict.fromkeys(wanted) if one not in self._outcomes]
         total = len(self._outcomes) + len(missing)
         plays = [self.build_play(out, seed) for out, seed in missing]
         outcomes = iterate_outcomes(self._metric, plays, self._work.jobs)

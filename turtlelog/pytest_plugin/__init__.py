@@ -65,6 +65,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="DIR",
         help="put a Rerun view, a picture and the cut recording of what fails into DIR",
     )
+    group.addoption(
+        "--turtlelog-no-why",
+        action="store_true",
+        help="do not explain why a recording that fails differs from its reference",
+    )
     parser.addini("turtlelog_reference", "reference of tests without the marker", default="")
     parser.addini(
         "turtlelog_allow_partial",

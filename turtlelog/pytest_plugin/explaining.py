@@ -29,9 +29,13 @@ def explain_comparison(operator: str, left: object, right: object) -> list[str] 
     return [escape_controls(line) for line in lines]
 
 
-def explain_failures(recording: "Recording", results: Sequence[CheckResult]) -> list[str]:
-    """Return all there is to say of the failed checks on a recording."""
+def explain_failures(
+    recording: "Recording", results: Sequence[CheckResult], *, explains: bool
+) -> list[str]:
+    """Return all there is to say of the failed checks on a recording, and why it differs."""
     try:
+        if explains:
+            results = recording.add_reason(results)
         return recording.describe(*results)
     except TurtlelogError as err:
         return [f"{recording.file}: {err}"]

@@ -136,8 +136,9 @@ class Session:
         from turtlelog.pytest_plugin.explaining import explain_failures, keep_artifacts
 
         lines: list[str] = []
+        explains = not self._config.getoption("--turtlelog-no-why")
         for recording, results in failed.items():
-            lines += [*explain_failures(recording, results), ""]
+            lines += [*explain_failures(recording, results, explains=explains), ""]
         folder = self._config.getoption("--turtlelog-artifacts")
         if folder:
             place = self._config.invocation_params.dir / folder

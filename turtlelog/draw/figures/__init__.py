@@ -8,6 +8,7 @@ from turtlelog.libraries import load_library
 
 load_library("matplotlib")
 
+from turtlelog.draw.figures.difference_figure import write_difference_figure
 from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind
 from turtlelog.draw.figures.left_out import list_left_out, list_unmarked
 from turtlelog.draw.figures.page import Page
@@ -23,6 +24,7 @@ __all__ = [
     "draw_figure",
     "list_left_out",
     "list_unmarked",
+    "write_difference_figure",
     "write_figures",
     "write_map_figure",
     "write_prediction_figure",

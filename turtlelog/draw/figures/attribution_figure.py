@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.attribution_steps import (
     AttributionStep,
+    StepScale,
     choose_acting_contributions,
     choose_step_scale,
     list_attribution_steps,
@@ -161,6 +162,36 @@ def _draw_waterfall(
     axes: Axes, found: Attribution, steps: Sequence[AttributionStep], room_inch: float
 ) -> None:
     scale = choose_step_scale(found)
+    draw_bars(axes, steps, scale, room_inch)
+    names = [f"{_MINUS} {step.name}" if step.cause else step.name for step in steps]
+    axes.set_yticks(range(len(steps)), names)
+    # The contribution of one cause is just what its removal changes.
+    is_average = len(choose_acting_contributions(found)) > 1
+    notes = ["bars: averages over the orders of removal"] if is_average else []
+    if found.seeds is not None:
+        notes.append(f"contributions: means over {found.seeds.used} seeds")
+    label = "\n".join([name_metric(found.metric, scale), *notes])
+    axes.set(xlabel=label, title=f"what caused {steps[0].text}")
+
+
+def name_metric(metric: str, scale: StepScale) -> str:
+    """Return a metric in words with the unit in which it is drawn."""
+    words = metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
+    unit = f" [{scale.unit}]" if scale.unit else ""
+    return f"{words.replace('.', ' ')}{unit}"
+
+
+def draw_bars(
+    axes: Axes, steps: Sequence[AttributionStep], scale: StepScale, room_inch: float
+) -> None:
+    """Draw the steps of a waterfall below each other, each with its words.
+
+    Args:
+        axes: To draw on.
+        steps: In their order.
+        scale: In which unit.
+        room_inch: Width for the bars and the words beside them.
+    """
     starts = np.array([step.start for step in steps]) * scale.factor
     ends = np.array([step.end for step in steps]) * scale.factor
     low, high = min(0.0, *starts, *ends), max(0.0, *starts, *ends)
@@ -180,21 +211,10 @@ def _draw_waterfall(
             at, below = ends[row], row + 1 - _BAR / 2.0
             axes.plot([at, at], [row + _BAR / 2.0, below], **_CONNECTOR)
     axes.axvline(0.0, color="0.2", linewidth=0.6)
-    names = [f"{_MINUS} {step.name}" if step.cause else step.name for step in steps]
-    axes.set_yticks(range(len(steps)), names)
     axes.tick_params(axis="y", length=0.0, labelsize=_WORDS_POINTS + 0.5)
     axes.spines["left"].set_visible(False)
     axes.grid(visible=False, axis="y")
     axes.set(ylim=(len(steps) - 0.5, -0.6), xlim=(low - 0.02 * span, low + span))
-    words = found.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
-    unit = f" [{scale.unit}]" if scale.unit else ""
-    # The contribution of one cause is just what its removal changes.
-    is_average = len(choose_acting_contributions(found)) > 1
-    notes = ["bars: averages over the orders of removal"] if is_average else []
-    if found.seeds is not None:
-        notes.append(f"contributions: means over {found.seeds.used} seeds")
-    label = "\n".join([f"{words.replace('.', ' ')}{unit}", *notes])
-    axes.set(xlabel=label, title=f"what caused {steps[0].text}")
 
 
 def _find_span(texts: Sequence[str], rights: Values, least: float, room_inch: float) -> float:

@@ -1,0 +1,71 @@
+"""The difference of two runs as steps from one value to the other: the bars of a waterfall."""
+
+from turtlelog.charts import palette
+from turtlelog.charts.attribution_steps import AttributionStep, StepScale, choose_scale
+from turtlelog.charts.palette import choose_cause_colors
+from turtlelog.explain import Change, ExplainedDifference
+from turtlelog.explain.explained_difference import SEED
+
+
+def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, ...]:
+    """Return the steps from the value of the first run up or down to that of the second.
+
+    Between them is each change with its contribution, the largest first.
+
+    Returns:
+        No steps if the contributions are withheld: the answer says why.
+    """
+    first, second = found.first.resimulated, found.second.resimulated
+    if not found.contributions or first is None or second is None:
+        return ()
+    scale = choose_difference_scale(found)
+    colors = choose_cause_colors([one.name for one in found.contributions])
+    steps = [
+        AttributionStep(
+            kind="total",
+            start=0.0,
+            end=first,
+            name=found.first.name,
+            text=scale.format_value(first),
+            color=palette.REFERENCE,
+        )
+    ]
+    at = first
+    for one in found.contributions:
+        end = at + (one.contribution or 0.0)
+        color = palette.REFERENCE if one.name == SEED else colors[one.name]
+        steps.append(
+            AttributionStep(
+                kind="contribution",
+                cause=one.name,
+                start=at,
+                end=end,
+                name=one.name,
+                text=_describe(one, scale),
+                color=color,
+            )
+        )
+        at = end
+    steps.append(
+        AttributionStep(
+            kind="total",
+            start=0.0,
+            end=second,
+            name=found.second.name,
+            text=scale.format_value(second),
+            color=palette.MAIN,
+        )
+    )
+    return tuple(steps)
+
+
+def choose_difference_scale(found: ExplainedDifference) -> StepScale:
+    """Return the unit and the decimals of a difference's values: they are those of all of it."""
+    return choose_scale([found.first.resimulated, found.second.resimulated], found.unit)
+
+
+def _describe(one: Change, scale: StepScale) -> str:
+    size = scale.format_value(one.contribution or 0.0, signed=True)
+    if one.standard_error is not None:
+        size += f" ± {abs(one.standard_error * scale.factor):.2g}"
+    return size

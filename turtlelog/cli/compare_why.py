@@ -1,0 +1,309 @@
+"""`turtlelog compare --why`: why a metric differs between two runs."""
+
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from textwrap import shorten
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.folders import describe_unread, list_files
+from turtlelog.cli.options import (
+    ReadingOptions,
+    count_jobs,
+    read_chosen_run,
+    require_jobs,
+    watch_summaries,
+)
+from turtlelog.cli.output import (
+    EXIT_BAD_INPUT,
+    EXIT_FINE,
+    align_rows,
+    fill_lines,
+    print_error,
+    print_json,
+    print_note,
+    print_tables,
+    print_text,
+)
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_pictures
+from turtlelog.errors import TurtlelogError, UsageError
+from turtlelog.escapes import escape_controls
+from turtlelog.remote.urls import make_path
+
+if TYPE_CHECKING:
+    from turtlelog import Run
+    from turtlelog.compare import RunSummary, Table
+    from turtlelog.explain import Change, ExplainedDifference
+
+_LONGEST: Final = 40
+"""Of the settings in a line [characters]; the rest of a longer list is in JSON and CSV."""
+
+_MOST_SETTINGS: Final = 3
+"""Settings of a change that its line shows; of a law there are ten and more."""
+
+
+_SUFFIXES: Final = (".mcap", ".json", ".csv", ".parquet", ".tum", ".db3", ".bag")
+"""How the names of recordings end, but for folders: such a word after --why is no metric."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WhyOptions:
+    """Why two runs differ.
+
+    Attributes:
+        why: Explain why a metric differs between two runs, for example --why run.duration. Default:
+            the final position error, or without a goal the error of the last loop.
+        first: With --why: explain the first recording, by name, that meets this condition, beside
+            the recording before it. Example: "final.position_error > 0.01".
+        trust_law: With --why: run the code of the laws that the recordings name.
+    """
+
+    why: Annotated[bool | str | None, Parameter(negative=(), metavar="METRIC")] = None
+    first: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
+    trust_law: bool = False
+
+    @property
+    def is_why(self) -> bool:
+        """Whether it is asked why two runs differ.
+
+        Raises:
+            UsageError: If an option needs --why.
+        """
+        lacking = {"--first": self.first is not None, "--trust-law": self.trust_law}
+        if not self.why and any(lacking.values()):
+            name = next(name for name, is_given in lacking.items() if is_given)
+            raise UsageError(f"{name}: needs --why")
+        return bool(self.why)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WhyPlace:
+    """Where the work is done and what is written.
+
+    Attributes:
+        plot: The figure to write.
+        jobs: Number of processes; None: as many as are quicker.
+        is_recursive: Whether every recording below the folders is taken.
+    """
+
+    plot: Path | None
+    jobs: int | None
+    is_recursive: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WhyAnswer:
+    """Why a metric differs between two recordings.
+
+    Attributes:
+        first: The file that the difference is taken from; None if there is nothing to compare.
+        second: The other file.
+        condition: What `second` is the first to meet, if that was asked for.
+        explanation: Why they differ; None if there is nothing to compare.
+    """
+
+    first: str | None
+    second: str | None
+    condition: str | None
+    explanation: "ExplainedDifference | None"
+
+
+def take_metric(options: WhyOptions, files: Sequence[Path]) -> tuple[str | None, list[Path]]:
+    """Return the metric and the files: the word after --why may be the first file."""
+    word = options.why
+    if not isinstance(word, str):
+        return None, [*files]
+    is_metric = tl.measure.find_metric_kind(word) is not None
+    path = make_path(word)
+    if not is_metric and ("/" in word or path.suffix.lower() in _SUFFIXES or path.exists()):
+        return None, [path, *files]
+    return word, [*files]
+
+
+def compare_why(
+    options: WhyOptions,
+    files: Sequence[Path],
+    place: WhyPlace,
+    *,
+    topics: ReadingOptions | None,
+    kind: str,
+) -> int:
+    """Print why the metric of the second run is another one than that of the first."""
+    metric, files = take_metric(options, files)
+    require_pictures(place.plot, None, files, drawn=(), of="")
+    topics = topics or ReadingOptions()
+    code = EXIT_FINE
+    if options.first is None:
+        if len(files) != 2:
+            raise UsageError(
+                f"--why compares two runs, but {len(files)} {'was' if len(files) == 1 else 'were'}"
+                " given; of more, --first EXPRESSION takes the first that meets a condition and the"
+                " one before it"
+            )
+        pair: tuple[Path, Path] | None = files[0], files[1]
+    else:
+        pair, code = _find_pair(options.first, files, place, topics, kind)
+        metric = metric or _find_metric(options.first)
+    if pair is None:
+        return code
+    runs = [replace(read_chosen_run(one, topics), name=one.name) for one in pair]
+    with show_progress("simulated", 100.0, "%") as progress:
+        found = tl.explain_difference(
+            *runs,
+            metric=metric,
+            trust_law=options.trust_law,
+            work=tl.explain.Work(jobs=require_jobs(place.jobs), report=progress.count),
+        )
+    _print(found, pair, options.first, kind)
+    if place.plot is not None:
+        tl.draw.write_difference_figure(found, place.plot)
+        print_note(f"wrote {place.plot}")
+    return code
+
+
+def _find_metric(condition: str) -> str | None:
+    """Return the first metric that a condition names."""
+    names = tl.expressions.parse_expression(condition, source="--first").names
+    return next((name for name in names if tl.measure.find_metric_kind(name)), None)
+
+
+def _find_pair(
+    condition: str,
+    files: Sequence[Path],
+    place: WhyPlace,
+    topics: ReadingOptions,
+    kind: str,
+) -> tuple[tuple[Path, Path] | None, int]:
+    """Return the first recording that meets a condition, after the one before it."""
+    is_recursive = place.is_recursive or any(map(_is_folder_of_recordings, files))
+    paths = sorted(list_files(files, is_recursive=is_recursive), key=str)
+    errors: list[TurtlelogError] = []
+    needed = tl.compare.list_needed_metrics([], where=condition, sort=None, source="--first")
+    found = tl.compare.summarise_files(
+        paths,
+        only=partial(_take_needed, needed),
+        topics=topics.build_choice(),
+        jobs=count_jobs(place.jobs, paths),
+    )
+    summaries = [*watch_summaries(found, len(paths), errors)]
+    for err in errors:
+        print_error(describe_unread(err, is_recursive=is_recursive))
+    met, notes = tl.compare.select_runs(summaries, condition, source="--first")
+    for note in notes:
+        print_note(note)
+    code = EXIT_BAD_INPUT if errors else EXIT_FINE
+    row = summaries.index(met[0]) if met else 0
+    if row:
+        return (Path(summaries[row - 1].file), Path(summaries[row].file)), code
+    _print_nothing(condition, summaries, kind, is_met=bool(met))
+    return None, code
+
+
+def _take_needed(needed: tuple[str, ...], _: "Run") -> tuple[str, ...]:
+    return needed
+
+
+def _is_folder_of_recordings(path: Path) -> bool:
+    return path.is_dir() and not (path / "metadata.yaml").exists()
+
+
+def _print_nothing(
+    condition: str, summaries: "Sequence[RunSummary]", kind: str, *, is_met: bool
+) -> None:
+    bad = summaries[0].file if is_met else None
+    if kind == "json":
+        print_json(WhyAnswer(first=None, second=bad, condition=condition, explanation=None))
+        return
+    text = f"None of {len(summaries)} recordings meets {condition}."
+    if bad is not None:
+        text = f"{Path(bad).name} meets {condition}, and no recording comes before it."
+    print_text(fill_lines([text]))
+
+
+def _print(
+    found: "ExplainedDifference", pair: tuple[Path, Path], condition: str | None, kind: str
+) -> None:
+    first, second = pair
+    if kind == "json":
+        files = {"first": str(first), "second": str(second)}
+        print_json(WhyAnswer(**files, condition=condition, explanation=found))
+    elif kind == "txt":
+        told = f"{second.name} is the first that meets {condition}, after {first.name}."
+        print_text(format_why(found, pair, lead=[told] if condition else []))
+    else:
+        print_tables([tabulate_why(found)], kind)
+
+
+def format_why(
+    found: "ExplainedDifference", files: tuple[Path, Path], *, lead: Sequence[str] = ()
+) -> str:
+    """Return why two runs differ: the answer, a line for each change, what it depends on."""
+    head, *rest = found.sentences
+    rows = [_list_cells(found, one) for one in found.contributions]
+    table = ["", *align_rows(rows), ""] if rows else []
+    return "\n".join([fill_lines([head, *lead]), *table, fill_lines([*rest, *_list_next(files)])])
+
+
+def _list_cells(found: "ExplainedDifference", one: "Change") -> tuple[str, ...]:
+    size = tl.explain.format_change(found, one)
+    undone = "" if one.undone is None else f"undone: {tl.explain.format_size(found, one.undone)}"
+    settings = shorten("; ".join(_list_settings(one)), _LONGEST, placeholder=" ...")
+    return one.name, size, settings, undone
+
+
+def _list_settings(one: "Change") -> Iterator[str]:
+    """Yield the settings of a change; those of one pair of values together."""
+    pairs: dict[tuple[str, str], list[str]] = {}
+    for key, before, after in zip(one.keys, one.first, one.second, strict=True):
+        if before == after:  # the seed of both runs
+            continue
+        pairs.setdefault((_show(before), _show(after)), []).append(key)
+    for number, ((before, after), keys) in enumerate(pairs.items()):
+        if number == _MOST_SETTINGS:
+            yield f"{sum(map(len, [*pairs.values()][number:]))} more"
+            return
+        yield f"{', '.join(keys)} {before} -> {after}"
+
+
+def _show(value: Any) -> str:
+    if value is None:
+        return "none"
+    return f"{value:.6g}" if isinstance(value, float) else escape_controls(str(value))
+
+
+def _list_next(files: tuple[Path, Path]) -> Iterator[str]:
+    first, second = (escape_controls(shlex.quote(str(one))) for one in files)
+    yield f"Signal by signal: turtlelog compare --reference {first} {second}"
+
+
+def tabulate_why(found: "ExplainedDifference") -> "Table":
+    """Return a row for each change."""
+    column = tl.compare.Column
+    return tl.compare.Table(
+        title=found.sentences[0],
+        columns=(
+            column(title="change"),
+            column(title="contribution", unit=found.unit),
+            column(title="s.e.", unit=found.unit),
+            column(title="undone", unit=found.unit),
+            column(title="settings"),
+        ),
+        rows=tuple(
+            (
+                one.name,
+                one.contribution,
+                one.standard_error,
+                one.undone,
+                "; ".join(_list_settings(one)),
+            )
+            for one in found.contributions
+        ),
+        notes=found.sentences[1:],
+    )

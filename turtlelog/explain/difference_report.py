@@ -1,0 +1,348 @@
+"""Why a metric differs between two runs in sentences, each of which is true of these runs."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+from turtlelog.display import describe_count, format_pair, join_words
+from turtlelog.explain.attribution import is_clear
+from turtlelog.explain.explained_difference import SEED
+
+if TYPE_CHECKING:
+    from turtlelog.explain.attribution import ValueSet
+    from turtlelog.explain.explained_difference import (
+        Change,
+        EffectShift,
+        ExplainedDifference,
+        Side,
+    )
+
+_NAMED: Final = 0.1
+"""Of the sum of the contributions' magnitudes: of many changes those with more are named."""
+
+_FEW: Final = 3
+"""Changes that are all named: their contributions add up to the eye."""
+
+_DIGITS: Final = 4
+"""Of the largest value; all others have as many decimals."""
+
+_FEWEST: Final = 2
+"""Digits of the largest contribution, however small it is beside the values."""
+
+_MOST_DECIMALS: Final = 9
+
+_SAME: Final = 1e-6
+"""Of a value: a smaller difference is none. Two platforms differ by no more in one scenario."""
+
+_PLURALS: Final = ("gains", "limits")
+_SPANS: Final = ("pause", "delay", "time span", "sampling period")
+_WORDS: Final = {"law": "the law itself"}
+
+_PARTS: Final = {
+    "start": "They start from other poses",
+    "robot": "Until then all commands are equal, so the cause lies after the controller: in the"
+    " transport of commands, in the robot, or in what acts on it",
+    "sensor": "Until then the robot moves equally, so the cause lies in the sensor",
+    "controller": "Until then the controller reads equal poses, so the cause lies in the"
+    " controller: its code, its version or its state",
+    "timing": "Until then all values are equal, so the cause lies in the timing",
+    "end": "All that both contain is equal",
+}
+"""What the first difference tells of the cause, by the part that differs."""
+
+
+def write_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
+    """Return how the metric differs and why, what that depends on, and what else differs."""
+    sentences = [
+        write_headline(found),
+        _write_resimulated(found),
+        *_write_departure(found),
+        *_write_obstacle(found),
+        _write_together(found),
+        _write_seeds(found),
+        _write_orders(found),
+        _write_unclear(found),
+        _write_starts(found),
+        write_effects(found),
+        _write_idle(found),
+        _write_basis(found),
+    ]
+    return tuple(filter(None, sentences))
+
+
+def write_headline(found: "ExplainedDifference") -> str:
+    """Return both values, and what each change adds to the first or takes away."""
+    first, second = found.first, found.second
+    if first.as_logged is None or second.as_logged is None:
+        return f"{found.metric}: {_write_side(found, first)}; {_write_side(found, second)}."
+    apart = second.as_logged - first.as_logged
+    sizes = [format_size(found, one) for one in (first.as_logged, second.as_logged)]
+    if abs(apart) <= _SAME * max(abs(first.as_logged), abs(second.as_logged)):
+        moves = f"is {sizes[0]} in both runs"
+    else:
+        moves = f"{'rose' if apart > 0.0 else 'fell'} from {sizes[0]} to {sizes[1]}"
+    if is_negligible(found) and found.contributions:
+        size = f"{format_size(found, found.resolution.size)} ({found.resolution.reason})"
+        return f"{found.metric} {moves}: no change adds more than the resolution, {size}."
+    told = "; ".join(filter(None, (_write_parts(found), _write_own_seeds(found))))
+    return f"{found.metric} {moves}{f': {told}' if told else ''}."
+
+
+def _write_parts(found: "ExplainedDifference") -> str:
+    """Return what the changes add, those that are not told in one sum."""
+    parts = [write_part(found, one) for one in choose_told(found)]
+    rest = [one for one in _list_divided(found) if one not in choose_told(found)]
+    if parts and rest:
+        size = math.fsum(one.contribution or 0.0 for one in rest)
+        parts.append(f"{len(rest)} other changes together {_write_move(found, size, is_many=True)}")
+    told = join_words(parts) if len(parts) > 2 else ", ".join(parts)
+    return f"in the mean over {found.seeds} seeds {told}" if told and found.seeds > 1 else told
+
+
+def _list_divided(found: "ExplainedDifference") -> list["Change"]:
+    return [one for one in found.contributions if one.name != SEED]
+
+
+def _write_own_seeds(found: "ExplainedDifference") -> str:
+    own = [one.contribution or 0.0 for one in found.contributions if one.name == SEED]
+    return f"the seeds of these runs {_write_move(found, own[0], is_many=True)}" if own else ""
+
+
+def _write_side(found: "ExplainedDifference", side: "Side") -> str:
+    if side.as_logged is None:
+        return f"{side.name} has no value ({side.reason})"
+    return f"{side.name} has {format_size(found, side.as_logged)}"
+
+
+def _write_resimulated(found: "ExplainedDifference") -> str:
+    """Return the values of the re-simulations, which contributions are of, if they are others."""
+    sides = (found.first, found.second)
+    pairs = [(one.as_logged, one.resimulated) for one in sides]
+    known = [(a, b) for a, b in pairs if a is not None and b is not None]
+    if len(known) < 2 or all(abs(a - b) <= _SAME * abs(a) for a, b in known):
+        return ""
+    values = [format_size(found, value) for _, value in known]
+    return f"Simulated again it is {values[0]} and {values[1]}."
+
+
+def choose_told(found: "ExplainedDifference") -> list["Change"]:
+    """Return the changes that the first line names: all of a few, otherwise the large ones."""
+    divided = _list_divided(found)
+    if len(divided) <= _FEW:
+        return divided
+    least = _NAMED * _sum(divided)
+    told = [one for one in divided if _is_large(one, least)]
+    return divided if len(told) == len(divided) - 1 else told
+
+
+def _sum(changes: Sequence["Change"]) -> float:
+    return math.fsum(abs(one.contribution or 0.0) for one in changes)
+
+
+def _is_large(one: "Change", least: float) -> bool:
+    size = one.contribution or 0.0
+    return abs(size) > least and is_clear(size, one.standard_error)
+
+
+def write_part(found: "ExplainedDifference", one: "Change") -> str:
+    """Return a change with what it adds or takes away."""
+    many = one.name in _PLURALS
+    return f"{name_change(one)} {_write_move(found, one.contribution or 0.0, is_many=many)}"
+
+
+def _write_move(found: "ExplainedDifference", size: float, *, is_many: bool) -> str:
+    verb, end = ("add", "") if size >= 0.0 else ("take", " away")
+    return f"{verb}{'' if is_many else 's'} {format_size(found, abs(size))}{end}"
+
+
+def format_change(found: "ExplainedDifference", one: "Change") -> str:
+    """Return a contribution with its sign, unit, and standard error if it has one."""
+    size = one.contribution or 0.0
+    spread = f" +- {one.standard_error:.2g}" if one.standard_error else ""
+    return f"{'+' if size >= 0.0 else ''}{format_size(found, size)}{spread}"
+
+
+def name_change(one: "Change") -> str:
+    """Return a group of settings in words: `the gains`, `the shorter pause`, or its key."""
+    if one.name in _WORDS:
+        return _WORDS[one.name]
+    if "." in one.name:
+        return one.name
+    if len(one.keys) == 1 and one.name in _SPANS:
+        before, after = one.first[0] or 0, one.second[0] or 0
+        if not after:
+            return f"the missing {one.name}"
+        return (
+            f"the {'longer' if after > before else 'shorter'} {one.name}"
+            if before
+            else f"the {one.name}"
+        )
+    return f"the {one.name}"
+
+
+def is_negligible(found: "ExplainedDifference") -> bool:
+    """Return whether no contribution exceeds the resolution, nor the difference."""
+    sizes = [abs(one.contribution or 0.0) for one in found.contributions]
+    return max([*sizes, abs(found.difference or 0.0)]) <= found.resolution.size
+
+
+def format_size(found: "ExplainedDifference", value: float) -> str:
+    """Return a value with its unit, in as many decimals as all values of this answer."""
+    text = f"{value:.{_count_decimals(found)}f}"
+    if not float(text):
+        text = f"{value:.1g}" if value else "0"
+    return f"{text} {found.unit}".removesuffix(" 1")
+
+
+def _count_decimals(found: "ExplainedDifference") -> int:
+    """Return how many decimals show four digits of the largest value, two of a contribution."""
+    sides = (found.first.as_logged, found.second.as_logged)
+    sizes = [one.contribution for one in found.contributions]
+    decimals = [
+        digits - 1 - math.floor(math.log10(largest))
+        for digits, values in ((_DIGITS, (*sides, *sizes)), (_FEWEST, sizes))
+        if (largest := max((abs(one) for one in values if one is not None), default=0.0))
+    ]
+    return min(max([*decimals, 0]), _MOST_DECIMALS)
+
+
+def _write_obstacle(found: "ExplainedDifference") -> list[str]:
+    if found.without_value:
+        changes = {one.name: one for one in found.changes}
+        cases = [
+            f"{_name_set(case, changes)} it has no value: {case.reason}"
+            for case in found.without_value
+        ]
+        cases += [f"{_name_set(case, changes)} it has a value" for case in found.with_value]
+        text = "; ".join(cases)
+        return [f"{text[:1].upper()}{text[1:]}. Therefore there are no contributions."]
+    if not found.withheld:
+        return []
+    if found.has_same_settings:
+        alike = [side.name for side in (found.first, found.second) if side.basis == "recorded"]
+        return [f"Simulated again, that scenario reproduces {one} alone." for one in alike]
+    names = [name_change(one) for one in found.changes]
+    differ = f" The runs differ in {join_words(names)}." if names else ""
+    return [f"Why is not known: {found.withheld}.{differ}"]
+
+
+def _name_set(case: "ValueSet", changes: "dict[str, Change]") -> str:
+    if not case.causes:
+        return "without all changes"
+    alone = " alone" if len(case.causes) < len(changes) else ""
+    return f"with {join_words([name_change(changes[name]) for name in case.causes])}{alone}"
+
+
+def _write_together(found: "ExplainedDifference") -> str:
+    """Return what arises only if several changes act; empty where that is little."""
+    if not found.contributions or is_negligible(found):
+        return ""
+    least = _NAMED * _sum(_list_divided(found))
+    large = [
+        one
+        for one in sorted(found.together, key=lambda one: -abs(one.value))[:_FEW]
+        if abs(one.value) > least and is_clear(one.value, one.standard_error)
+    ]
+    changes = {one.name: one for one in found.contributions}
+    parts = []
+    for one in large:
+        names = join_words([name_change(changes[name]) for name in one.causes])
+        size = format_size(found, abs(one.value))
+        both = "both" if len(one.causes) == 2 else "all"
+        parts.append(
+            f"{size} arises only if {names} {both} act"
+            if one.value > 0.0
+            else f"{names} together add {size} less than the sum of their parts"
+        )
+    return f"They act together: {'; '.join(parts)}." if parts else ""
+
+
+def _write_seeds(found: "ExplainedDifference") -> str:
+    is_seed_alone = found.contributions and not _list_divided(found)
+    return "No setting differs but the seed of the random effects." if is_seed_alone else ""
+
+
+def _write_orders(found: "ExplainedDifference") -> str:
+    if found.orders is None or not found.contributions:
+        return ""
+    orders = f"{found.orders} orders of the changes were sampled"
+    return f"{orders}: each contribution has a standard error."
+
+
+def _write_unclear(found: "ExplainedDifference") -> str:
+    unclear = [
+        name_change(one)
+        for one in found.contributions
+        if one.standard_error and not is_clear(one.contribution or 0.0, one.standard_error)
+    ]
+    if not unclear:
+        return ""
+    return f"May be chance: what {join_words(unclear)} {'adds' if len(unclear) == 1 else 'add'}."
+
+
+def _write_starts(found: "ExplainedDifference") -> str:
+    starts = found.starts
+    if starts is None or not starts.is_wide:
+        return ""
+    within = f"{math.degrees(starts.within_rad):.3g} deg"
+    first, second = (_format_span(found, *span) for span in (starts.first, starts.second))
+    return (
+        f"The difference depends on single samples: for {starts.count} start headings within"
+        f" +-{within} the first run has {first}, the second {second}."
+    )
+
+
+def _format_span(found: "ExplainedDifference", low: float, high: float) -> str:
+    least, most = format_size(found, low), format_size(found, high)
+    return most if least == most else f"{least} to {most}"
+
+
+def _write_departure(found: "ExplainedDifference") -> list[str]:
+    one = found.departure
+    if not found.has_same_settings:
+        return []
+    if one is None:
+        return ["The runs are equal: no setting differs, and no sample."]
+    values = join_words(format_pair(one.first, one.second, one.unit), "then")
+    samples = describe_count(one.samples, "equal sample")
+    return [
+        f"No setting differs. The runs depart at {one.time_s:.3f} s, after {samples}, in"
+        f" {one.signal.replace('_', ' ')}: {values}.",
+        f"{_PARTS[one.part]}.",
+    ]
+
+
+def write_effects(found: "ExplainedDifference") -> str:
+    """Return how the contributions of `explain` differ; empty if none is worth a word."""
+    large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
+    parts = [_write_shift(found, one) for one in large[:_FEW]]
+    head = "Contributions of the effects (turtlelog explain) change"
+    return f"{head}: {join_words(parts)}." if parts else ""
+
+
+def _write_shift(found: "ExplainedDifference", one: "EffectShift") -> str:
+    return f"{one.cause} {'+' if one.shift >= 0.0 else ''}{format_size(found, one.shift)}"
+
+
+def _write_idle(found: "ExplainedDifference") -> str:
+    if not found.idle:
+        return ""
+    return f"Different, but without effect on this metric: {join_words(found.idle)}."
+
+
+def _write_basis(found: "ExplainedDifference") -> str:
+    """Return what the contributions rest on."""
+    sides: Sequence[Side] = (found.first, found.second)
+    if found.contributions and all(side.basis == "recorded" for side in sides):
+        return "The recorded scenarios reproduce all samples of both runs."
+    return " ".join(_write_identified(side) for side in sides if side.basis == "identified")
+
+
+def _write_identified(side: "Side") -> str:
+    unknown = f" Not identified, so taken as equal: {join_words(side.unknown)}."
+    reason, _, _ = side.note.partition(":")
+    return (
+        f"The scenario of {side.name} is identified from its samples: {reason}."
+        f" It {'reproduces all samples' if side.is_exact else 'does not reproduce every sample'}."
+        f"{unknown if side.unknown else ''}"
+    )

@@ -1,0 +1,163 @@
+"""The answer to why two runs differ, as data."""
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from turtlelog.explain.attribution import Resolution, Together, ValueSet
+from turtlelog.explain.departure import Departure
+
+SEED: Final = "seed"
+"""The line of what the seeds of the two runs make, compared with the means over seeds."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Side:
+    """One of two runs.
+
+    Attributes:
+        name: Of the run.
+        as_logged: The metric of the log; None if it has no value.
+        resimulated: The metric, simulated again with the run's own seed; None likewise.
+        reason: Why the metric has no value; empty if it has one.
+        basis: The scenario that stands for the run: the one that it holds, which reproduces every
+            sample, or the identified one; None if no scenario does.
+        note: How far the scenario that the run holds reproduces it, or why none stands for it.
+        is_exact: Whether the scenario that stands for the run reproduces every sample.
+        unknown: Keys that are not identified: the other run's values stand for them.
+    """
+
+    name: str
+    as_logged: float | None
+    resimulated: float | None = None
+    reason: str = ""
+    basis: str | None = None
+    note: str = ""
+    is_exact: bool = False
+    unknown: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A group of settings that differ, and what it contributes to the difference of the metric.
+
+    Attributes:
+        name: Of the group: `gains`, `queue`, `goal`, or the key of a setting.
+        keys: Keys of the settings in which the scenarios differ; `seed` for what the seeds make.
+        first: Their values in the first run; None for a key that it does not have.
+        second: Their values in the second run.
+        contribution: To the difference, in the metric's unit; None if it is withheld.
+        standard_error: Of the contribution, if it is a mean over seeds or sampled orders.
+        undone: The metric of the second run with this group alone as in the first; None if it has
+            no value.
+    """
+
+    name: str
+    keys: tuple[str, ...]
+    first: tuple[Any, ...] = ()
+    second: tuple[Any, ...] = ()
+    contribution: float | None = None
+    standard_error: float | None = None
+    undone: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EffectShift:
+    """What an effect contributes to the metric of each run, as `explain` finds it.
+
+    Attributes:
+        cause: Name of the effect.
+        first: Its contribution in the first run, in the metric's unit; 0 if the run is without it.
+        second: Its contribution in the second run.
+    """
+
+    cause: str
+    first: float
+    second: float
+
+    @property
+    def shift(self) -> float:
+        """By how much the contribution changes."""
+        return self.second - self.first
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DifferenceRange:
+    """The difference over starts that one sample's turn spans.
+
+    Attributes:
+        count: How many starts, at equal distances; the scenarios' own are in the middle.
+        within_rad: How far the first and the last are turned from the scenarios' own [rad].
+        difference: The smallest and the largest difference, in the metric's unit.
+        first: The smallest and the largest metric of the first run.
+        second: Those of the second run.
+        is_wide: Whether the difference depends on single samples: whether its range exceeds half
+            of the difference.
+    """
+
+    count: int
+    within_rad: float
+    difference: tuple[float, float]
+    first: tuple[float, float]
+    second: tuple[float, float]
+    is_wide: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExplainedDifference:
+    """Why a metric differs between two runs.
+
+    Attributes:
+        metric: Its id.
+        unit: Of all values.
+        first: The run that differences are taken from.
+        second: The other run.
+        difference: The metric of the second less that of the first, as simulated again; None if
+            one of them has no value.
+        contributions: Of each group of settings that differs, the largest first; they add up to
+            `difference`. Empty if they are withheld.
+        changes: Names and values of the settings that differ, without contributions, if these are
+            withheld.
+        idle: Keys that differ and change the metric in no combination.
+        withheld: Why there are no contributions, in one clause; None if there are.
+        together: What several groups add only if all of them are changed.
+        without_value: The smallest sets of changes that leave the metric without a value.
+        with_value: The smallest sets that give it a value, if the first run has none.
+        resolution: The largest change that is negligible.
+        starts: The difference over starts within one sample's turn; None with random effects.
+        seeds: Over how many seeds the contributions are means; 1 if nothing is random.
+        orders: How many orders of the changes were sampled; None if all of them count.
+        effects: How the contributions of `explain` differ, the largest shift first.
+        has_same_settings: Whether no setting differs that could change a run.
+        departure: Where the runs depart though they have the same settings; None if they do not.
+        sentences: All this in words.
+    """
+
+    metric: str
+    unit: str
+    first: Side
+    second: Side
+    difference: float | None = None
+    contributions: tuple[Change, ...] = ()
+    changes: tuple[Change, ...] = ()
+    idle: tuple[str, ...] = ()
+    withheld: str | None = None
+    together: tuple[Together, ...] = ()
+    without_value: tuple[ValueSet, ...] = ()
+    with_value: tuple[ValueSet, ...] = ()
+    resolution: Resolution
+    starts: DifferenceRange | None = None
+    seeds: int = 1
+    orders: int | None = None
+    effects: tuple[EffectShift, ...] = ()
+    has_same_settings: bool = False
+    departure: Departure | None = None
+    sentences: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Say what the values come to."""
+        from turtlelog.explain.difference_report import write_sentences
+
+        object.__setattr__(self, "sentences", write_sentences(self))
+
+    def __repr__(self) -> str:
+        return f"<ExplainedDifference of {self.first.name} and {self.second.name}: {self.metric}>"
