@@ -111,7 +111,7 @@ def test_failures_keep_their_stretch_where_no_view_can_be_written(tmp_path: Path
     done = run_main(LACKS, "check", "spec.toml", RECORDING, "--artifacts", "kept", folder=tmp_path)
     (kept,) = (tmp_path / "kept").iterdir()
     assert done.returncode == 1
-    assert re.match(r"FAIL: \S+: 1 of 1 check fails\n", done.stdout)
+    assert re.match(r"FAIL: \S+: slow fails, value 1 m/s\n", done.stdout)
     assert len(read_recording(kept).samples) > 100
     view = Path("kept") / kept.with_suffix(".rrd").name
     assert f"{view}: no view: rerun-sdk: needed for views" in done.stderr

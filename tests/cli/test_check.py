@@ -42,7 +42,7 @@ def test_what_fails_exits_with_1_and_says_where(call: Call, spec: Path, kp10: Pa
     lines = answer.out.splitlines()
     (line,) = [line for line in lines if line.startswith("FAIL") and " 1.0076 " in line]
     assert " ".join(line.split()) == "FAIL overshoot % 1.0076 0.5 -0.50756 2.288"
-    assert lines[0] == f"FAIL: {kp10}: 1 of 2 checks fails, 1 is skipped"
+    assert lines[0] == f"FAIL: {kp10}: 1 of 2 checks fails (overshoot, value 1.01 %), 1 is skipped"
     words = " ".join(answer.out.split())
     assert f"FAIL {kp10}: overshoot: expected rotate.overshoot <= 0.5 (half a" in words
     assert f"SKIPPED {kp10}: gains: only when law.kp_linear < 5; here" in words
@@ -81,7 +81,8 @@ def test_a_run_outside_fails_with_value_limit_and_time(
     words = " ".join(answer.out.split())
     assert re.search(r"signals\.x: \S+ m where the reference has \S+ m at \S+ s", words)
     assert "s (two ticks) " in words
-    assert answer.out.startswith("FAIL: 2 recordings: 1 of 4 checks fails\n")
+    first = "FAIL: 2 recordings: 1 of 4 checks fails (signals.x, value 0.165 m)"
+    assert answer.out.startswith(f"{first}\n")
     assert f"Recordings in which checks fail, and how many: {kp10} (1)" in words
 
 
@@ -229,7 +230,7 @@ def test_a_recording_that_cannot_be_read_fails_and_the_others_are_judged(
     assert answer.code == 1
     assert (
         answer.out.splitlines()[0]
-        == "FAIL: 9 recordings: 7 of 11 checks fail, 7 of them without a value"
+        == "FAIL: 9 recordings: 7 of 11 checks fail (recording), 7 of them without a value"
     )
     words_of_answer = " ".join(answer.out.split())
     for path, reason in bad.items():

@@ -65,14 +65,25 @@ def test_value_limit_and_margin_share_a_line_at_80_columns(
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "80")
     lines = call("check", tmp_path / "first.toml", "kp10.mcap", "--all").out.splitlines()
-    head, *rows = lines[2:18]
-    assert head.split() == ["check", "unit", "value", "limit", "margin", "violated"]
+    first, head, *rows = lines[2:19]
+    assert first.split() == ["first"]
+    assert head.split() == ["check", "unit", "value", "limit", "margin", "violation"]
     assert max(map(len, rows)) <= 80
     assert sum(line.startswith(("PASS", "FAIL")) for line in rows) == 13
 
 
 CSV_HEADS = [
-    *("verdict", "file", "check", "unit", "value", "limit", "margin", "violated [s]", "reason")
+    *(
+        "verdict",
+        "file",
+        "check",
+        "unit",
+        "value",
+        "limit",
+        "margin",
+        "first violation [s]",
+        "reason",
+    )
 ]
 
 
@@ -113,7 +124,7 @@ def test_check_answers_in_csv_and_markdown(call: Call, spec: Path, kp4: Path, kp
     assert float(rows[2][4]) == call("check", spec, kp10, "--json").json["results"][0]["value"]
     text = call("check", spec, kp4, kp10, "--markdown").out
     assert "| FAIL | overshoot | % | 1.0076 | 0.5 | -0.50756 | 2.288 |" in text
-    assert "FAIL: 2 recordings: 1 of 4 checks fails, 1 is skipped" in text
+    assert "FAIL: 2 recordings: 1 of 4 checks fails (overshoot, value 1.01 %), 1 is skipped" in text
     assert call("check", spec, kp4, "--csv", "--json").code == 2
 
 
@@ -204,8 +215,11 @@ def test_the_verdict_comes_first_and_all_fits_a_screen(
     call("check", "--init", kp4.name, "-o", "first.toml")
     expected = {
         (kp4.name,): "PASS: kp4.mcap: all 13 checks pass",
-        (kp10.name,): "FAIL: kp10.mcap: 7 of 13 checks fail",
-        (kp4.name, kp10.name): "FAIL: 2 recordings: 7 of 26 checks fail",
+        (kp10.name,): "FAIL: kp10.mcap: 7 of 13 checks fail (rotate.overshoot and 6 more)",
+        (
+            kp4.name,
+            kp10.name,
+        ): "FAIL: 2 recordings: 7 of 26 checks fail (rotate.overshoot and 6 more)",
     }
     for files, first in expected.items():
         lines = call("check", "first.toml", *files).out.splitlines()
@@ -223,7 +237,8 @@ def test_the_verdict_comes_first_and_all_fits_a_screen(
         (["FAIL"], "FAIL: a.mcap: c0 fails, it has no value"),
         (
             ["FAIL", "FAIL", "SKIPPED"],
-            "FAIL: a.mcap: 2 of 3 checks fail, 2 of them without a value, 1 is skipped",
+            "FAIL: a.mcap: 2 of 3 checks fail (c0 and 1 more), 2 of them without a value,"
+            " 1 is skipped",
         ),
     ],
 )

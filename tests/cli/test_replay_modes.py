@@ -164,7 +164,8 @@ def test_the_verdict_on_a_replay_is_that_of_check(call: Call, kp4: Path, mode: l
         assert result["first_violation_s"] == found["first_difference"]["time_s"]
     text = call(*words, "--expect-equal").out
     counts = f"{len(failed)} of {len(answer['results'])} checks fail"
-    assert f"\nFAIL: {kp4}: {counts}\n" in text
+    names = f"{next(iter(failed))} and {len(failed) - 1} more"
+    assert f"\nFAIL: {kp4}: {counts} ({names})\n" in text
     assert call(*words).out.rstrip() in text
     assert "PASS" not in text
     unasked = call(*words, "--json").json

@@ -216,7 +216,8 @@ def conclude(counted: "CountedResults", files: int) -> str:
     elif failed:
         verb = "fails" if failed == 1 else "fail"
         lacking = f", {counted.valueless} of them without a value" if counted.valueless else ""
-        text = f"{failed} of {_count(total, 'check')} {verb}{lacking}{rest}"
+        names = _name_failing(counted)
+        text = f"{failed} of {_count(total, 'check')} {verb} ({names}){lacking}{rest}"
     elif verdict == "SKIPPED":
         return f"{verdict}: no check was judged in {place}: {skipped} {_is_or_are(skipped)} skipped"
     elif skipped:
@@ -228,6 +229,14 @@ def conclude(counted: "CountedResults", files: int) -> str:
     else:
         text = f"all {total} checks pass"
     return f"{verdict}: {escape_controls(place)}: {text}"
+
+
+def _name_failing(counted: "CountedResults") -> str:
+    """Return the first check that fails, with its value or how many more there are."""
+    names = [check for check, found in counted.of_checks.items() if found[tl.check.Verdict.FAIL]]
+    if counted.verdicts[tl.check.Verdict.FAIL] == 1:
+        return f"{names[0]}, {_tell_value(counted.failures[0])}"
+    return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
 
 
 def _tell_value(result: "CheckResult") -> str:
@@ -376,14 +385,15 @@ def _tabulate_files(results: "Sequence[CheckResult]") -> "list[Table]":
 
 
 _HEADS: Final = ("verdict", "file", "check", "unit", "value", "limit", "margin")
-_VIOLATED: Final = "violated"
+_VIOLATED: Final = "first violation"
 """The column [s] behind `_HEADS`; a table for a terminal has it where a check is violated."""
 
 
 def _tabulate(results: "Sequence[CheckResult]", title: str, *, names_file: bool = False) -> "Table":
     columns = [tl.compare.Column(title="" if head == "verdict" else head) for head in _HEADS]
     if any(result.first_violation_s is not None for result in results):
-        columns.append(tl.compare.Column(title=_VIOLATED, unit="s", digits=3))
+        lines = tuple(_VIOLATED.split())
+        columns.append(tl.compare.Column(title=_VIOLATED, unit="s", digits=3, lines=lines))
     rows = [_list_cells(result) for result in results]
     if names_file:
         columns[0] = tl.compare.Column(title="verdict")
