@@ -105,9 +105,23 @@ def test_gains_are_varied_on_purpose_and_named_first() -> None:
     ranking = judge(other)
     assert (ranking.is_fair, ranking.varied) == (True, ("law.kp_linear",))
     pair = [summarise(PAPER), summarise(other)]
-    assert tl.tabulate_runs(pair).title == "2 runs, Kp drive = 4, 2"
+    title = "2 runs, Kp drive = 4, 2 (law.pause_ticks differs too)"
+    assert tl.tabulate_runs(pair).title == title
     first, _ = tl.compare.order_parameters(pair, ranking)
     assert [*first][:2] == ["law.kp_linear", "law.pause_ticks"]
+
+
+def test_three_keys_that_differ_are_named_first_and_the_others_below() -> None:
+    other = change(
+        law__heading_tolerance_rad=0.2,
+        law__pause_ticks=0,
+        law__position_tolerance_m=0.2,
+        loop__start_backlog=9,
+    )
+    table = tl.tabulate_runs([summarise(PAPER), summarise(other)], differing=0)
+    named = "law.heading_tolerance_rad, law.position_tolerance_m, law.pause_ticks and 1 more"
+    assert f"({named} differ)" in table.title
+    assert "More parameters that differ: loop.start_backlog." in table.notes
 
 
 def test_differing_conditions_come_before_other_parameters() -> None:
@@ -182,7 +196,7 @@ def test_limits_that_are_known_of_some_runs_alone_forbid_a_ranking() -> None:
 
 def test_the_first_line_says_which_run_is_best() -> None:
     pair = [summarise(tl.read_recording(f"recordings/paper/kp{gain}.mcap")) for gain in (1, 2)]
-    title = "2 runs, Kp = 1, 2: paper-kp2 is best at"
+    title = "2 runs, Kp = 1, 2 (loop.start_backlog differs too): paper-kp2 is best at"
     assert tl.tabulate_runs(pair, only=["run.duration"]).title == f"{title} run.duration"
     both = ["run.duration", "final.position_error"]
     assert tl.tabulate_runs(pair, only=both).title == f"{title} everything"

@@ -189,8 +189,11 @@ def _describe_best(table: "Table", place: int) -> tuple[str, str, str, str, str]
     keys = (name, name.rpartition(".")[2])
     other = f"best {keys[1].replace('_', ' ')}"
     label = next((words for key, words in _LABELS.items() if key in keys), other)
-    values = format_short(least, unit), format_short(most, unit)
-    return label, best, name, values[0], f"worst: {worst}, {values[1]}"
+    kind = tl.measure.find_metric_kind(name)
+    # A robot that stays short of its target overshoots by nothing, by however much.
+    is_none = kind is not None and kind.floor == 0.0 and least <= 0.0
+    value = "none" if is_none else format_short(least, unit)
+    return label, best, name, value, f"worst: {worst}, {format_short(most, unit)}"
 
 
 def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:

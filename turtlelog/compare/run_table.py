@@ -34,6 +34,9 @@ from turtlelog.run import Parameter, Run
 _MOST_DIFFERING: Final = 2
 """Columns of parameters in which runs differ."""
 
+_MOST_NAMED: Final = 3
+"""Keys that the first line names as differing beside what was varied."""
+
 _MOST_HIDDEN: Final = 8
 """More of them that are named below a table."""
 
@@ -68,8 +71,8 @@ def tabulate_runs(
     chosen = choose_columns(summaries, only or _list_usual(summaries))
     if not only:
         summaries = [_leave_out_goal(summary) for summary in summaries]
-    others = [] if only else _find_differing(summaries, ranking)
-    shown = [*others[:differing], *chosen]
+    others = _find_differing(summaries, ranking)
+    shown = [*([] if only else others[:differing]), *chosen]
     units = {name: _list_units(summaries, name) for name in shown}
     names = name_runs(summaries)
     rows = tuple(
@@ -85,7 +88,8 @@ def tabulate_runs(
         *gains,
         *(_head_column(name, units[name]) for name in shown),
     )
-    hidden = others[differing:]
+    besides = [key for key in others if key not in ranking.keys]
+    hidden = [key for key in besides[_MOST_NAMED:] if key not in shown]
     told = [f"More parameters that differ: {_list_first(hidden)}."] if hidden else []
     told += [
         f"{name} is not compared: loops of that name control signals of other units."
@@ -94,8 +98,10 @@ def tabulate_runs(
     ]
     marks = {name: mark_metric(summaries, name, ranking=ranking) for name in shown}
     head = title or describe_count(len(summaries), "run")
+    varied = _describe_varied(summaries, gains, rows, ranking, besides)
+    answer = ranking.describe() or _name_best(names, marks)
     return Table(
-        title=f"{head}{_conclude(summaries, names, gains, rows, ranking, marks)}",
+        title=f"{head}{varied}{f': {answer}' if answer else ''}",
         columns=columns,
         rows=rows,
         notes=(
@@ -123,15 +129,14 @@ _MOST_GAINS: Final = 6
 """Gains that the first line lists; of more it gives the least and the largest."""
 
 
-def _conclude(
+def _describe_varied(
     summaries: Sequence[RunSummary],
-    names: Sequence[str],
     gains: Sequence[Column],
     rows: Sequence[Sequence[Cell]],
     ranking: Ranking,
-    marks: Mapping[str, Mapping[int, Mark]],
+    besides: Sequence[str],
 ) -> str:
-    """Return the answer behind the number of runs: what was varied, and which run is the best."""
+    """Return what was varied with its values, and the keys that differ besides."""
     shown = {
         column.title: [row[place] for row in rows] for place, column in enumerate(gains, start=1)
     }
@@ -144,8 +149,12 @@ def _conclude(
         for name, cells in shown.items()
         if len(values := list(dict.fromkeys(cells))) > 1
     ]
-    answer = ranking.describe() or _name_best(names, marks)
-    return "".join([*varied, f": {answer}" if answer else ""])
+    if besides:
+        more = len(besides) - _MOST_NAMED
+        keys = [*besides[:_MOST_NAMED], *([f"{more} more"] if more > 0 else [])]
+        verb = "differs" if len(keys) == 1 else "differ"
+        varied.append(f" ({join_words(keys)} {verb}{' too' if varied else ''})")
+    return "".join(varied)
 
 
 def _list_values(values: Sequence[Cell]) -> str:
