@@ -154,9 +154,7 @@ def test_a_recorded_law_is_named_and_not_run(folder: Path, words: str) -> None:
     answer = call(folder, *words.split())
     assert not (folder / "mark").exists()
     assert (answer.returncode, answer.stdout, answer.stderr.count("\n")) == (2, "", 1)
-    assert answer.stderr.startswith(
-        "turtlelog: error: paper-kp4: law.kind: expected a built-in law"
-    )
+    assert answer.stderr.startswith("turtlelog: error: run.mcap: law.kind: expected a built-in law")
     assert answer.stderr.endswith(f"found '{EVIL}'\n")
     assert "--trust-law" in answer.stderr
 

@@ -41,6 +41,10 @@ NO_SPEC = (
             " --kp 4 sets the gain of every loop",
         ),
         (
+            ["run", "--set", "law=posture", "--set", "law.kp=4"],
+            "--set: law: expected a value, found a key below it",
+        ),
+        (
             ["run", "--kp-linear", "2"],
             "turtlelog run has no option --kp-linear; did you mean --set law.kp_linear=2?"
             " All options: turtlelog run --help-all",

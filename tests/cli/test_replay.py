@@ -103,7 +103,7 @@ def test_info_tells_a_bag_by_its_folder(call: Call) -> None:
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["replay", "a.mcap", "--plant"], "a: no poses with the applied velocities"),
+        (["replay", "a.mcap", "--plant"], "a.mcap: no poses with the applied velocities"),
         (["metrics", "empty"], "empty: expected a bag, found a folder without metadata.yaml"),
         (["metrics", "a.mcap", "--pose-topic", "/b"], "pose_topic: expected a topic with messages"),
     ],

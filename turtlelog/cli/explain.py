@@ -16,6 +16,7 @@ from turtlelog.cli.options import (
     Json,
     Place,
     ReadingOptions,
+    name_as_typed,
     read_runs,
     require_jobs,
     require_there,
@@ -108,9 +109,10 @@ def explain(
     names = None if causes is None else split_names(causes, "--causes")
     (run,) = read_runs([file], topics)
     metric = metric or tl.explain.choose_metric(run.declaration)
-    tl.explain.require_causes(run, metric, names)
-    require_trust(run, trust_law=options.trust_law)
-    found = tl.identify_run(run, trust_law=options.trust_law)
+    with name_as_typed(file, run):
+        tl.explain.require_causes(run, metric, names)
+        require_trust(run, trust_law=options.trust_law)
+        found = tl.identify_run(run, trust_law=options.trust_law)
     if options.scenario is not None:
         _write_scenario(found, options.scenario)
     attribution = None

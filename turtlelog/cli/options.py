@@ -221,6 +221,18 @@ def read_chosen_run(path: Path, topics: TopicOptions) -> "Run":
     return run
 
 
+@contextmanager
+def name_as_typed(file: Path, run: "Run") -> "Iterator[None]":
+    """Name the file, as it was typed, where an error names the run that was read of it."""
+    try:
+        yield
+    except TurtlelogError as err:
+        head, text = f"{run.name}: ", str(err)
+        if not text.startswith(head):
+            raise
+        raise type(err)(f"{file}: {text.removeprefix(head)}") from err
+
+
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkOptions:

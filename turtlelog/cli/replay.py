@@ -14,6 +14,7 @@ from turtlelog.cli.options import (
     Place,
     TopicOptions,
     choose_step_budget,
+    name_as_typed,
     read_runs,
     require_there,
 )
@@ -81,12 +82,13 @@ def replay(
     file, kind = settle_file(file, mode)
     require_new_target(output, [file], suffix=".mcap")
     (run,) = read_runs([file], topics)
-    if mode.plant:
-        answer, text, found = _replay_plant(file, run)
-    else:
-        scenario = choose_scenario(run, mode, changes, kind)
-        replay_as = _replay_loop if mode.law is None else _replay_law
-        answer, text, found = replay_as(file, run, scenario, mode, output)
+    with name_as_typed(file, run):
+        if mode.plant:
+            answer, text, found = _replay_plant(file, run)
+        else:
+            scenario = choose_scenario(run, mode, changes, kind)
+            replay_as = _replay_loop if mode.law is None else _replay_law
+            answer, text, found = replay_as(file, run, scenario, mode, output)
     failed = False
     if mode.expect_equal:
         from turtlelog.check.judge_difference import judge_replay

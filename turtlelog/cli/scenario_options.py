@@ -140,7 +140,7 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
         if not run.scenario_is_complete:
             expected = "a recording with its whole scenario"
             raise UsageError(f"{path}: is not {expected}")
-        base = tl.scenario.restore_scenario(run)
+        base = tl.scenario.restore_scenario(run, source=str(path))
         declared = None if named else run.declaration
     return apply_options(base, options, declared)
 
@@ -243,7 +243,7 @@ def change_scenario(
     try:
         return tl.override_scenario(scenario, changes, source="--set")
     except ScenarioError as err:
-        if "law.kp" not in changes:
+        if "law.kp: unknown key" not in str(err):
             raise
         kp, law = changes["law.kp"], scenario.law.kind
         problem = str(err).replace("--set: law.kp: unknown key", f"{law} has no key law.kp")

@@ -203,11 +203,12 @@ def _list_fields(kind: type) -> list[tuple[dataclasses.Field[Any], bool]]:
     return _FIELDS[kind]
 
 
-def restore_scenario(run: Run, *, trust_law: bool = False) -> Scenario:
+def restore_scenario(run: Run, *, source: str = "", trust_law: bool = False) -> Scenario:
     """Return the scenario of a run. Loads no code.
 
     Args:
         run: With its whole scenario.
+        source: What error lines begin with. Default: the name of the run.
         trust_law: Whether the law that it names may run where it is not built in: that runs the
             code that the run, or the file it was read from, names.
 
@@ -216,10 +217,11 @@ def restore_scenario(run: Run, *, trust_law: bool = False) -> Scenario:
     """
     if not run.scenario_is_complete:
         raise ScenarioError(
-            f"{run.name}: expected a run with its whole scenario, found {run.source} without"
-            f" {_list_unknown(run)}: --scenario gives the rest from another"
+            f"{source or run.name}: expected a run with its whole scenario, found {run.source}"
+            f" without {_list_unknown(run)}: --scenario gives the rest from another"
         )
-    return build_scenario(nest_parameters(run.parameters), source=run.name, trust_law=trust_law)
+    tables = nest_parameters(run.parameters)
+    return build_scenario(tables, source=source or run.name, trust_law=trust_law)
 
 
 def describe_unknown_key(key: str, known: list[str]) -> str:
