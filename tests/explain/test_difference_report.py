@@ -44,11 +44,21 @@ def make(
 
 
 def test_three_changes_are_all_named() -> None:
-    head = make(1.0, -0.2, 0.001).sentences[0]
+    head = make(1.0, -0.2, 0.01).sentences[0]
     assert head == (
-        "final.position_error rose from 1.000 m to 1.801 m: the a adds 1.000 m, the b takes 0.200 m"
-        " away and the c adds 0.001 m."
+        "final.position_error rose from 1.000 m to 1.810 m: the a adds 1.000 m, the b takes 0.200 m"
+        " away and the c adds 0.010 m."
     )
+
+
+@pytest.mark.parametrize(("part", "is_named"), [(0.0009, False), (0.0011, True)])
+def test_of_few_changes_those_that_change_no_digit_are_not_named(
+    part: float, *, is_named: bool
+) -> None:
+    found = make(1.0, -0.2, 1.2 * part / (1.0 - part))
+    assert ("the c adds" in found.sentences[0]) is is_named
+    assert "other" not in found.sentences[0]
+    assert len(found.contributions) == 3
 
 
 @pytest.mark.parametrize(("part", "is_named"), [(0.099, False), (0.101, True)])

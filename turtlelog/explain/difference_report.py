@@ -23,6 +23,10 @@ _NAMED: Final = 0.1
 _FEW: Final = 3
 """Changes that are all named: their contributions add up to the eye."""
 
+_TINY: Final = 1e-3
+"""Of the same sum: what adds less is shown below, and in no sentence. It changes none of the digits
+that are printed."""
+
 _DIGITS: Final = 4
 """Of the largest value; all others have as many decimals."""
 
@@ -92,8 +96,8 @@ def _write_parts(found: "ExplainedDifference") -> str:
     """Return what the changes add, those that are not told in one sum."""
     parts = [write_part(found, one) for one in choose_told(found)]
     rest = [one for one in _list_divided(found) if one not in choose_told(found)]
-    if parts and rest:
-        size = math.fsum(one.contribution or 0.0 for one in rest)
+    size = math.fsum(one.contribution or 0.0 for one in rest)
+    if parts and abs(size) > _TINY * _sum(_list_divided(found)):
         parts.append(f"{len(rest)} other changes together {_write_move(found, size, is_many=True)}")
     told = join_words(parts) if len(parts) > 2 else ", ".join(parts)
     return f"in the mean over {found.seeds} seeds {told}" if told and found.seeds > 1 else told
@@ -126,10 +130,11 @@ def _write_resimulated(found: "ExplainedDifference") -> str:
 
 
 def choose_told(found: "ExplainedDifference") -> list["Change"]:
-    """Return the changes that the first line names: all of a few, otherwise the large ones."""
+    """Return the changes that the first line names: of a few all that count, else the large."""
     divided = _list_divided(found)
     if len(divided) <= _FEW:
-        return divided
+        tiny = _TINY * _sum(divided)
+        return [one for one in divided if abs(one.contribution or 0.0) > tiny]
     least = _NAMED * _sum(divided)
     told = [one for one in divided if _is_large(one, least)]
     return divided if len(told) == len(divided) - 1 else told
