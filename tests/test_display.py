@@ -34,7 +34,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
     ),
     "missing metric": (
         lambda: tl.measure_run(RUN)["final.goal_heading_error"],
-        "<Metric final.goal_heading_error: absent>",
+        "<Metric final.goal_heading_error: absent (the goal asks for no heading)>",
     ),
     "metrics": (lambda: tl.measure_run(RUN), "<Metrics: 131, of which 126 have a value>"),
     "METRICS": (lambda: tl.METRICS, "metrics: <loop>.duration, "),

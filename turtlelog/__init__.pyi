@@ -29,12 +29,10 @@ from . import (
 )
 from .check import (
     CheckResult as CheckResult,
-    MissingValueError as MissingValueError,
     PartialLogError as PartialLogError,
     Recording as Recording,
     Spec as Spec,
     Tolerances as Tolerances,
-    UndecidedError as UndecidedError,
     Verdict as Verdict,
     check_formula as check_formula,
     check_runs as check_runs,
@@ -64,6 +62,7 @@ from .errors import (
     LibraryError as LibraryError,
     LogError as LogError,
     MeasureError as MeasureError,
+    MissingValueError as MissingValueError,
     PathError as PathError,
     ProcessError as ProcessError,
     RemoteError as RemoteError,
@@ -76,6 +75,7 @@ from .errors import (
     TheoryError as TheoryError,
     TuneError as TuneError,
     TurtlelogError as TurtlelogError,
+    UndecidedError as UndecidedError,
     UsageError as UsageError,
 )
 from .explain import (

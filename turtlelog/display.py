@@ -18,6 +18,15 @@ def describe_count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def fit_line(text: str) -> str:
+    """Return the one line in angle brackets that a value shows in a console: 80 letters at most."""
+    text = escape_controls(text)
+    return text if len(text) <= _LINE else f"{text[: _LINE - 4]}...>"
+
+
+_LINE: Final = 80
+
+
 def join_words(words: Sequence[str], last: str = "and") -> str:
     """Return words as a list in a sentence."""
     return f" {last} ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))

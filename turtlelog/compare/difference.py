@@ -9,8 +9,7 @@ from turtlelog.compare.signal_comparison import compare_aligned_signals, share_t
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.compare.tube import Tolerance
 from turtlelog.differences import SignalDifference
-from turtlelog.display import format_html, show_angle
-from turtlelog.escapes import escape_controls
+from turtlelog.display import fit_line, format_html, show_angle
 from turtlelog.measure import (
     SIGNALS,
     Metric,
@@ -61,7 +60,7 @@ class RunComparison:
     def __repr__(self) -> str:
         differing = sum(bool(found.differing) for found in self.signals)
         of = f"{differing} of {len(self.signals)} signals differ over {self.overlap_s:.1f} s"
-        return escape_controls(f"<RunComparison of {self.name}: {of}>")
+        return fit_line(f"<RunComparison of {self.name}: {of}>")
 
     def _repr_html_(self) -> str:
         heads = ("signal", "unit", "largest difference", "at [s]")
@@ -158,8 +157,8 @@ def _pair_metrics(
     theirs, ours = reference[1], measure_run(run)
     return tuple(
         MetricDifference(
-            metric=ours.get(name) or miss_metric(declarations[1], name),
-            reference=theirs.get(name) or miss_metric(declarations[0], name),
+            metric=ours[name] if name in ours else miss_metric(declarations[1], name),
+            reference=theirs[name] if name in theirs else miss_metric(declarations[0], name),
         )
         for name in list_metrics(*declarations)
     )

@@ -11,8 +11,8 @@ from typing import Any, Final
 from turtlelog import expressions
 from turtlelog.compare.like_loops import order_ids
 from turtlelog.compare.ranking import Conditions, find_conditions
+from turtlelog.display import fit_line
 from turtlelog.errors import CompareError, describe_unknown
-from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.loops import Declaration
 from turtlelog.measure import (
@@ -120,7 +120,7 @@ class RunSummary:
 
     def __repr__(self) -> str:
         ended = self.stop_reason or "end not recorded"
-        return escape_controls(f"<RunSummary {self.name}: {len(self.metrics)} metrics, {ended}>")
+        return fit_line(f"<RunSummary {self.name}: {len(self.metrics)} metrics, {ended}>")
 
     def _repr_html_(self) -> str:
         return format_metrics_html(self.metrics.values(), title=repr(self))

@@ -1,11 +1,11 @@
 """The signals of a run by name: the one table that metrics, comparison and pictures share."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from turtlelog.angles import subtract_headings
 from turtlelog.display import NamedValues
 from turtlelog.errors import MeasureError, describe_unknown
+from turtlelog.libraries import load_library
 from turtlelog.loops import STATE_PATTERN, Declaration
 from turtlelog.measure.references import (
     hold_samples,
@@ -60,15 +61,69 @@ class Signal:
         kind: What it is.
         time_ns: Time [ns], shape (n,), not decreasing.
         values: In the kind's unit, shape (n,).
+        start_ns: Time zero of its run [ns].
     """
 
     name: str
     kind: SignalKind
     time_ns: NDArray[np.int64]
     values: Values
+    start_ns: int = 0
+
+    @property
+    def unit(self) -> str:
+        """Unit of the values."""
+        return self.kind.unit
+
+    @property
+    def time_s(self) -> Values:
+        """Time from the first sample of the run [s], shape (n,)."""
+        return (self.time_ns - self.start_ns) / 1e9
+
+    def to_pandas(self) -> Any:
+        """Return the values as a `pandas.Series` over the time from the first sample [s].
+
+        Its `attrs` hold the `unit`.
+
+        Raises:
+            LibraryError: pandas is not installed; turtlelog does not install it.
+        """
+        pd = load_library("pandas")
+        index = pd.Index(self.time_s, name="time_s")
+        series = pd.Series(self.values, index=index, name=self.name)
+        series.attrs = {"unit": self.unit}
+        return series
+
+    def __array__(self, dtype: Any = None, *, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.values, dtype=dtype, copy=copy)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # How its kind reads a run cannot be pickled, and is of no more use.
+        kind = replace(self.kind, read=_read_nothing)
+        return _rebuild, (self.name, kind, self.time_ns, self.values, self.start_ns)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __iter__(self) -> Iterator[np.float64]:
+        return iter(self.values)
+
+    def __getitem__(self, rows: Any) -> Any:
+        """Return values by their rows, as of an array."""
+        return self.values[rows]
 
     def __repr__(self) -> str:
         return f"<Signal {self.name}: {len(self.values)} values in {self.kind.unit}>"
+
+
+def _read_nothing(_: Run) -> None:
+    """Read nothing: what a signal that was pickled knows of other runs."""
+
+
+def _rebuild(
+    name: str, kind: SignalKind, time_ns: NDArray[np.int64], values: Values, start_ns: int
+) -> Signal:
+    return Signal(name=name, kind=kind, time_ns=time_ns, values=values, start_ns=start_ns)
 
 
 def could_be_signal(name: str) -> bool:
@@ -100,7 +155,8 @@ def read_signal(run: Run, name: str) -> Signal | None:
     values = kind.read(run)
     if values is None or (kind.source != "pose" and not len(values)):
         return None
-    return Signal(name=name, kind=kind, time_ns=_TIMES[kind.source](run), values=values)
+    time_ns = _TIMES[kind.source](run)
+    return Signal(name=name, kind=kind, time_ns=time_ns, values=values, start_ns=run.start_ns)
 
 
 def explain_no_signal(run: Run, name: str) -> str:

@@ -14,8 +14,8 @@ from turtlelog.differences import (
     find_earliest,
     require_tolerance,
 )
+from turtlelog.display import fit_line
 from turtlelog.errors import ReplayError as ReplayError
-from turtlelog.escapes import escape_controls
 from turtlelog.laws import Law, Pose, find_law
 from turtlelog.log.recording.recovery_note import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
@@ -90,7 +90,7 @@ class LawReplay:
     def __repr__(self) -> str:
         first = self.first_difference
         found = "no difference" if first is None else f"first differs in {first.signal}"
-        return escape_controls(f"<LawReplay of {self.name}: {self.samples} compared, {found}>")
+        return fit_line(f"<LawReplay of {self.name}: {self.samples} compared, {found}>")
 
 
 def replay_law(

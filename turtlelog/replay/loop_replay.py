@@ -12,8 +12,8 @@ from turtlelog.differences import (
     find_earliest,
     require_tolerance,
 )
+from turtlelog.display import fit_line
 from turtlelog.errors import ReplayError
-from turtlelog.escapes import escape_controls
 from turtlelog.plants import find_plant
 from turtlelog.replay.plant_replay import PoseError, find_pose_error
 from turtlelog.replay.plant_ticks import advise_other_mode
@@ -85,7 +85,7 @@ class LoopReplay:
     def __repr__(self) -> str:
         first = self.first_difference
         found = "no difference" if first is None else f"first differs in {first.signal}"
-        return escape_controls(f"<LoopReplay of {self.name}: {self.samples} compared, {found}>")
+        return fit_line(f"<LoopReplay of {self.name}: {self.samples} compared, {found}>")
 
 
 def replay_loop(

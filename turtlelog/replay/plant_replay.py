@@ -16,7 +16,7 @@ from turtlelog.differences import (
     compare_pairing,
     find_earliest,
 )
-from turtlelog.escapes import escape_controls
+from turtlelog.display import fit_line
 from turtlelog.plants import LAGGED, Turtle, find_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.lagged_drive import drive_lagged
@@ -142,7 +142,7 @@ class PlantReplay:
     def __repr__(self) -> str:
         first = self.first_difference
         found = "no difference" if first is None else f"first differs in {first.signal}"
-        return escape_controls(f"<PlantReplay of {self.name}: {self.samples} compared, {found}>")
+        return fit_line(f"<PlantReplay of {self.name}: {self.samples} compared, {found}>")
 
 
 def replay_plant(run: Run) -> PlantReplay:

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
+from turtlelog.display import fit_line
 from turtlelog.effects import EFFECTS
-from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
 from turtlelog.parts import Effect, Place, absent
 from turtlelog.paths import Path
@@ -135,4 +135,4 @@ class Scenario:
 
     def __repr__(self) -> str:
         goal = f"goal ({self.goal.x_m:g}, {self.goal.y_m:g}) m"
-        return escape_controls(f"<Scenario {self.name}: {self.law.kind}, {goal}>")
+        return fit_line(f"<Scenario {self.name}: {self.law.kind}, {goal}>")
