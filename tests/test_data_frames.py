@@ -31,7 +31,7 @@ def test_a_signal_is_an_array() -> None:
         SIGNAL.values[-1],
         SIGNAL.values[3],
     )
-    np.testing.assert_array_equal(pd.Series(SIGNAL), SIGNAL.values)  # type: ignore[call-overload]
+    np.testing.assert_array_equal(pd.Series(SIGNAL), SIGNAL.values)
 
 
 def test_a_signal_as_a_series_has_time_as_its_index() -> None:
@@ -78,7 +78,7 @@ def test_tables_are_the_same_in_pandas_polars_and_arrow(value: Tabular) -> None:
 def test_a_run_is_its_poses_for_polars_and_arrow() -> None:
     assert pl.DataFrame(RUN).equals(pl.DataFrame(RUN.to_arrow("poses")))
     with pytest.raises(ValueError, match="not properly called"):
-        pd.DataFrame(RUN)  # type: ignore[call-overload]
+        pd.DataFrame(RUN)
 
 
 def test_fields_of_a_topic_are_a_frame() -> None:
@@ -106,7 +106,7 @@ def test_xarray_gets_dimensions_units_and_facts(monkeypatch: pytest.MonkeyPatch)
     def build(data: Any, coords: Any, attrs: Any) -> Any:
         return SimpleNamespace(data=data, coords=coords, attrs=attrs)
 
-    monkeypatch.setitem(sys.modules, "xarray", SimpleNamespace(Dataset=build))  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "xarray", SimpleNamespace(Dataset=build))
     found = RUN.to_xarray("samples")
     dimension, values, attrs = found.data["distance_m"]
     assert (dimension, attrs) == ("time", {"units": "m"})

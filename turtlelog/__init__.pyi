@@ -46,6 +46,8 @@ from .compare import (
     tabulate_runs as tabulate_runs,
 )
 from .draw import (
+    draw_figure as draw_figure,
+    draw_map as draw_map,
     open_viewer as open_viewer,
     write_comparison_rrd as write_comparison_rrd,
     write_figures as write_figures,
@@ -140,5 +142,11 @@ from .scenario import (
 )
 from .simulate import (
     simulate_run as simulate_run,
+)
+from .sweep import (
+    sweep_scenario as sweep_scenario,
+)
+from .tune import (
+    tune_scenario as tune_scenario,
 )
 from .version import __version__ as __version__
