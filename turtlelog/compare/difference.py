@@ -9,7 +9,7 @@ from turtlelog.compare.signal_comparison import compare_aligned_signals, share_t
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.compare.tube import Tolerance
 from turtlelog.differences import SignalDifference
-from turtlelog.display import fit_line, format_html, show_angle
+from turtlelog.display import fit_line, format_answer, format_html, show_angle
 from turtlelog.measure import (
     SIGNALS,
     Metric,
@@ -58,9 +58,11 @@ class RunComparison:
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
+        return fit_line(f"<RunComparison of {self.name}: {self._describe()}>")
+
+    def _describe(self) -> str:
         differing = sum(bool(found.differing) for found in self.signals)
-        of = f"{differing} of {len(self.signals)} signals differ over {self.overlap_s:.1f} s"
-        return fit_line(f"<RunComparison of {self.name}: {of}>")
+        return f"{differing} of {len(self.signals)} signals differ over {self.overlap_s:.1f} s"
 
     def _repr_html_(self) -> str:
         heads = ("signal", "unit", "largest difference", "at [s]")
@@ -68,7 +70,7 @@ class RunComparison:
             (found.signal, *show_angle(found.largest, found.unit)[::-1], found.at_s)
             for found in self.signals
         ]
-        return format_html(rows, heads=heads, title=repr(self))
+        return format_answer(f"{self.name}: {self._describe()}", format_html(rows, heads=heads))
 
 
 def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -> RunComparison:

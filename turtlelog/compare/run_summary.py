@@ -17,6 +17,7 @@ from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.loops import Declaration
 from turtlelog.measure import (
     Metric,
+    Metrics,
     find_metric_kind,
     is_lawless,
     is_metric_pattern,
@@ -25,7 +26,7 @@ from turtlelog.measure import (
     measure_run,
     miss_metric,
 )
-from turtlelog.measure.metric import Status, format_metrics_html
+from turtlelog.measure.metric import Status
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario import Start
 
@@ -123,7 +124,8 @@ class RunSummary:
         return fit_line(f"<RunSummary {self.name}: {len(self.metrics)} metrics, {ended}>")
 
     def _repr_html_(self) -> str:
-        return format_metrics_html(self.metrics.values(), title=repr(self))
+        first = list_essential_metrics(self.declaration)
+        return Metrics(self.metrics.items(), first=first)._repr_html_()
 
 
 def complete_parameters(run: Run) -> Mapping[str, Parameter]:

@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
-from turtlelog.display import describe_count, fit_line, format_html, format_number
+from turtlelog.display import describe_count, fit_line, format_answer, format_html, format_number
 from turtlelog.tabular import Tabular
 
 Cell = str | float | int | None
@@ -79,7 +80,8 @@ class Table(Tabular):
 
     def _repr_html_(self) -> str:
         heads = [f"{one.title} [{one.unit}]" if one.unit else one.title for one in self.columns]
-        return format_html(self.rows, heads=heads, title=self.title)
+        notes = [f"<p>{escape(note)}</p>" for note in self.notes]
+        return format_answer(self.title, format_html(self.rows, heads=heads), *notes)
 
 
 def format_cell(cell: Cell, column: Column) -> str:

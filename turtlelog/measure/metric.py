@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn, Protocol
 
 import numpy as np
 
-from turtlelog.display import describe_count, fit_line, format_html, format_number
+from turtlelog.display import (
+    describe_count,
+    fit_line,
+    format_answer,
+    format_details,
+    format_html,
+    format_number,
+)
 from turtlelog.errors import CheckError, MeasureError, MissingValueError
 from turtlelog.measure.numeric import MIRRORED, OPERATORS, Numeric
 from turtlelog.tabular import Tabular, refuse_array
@@ -176,7 +183,8 @@ class Metric(Numeric):
         return fit_line(f"<Metric {self._describe()}: {text}>")
 
     def _repr_html_(self) -> str:
-        return format_metrics_html([self], title=repr(self))
+        value = self.lack if self.value is None else format_number(self.value, self.unit)
+        return format_answer(f"{self._describe()}: {value}")
 
 
 Real.register(Metric)  # pytest.approx compares with nothing else
@@ -244,23 +252,32 @@ class Metrics(_MetricMapping, Tabular):
 
     def _repr_html_(self) -> str:
         shown = [self[name] for name in self.first if name in self]
+        told = [
+            f"{name} {format_number(self[name].value, self[name].unit)}"
+            for name in _ANSWERS
+            if name in self and self[name].value is not None
+        ]
+        known = sum(metric.value is not None for metric in self.values())
+        told.append(f"{known} of {describe_count(len(self), 'metric')} have a value")
+        answer = f"{', '.join(told)}."
         if len(shown) in {0, len(self)}:
-            return format_metrics_html(self.values(), title=repr(self))
-        title = f"{len(shown)} of {describe_count(len(self), 'metric')}"
-        every = format_metrics_html(self.values(), title="")
-        summary = f"<summary>All {len(self)} metrics</summary>"
-        return f"{format_metrics_html(shown, title=title)}\n<details>{summary}{every}</details>"
+            return format_answer(answer, format_metrics_html(self.values()))
+        every = format_details(f"All {len(self)} metrics", format_metrics_html(self.values()))
+        return format_answer(answer, format_metrics_html(shown), every)
 
+
+_ANSWERS: Final = ("final.position_error", "run.duration")
+"""Told first where they have a value."""
 
 _ENTRIES: Final = ("id", "value", "unit", "status", "reason", "at_s")
 
 
-def format_metrics_html(metrics: Iterable[Metric], *, title: str) -> str:
+def format_metrics_html(metrics: Iterable[Metric]) -> str:
     """Return metrics as a table for notebooks; those without a value say why."""
     rows = [
         (one.id, one.value, one.unit, one.reason if one.value is None else "") for one in metrics
     ]
-    return format_html(rows, heads=("metric", "value", "unit", "no value because"), title=title)
+    return format_html(rows, heads=("metric", "value", "unit", "no value because"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.display import NamedValues
+from turtlelog.display import (
+    NamedValues,
+    describe_count,
+    fit_line,
+    format_answer,
+    format_curve_svg,
+    format_number,
+)
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
 from turtlelog.loops import STATE_PATTERN, Declaration
@@ -49,7 +56,7 @@ class SignalKind:
     read: Callable[[Run], Values | None]
 
     def __repr__(self) -> str:
-        return f"<SignalKind [{self.unit}]: {self.meaning}>"
+        return fit_line(f"<SignalKind [{self.unit}]: {self.meaning}>")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -113,7 +120,24 @@ class Signal:
         return self.values[rows]
 
     def __repr__(self) -> str:
-        return f"<Signal {self.name}: {len(self.values)} values in {self.kind.unit}>"
+        return fit_line(f"<Signal {self.name}: {self._describe()}>")
+
+    def _describe(self) -> str:
+        count = describe_count(len(self), "value")
+        if not np.isfinite(self.values).any():
+            return f"{count} in {self.unit}"
+        ends = (format_number(float(end(self.values)), self.unit) for end in (np.nanmin, np.nanmax))
+        return f"{count} in {self.unit}, {' to '.join(ends)}"
+
+    def _repr_html_(self) -> str:
+        rows = np.unique(np.linspace(0, max(0, len(self) - 1), _MOST_SHOWN).astype(int))
+        curve = self.values[rows] if len(self) else self.values
+        picture = format_curve_svg(curve.tolist(), label=f"{self.name} over time")
+        return format_answer(f"{self.name}: {self._describe()}. {self.kind.meaning}", picture)
+
+
+_MOST_SHOWN: Final = 400
+"""Values of the curve in a notebook: more are less than a pixel apart."""
 
 
 def _read_nothing(_: Run) -> None:

@@ -11,7 +11,9 @@ from turtlelog.differences import (
     Pairing,
     SignalDifference as SignalDifference,
     compare_pairing,
+    describe_replay,
     find_earliest,
+    format_replay_html,
     require_tolerance,
 )
 from turtlelog.display import fit_line
@@ -88,9 +90,11 @@ class LawReplay:
         return tuple(found for found in (self.commands, self.stop) if found is not None)
 
     def __repr__(self) -> str:
-        first = self.first_difference
-        found = "no difference" if first is None else f"first differs in {first.signal}"
-        return fit_line(f"<LawReplay of {self.name}: {self.samples} compared, {found}>")
+        found = describe_replay(self.samples, self.first_difference)
+        return fit_line(f"<LawReplay of {self.name}: {found}>")
+
+    def _repr_html_(self) -> str:
+        return format_replay_html(self.name, self.samples, self.first_difference, self.signals)
 
 
 def replay_law(

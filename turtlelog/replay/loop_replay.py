@@ -9,7 +9,9 @@ from turtlelog.differences import (
     Difference,
     SignalDifference,
     compare_pairing,
+    describe_replay,
     find_earliest,
+    format_replay_html,
     require_tolerance,
 )
 from turtlelog.display import fit_line
@@ -83,9 +85,11 @@ class LoopReplay:
     absent: tuple[str, ...]
 
     def __repr__(self) -> str:
-        first = self.first_difference
-        found = "no difference" if first is None else f"first differs in {first.signal}"
-        return fit_line(f"<LoopReplay of {self.name}: {self.samples} compared, {found}>")
+        found = describe_replay(self.samples, self.first_difference)
+        return fit_line(f"<LoopReplay of {self.name}: {found}>")
+
+    def _repr_html_(self) -> str:
+        return format_replay_html(self.name, self.samples, self.first_difference, self.signals)
 
 
 def replay_loop(

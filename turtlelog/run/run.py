@@ -8,7 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from turtlelog.display import describe_count, fit_line, format_html
+from turtlelog.display import (
+    describe_count,
+    fit_line,
+    format_answer,
+    format_html,
+    format_short,
+)
 from turtlelog.errors import PathError, RunError
 from turtlelog.loops import PAUSE, Declaration
 from turtlelog.paths import Path, restore_path
@@ -331,6 +337,15 @@ class Run:
         ended = self.stop_reason or "end not recorded"
         return fit_line(f"<Run {self.name}: {rows}, {self.duration_s:.1f} s, {ended}>")
 
+    def _describe_end(self) -> str:
+        """Return in a sentence how it ended."""
+        ended = (self.stop_reason or "its end is not recorded").replace("_", " ")
+        if self.goal_xy_m is None or not len(self.poses):
+            return f"{self.name}: {self.duration_s:.4g} s, {ended}."
+        missed_m = float(np.hypot(*(self.poses.xy_m[-1] - self.goal_xy_m)))
+        where = f"ends {format_short(missed_m, 'm')} from the goal after {self.duration_s:.4g} s"
+        return f"{self.name}: {where}, {ended}."
+
     def _repr_html_(self) -> str:
         goal = None if self.goal_xy_m is None else "({:g}, {:g}) m".format(*self.goal_xy_m)
         spans = ", ".join(
@@ -340,14 +355,12 @@ class Run:
         rows = [
             ("source", self.source),
             ("goal", goal or "not recorded"),
-            ("run.duration", f"{self.duration_s:.4g} s"),
-            ("stop reason", self.stop_reason or "not recorded"),
             ("phases", spans or "none"),
-            *((table, f"{len(getattr(self, table))} rows") for table in TABLES),
+            ("rows", ", ".join(f"{len(getattr(self, name))} {name}" for name in TABLES)),
             ("not recorded", ", ".join(self.absent) or "nothing"),
         ]
         picture = format_path_svg(self.poses.xy_m, self.goal_xy_m) if len(self.poses) else ""
-        return f"{format_html(rows, title=repr(self))}\n{picture}"
+        return format_answer(self._describe_end(), picture, format_html(rows))
 
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
         """Return the phases in order; the silence after a phase's last sample is its pause.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from turtlelog.display import describe_count, fit_line, format_html
+from turtlelog.display import describe_count, fit_line, format_answer, format_html
 from turtlelog.errors import SweepError
 from turtlelog.scenario import Scenario, choose_scenario, parse_scenario, unwrap_number
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
@@ -69,17 +69,20 @@ class SweepTable(Tabular):
         return build_result_arrow(self.table)
 
     def __repr__(self) -> str:
+        return fit_line(f"<SweepTable of {self._describe()}>")
+
+    def _describe(self) -> str:
         rows, failed = describe_count(len(self), "row"), self.failed
         more = f", {failed} failed" if failed else ""
-        return fit_line(f"<SweepTable of {self.name}: {rows} over {', '.join(self.keys)}{more}>")
+        return f"{self.name}: {rows} over {', '.join(self.keys)}{more}"
 
     def _repr_html_(self) -> str:
         shown = [one for one in self.table.columns if one.name in self.keys or one.type == "real"]
         heads = [f"{one.name} [{one.unit}]" if one.unit else one.name for one in shown]
         rows = [[one.cells[row] for one in shown] for row in range(min(len(self), _SHOWN_ROWS))]
-        table = format_html(rows, heads=heads, title=repr(self))
         rest = len(self) - len(rows)
-        return f"{table}\n<p>{describe_count(rest, 'more row')}: to_pandas()</p>" if rest else table
+        more = f"<p>{describe_count(rest, 'more row')}: to_pandas()</p>" if rest else ""
+        return format_answer(self._describe(), format_html(rows, heads=heads), more)
 
 
 def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)

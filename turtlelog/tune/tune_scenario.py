@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from turtlelog.display import fit_line, format_html, format_number
+from turtlelog.display import fit_line, format_answer, format_html, format_number
 from turtlelog.errors import TuneError
 from turtlelog.expressions import parse_expression
 from turtlelog.measure import find_metric_kind
@@ -87,7 +87,7 @@ class TunedScenario:
             found = ranges.get(one.key)
             ends = (None, None) if found is None else (found.low, found.high)
             rows.append((one.key, self.values[one.key], *ends, one.low, one.high))
-        return format_html(rows, heads=heads, title=self._describe())
+        return format_answer(self._describe(), format_html(rows, heads=heads))
 
 
 def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
