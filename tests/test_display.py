@@ -17,8 +17,8 @@ from turtlelog.laws.loading import LAWS
 FILE: Final = "recordings/paper/kp10.mcap"
 RUN: Final = tl.read_recording(FILE)
 OTHER: Final = tl.read_recording("recordings/paper/kp4.mcap")
-LONGEST: Final = 200
-"""Characters: what fits on two lines of a terminal is read, and more is not."""
+LONGEST: Final = 80
+"""Characters: a line of a terminal."""
 
 SPEC: Final = 'format = 1\n[checks.end]\nexpect = "run.duration > 1"'
 
@@ -34,7 +34,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
     ),
     "missing metric": (
         lambda: tl.measure_run(RUN)["final.goal_heading_error"],
-        "<Metric final.goal_heading_error: absent>",
+        "<Metric final.goal_heading_error: absent (the goal asks for no heading)>",
     ),
     "metrics": (lambda: tl.measure_run(RUN), "<Metrics: 131, of which 126 have a value>"),
     "METRICS": (lambda: tl.METRICS, "metrics: <loop>.duration, "),
@@ -50,7 +50,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
         lambda: tl.draw.FIGURES["plant"],
         "<FigureKind: Impulse, step and ramp response",
     ),
-    "signal": (lambda: tl.read_signal(RUN, "x"), "<Signal x: 793 values in m>"),
+    "signal": (lambda: tl.read_signal(RUN, "x"), "<Signal x: 793 values in m, "),
     "comparison": (lambda: tl.compare_runs(RUN, OTHER), "<RunComparison of paper-kp4: "),
     "summary": (lambda: tl.summarise_run(RUN), "<RunSummary paper-kp10: 131 metrics, standstill>"),
     "table": (
@@ -116,7 +116,11 @@ def test_public_value_is_one_line_that_says_what_it_is(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "texts"),
     [
-        ("run", ["12.61 s", "770 rows"]),
+        ("run", ["ends 0.107 m from the goal after 12.61 s", "770 samples", "<svg"]),
+        ("scenario", ["sequential-p to (2, 10) m", "law.kp_linear", "All 25 keys"]),
+        ("signal", ["793 values in m, 2.", "<svg"]),
+        ("loop", ["first differs in", "largest difference"]),
+        ("law", ["770 compared, no difference."]),
         ("metrics", ["<td", "final.position_error", "0.10673", "the goal asks for no heading"]),
         ("summary", ["rotate.overshoot", "1.0076"]),
         ("table", ["<th", "Kp [1/s]", "paper-kp10"]),
@@ -127,7 +131,7 @@ def test_public_value_is_one_line_that_says_what_it_is(name: str) -> None:
 )
 def test_value_is_a_table_in_a_notebook(name: str, texts: list[str]) -> None:
     html = VALUES[name][0]()._repr_html_()
-    assert html.startswith("<table")
+    assert html.startswith('<div class="turtlelog">\n<p><strong>')
     assert [text for text in texts if text not in html] == []
 
 

@@ -119,12 +119,13 @@ def test_run_is_a_table_in_a_notebook() -> None:
     html = dataclasses.replace(RUN, name="<b>bold</b>")._repr_html_()
     assert "<b>bold" not in html
     assert "&lt;b&gt;bold" in html
-    for text in ("(2, 10) m", "12.61 s", "standstill", "770 rows", "rotate 2.46 s"):
+    for text in ("(2, 10) m", "12.61 s", "standstill", "770 samples", "rotate 2.46 s"):
         assert text in html
 
 
 def test_run_has_a_picture_of_its_path_in_a_notebook() -> None:
-    svg = ElementTree.fromstring(RUN._repr_html_().splitlines()[-1])
+    (drawn,) = [line for line in RUN._repr_html_().splitlines() if line.startswith("<svg")]
+    svg = ElementTree.fromstring(drawn)
     line, start, end, goal = svg
     points = np.array(
         [[float(part) for part in pair.split(",")] for pair in line.get("points", "").split()]
@@ -141,11 +142,11 @@ def test_run_has_a_picture_of_its_path_in_a_notebook() -> None:
 
 
 @pytest.mark.parametrize(
-    ("stop_reason", "text"), [("standstill", "standstill"), (None, "not recorded")]
+    ("stop_reason", "text"), [("standstill", "standstill"), (None, "its end is not recorded")]
 )
-def test_the_table_of_a_run_says_why_it_stopped_or_that_nobody_knows(
+def test_the_answer_of_a_run_says_why_it_stopped_or_that_nobody_knows(
     stop_reason: str | None, text: str
 ) -> None:
     html = dataclasses.replace(RUN, stop_reason=stop_reason)._repr_html_()
-    (row,) = [line for line in html.splitlines() if ">stop reason<" in line]
-    assert f">{text}<" in row
+    (answer,) = [line for line in html.splitlines() if line.startswith("<p><strong>")]
+    assert f"after 12.61 s, {text}.<" in answer

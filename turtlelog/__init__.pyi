@@ -29,12 +29,10 @@ from . import (
 )
 from .check import (
     CheckResult as CheckResult,
-    MissingValueError as MissingValueError,
     PartialLogError as PartialLogError,
     Recording as Recording,
     Spec as Spec,
     Tolerances as Tolerances,
-    UndecidedError as UndecidedError,
     Verdict as Verdict,
     check_formula as check_formula,
     check_runs as check_runs,
@@ -48,6 +46,8 @@ from .compare import (
     tabulate_runs as tabulate_runs,
 )
 from .draw import (
+    draw_figure as draw_figure,
+    draw_map as draw_map,
     open_viewer as open_viewer,
     write_comparison_rrd as write_comparison_rrd,
     write_figures as write_figures,
@@ -64,6 +64,7 @@ from .errors import (
     LibraryError as LibraryError,
     LogError as LogError,
     MeasureError as MeasureError,
+    MissingValueError as MissingValueError,
     PathError as PathError,
     ProcessError as ProcessError,
     RemoteError as RemoteError,
@@ -76,6 +77,7 @@ from .errors import (
     TheoryError as TheoryError,
     TuneError as TuneError,
     TurtlelogError as TurtlelogError,
+    UndecidedError as UndecidedError,
     UsageError as UsageError,
 )
 from .explain import (
@@ -140,5 +142,11 @@ from .scenario import (
 )
 from .simulate import (
     simulate_run as simulate_run,
+)
+from .sweep import (
+    sweep_scenario as sweep_scenario,
+)
+from .tune import (
+    tune_scenario as tune_scenario,
 )
 from .version import __version__ as __version__

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
+from turtlelog.display import format_answer, format_html, show_angle
 from turtlelog.errors import ReplayError
 
 Value = float | int | str | None
@@ -145,3 +146,23 @@ def _read_row(pairing: Pairing, row: int) -> Difference:
         recorded=recorded,
         replayed=replayed,
     )
+
+
+def describe_replay(samples: int, first: Difference | None) -> str:
+    """Return what a replay came to, in a few words."""
+    found = "no difference" if first is None else f"first differs in {first.signal}"
+    return f"{samples} compared, {found}"
+
+
+def format_replay_html(
+    name: str, samples: int, first: Difference | None, signals: Iterable[SignalDifference]
+) -> str:
+    """Return what a notebook shows of a replay: what it came to, and the signals that differ."""
+    rows = [
+        (one.signal, *show_angle(one.largest, one.unit)[::-1], one.differing, one.rows)
+        for one in signals
+        if one.differing
+    ]
+    heads = ("signal", "unit", "largest difference", "rows that differ", "of")
+    table = format_html(rows, heads=heads) if rows else ""
+    return format_answer(f"{name}: {describe_replay(samples, first)}.", table)

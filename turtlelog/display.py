@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from math import degrees
+from math import degrees, isfinite
 from typing import Any, Final, TypeVar
 
 from turtlelog.escapes import escape_controls
@@ -16,6 +16,15 @@ _LISTED: Final = 4
 def describe_count(number: int, noun: str) -> str:
     """Return how many there are, as in `1 row` and `2 rows`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def fit_line(text: str) -> str:
+    """Return the one line in angle brackets that a value shows in a console: 80 letters at most."""
+    text = escape_controls(text)
+    return text if len(text) <= _LINE else f"{text[: _LINE - 4]}...>"
+
+
+_LINE: Final = 80
 
 
 def join_words(words: Sequence[str], last: str = "and") -> str:
@@ -96,6 +105,57 @@ def format_html(
     return "\n".join([*lines, "</tbody>", "</table>"])
 
 
+def format_answer(answer: str, *parts: str) -> str:
+    """Return what a notebook shows of a value: its answer in a sentence, and below it the rest.
+
+    Colours are the notebook's own, light or dark.
+
+    Args:
+        answer: Text, which is escaped.
+        parts: HTML; empty ones are left out.
+    """
+    head = f"<p><strong>{_escape(answer)}</strong></p>"
+    return "\n".join(['<div class="turtlelog">', head, *filter(None, parts), "</div>"])
+
+
+def format_details(summary: str, html: str) -> str:
+    """Return a part of an answer that stays folded until it is asked for."""
+    return f"<details><summary>{_escape(summary)}</summary>{html}</details>"
+
+
+def format_curve_svg(values: Sequence[float], *, label: str) -> str:
+    """Return values as a small curve; one that is not finite leaves a gap.
+
+    Args:
+        values: At equal distances.
+        label: What it shows, for who does not see it.
+    """
+    known = [value for value in values if isfinite(value)]
+    if not known:
+        return ""
+    low, high = min(known), max(known)
+    scale, step = (_CURVE_HEIGHT - 4.0) / ((high - low) or 1.0), _CURVE_WIDTH / max(1, len(values))
+    places = [
+        (number * step, _CURVE_HEIGHT - 2.0 - (value - low) * scale) if isfinite(value) else None
+        for number, value in enumerate(values)
+    ]
+    drawn, before = [], False
+    for place in places:
+        if place is not None:
+            drawn.append(f"{'L' if before else 'M'}{place[0]:.1f},{place[1]:.1f}")
+        before = place is not None
+    size = f'width="{_CURVE_WIDTH:g}" height="{_CURVE_HEIGHT:g}"'
+    path = f'<path d="{"".join(drawn)}" fill="none" stroke="{_CURVE_COLOUR}" stroke-width="1.5"/>'
+    name = f'role="img" aria-label="{_escape(label)}"'
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {size} {name}>{path}</svg>'
+
+
+_CURVE_WIDTH: Final = 320.0
+_CURVE_HEIGHT: Final = 60.0
+_CURVE_COLOUR: Final = "#0082cc"
+"""Told apart from white and from the black of dark notebooks."""
+
+
 def _format_cell(cell: object) -> str:
     if isinstance(cell, int | float) and not isinstance(cell, bool):
         text = format_number(cell) if isinstance(cell, float) else str(cell)
@@ -136,7 +196,7 @@ class NamedValues(Mapping[str, Value]):
     def __repr__(self) -> str:
         names = list(self._values)
         listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
-        return f"<{describe_count(len(names), self._kind)}: {listed}>"
+        return fit_line(f"<{describe_count(len(names), self._kind)}: {listed}>")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self._kind, self._values)

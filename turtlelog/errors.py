@@ -252,5 +252,13 @@ class CheckError(TurtlelogError):
     """A specification or formula that cannot be checked."""
 
 
+class UndecidedError(CheckError, AssertionError):
+    """A truth was asked for where it is unknown: neither it nor its negation passes."""
+
+
+class MissingValueError(UndecidedError):
+    """A metric that has no value was used as a number."""
+
+
 class UsageError(TurtlelogError):
     """Options of a command that do not go together."""

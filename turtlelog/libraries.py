@@ -26,6 +26,7 @@ _PURPOSES: Final = MappingProxyType(
         "PIL": ("pillow", "movies in .gif"),
         "pandas": ("pandas", "data frames"),
         "pyarrow": ("pyarrow", "views, Arrow tables and Parquet files"),
+        "xarray": ("xarray", "labelled arrays"),
         "rerun": ("rerun-sdk", "views, pictures of them and .rrd files"),
     }
 )

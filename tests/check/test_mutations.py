@@ -200,12 +200,12 @@ def test_a_run_changed_to_violate_the_bounds_on_a_metric_fails_these_and_no_othe
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_test_sees_the_same_as_a_spec(name: str) -> None:
-    from turtlelog.check.metric_value import MetricValue
+    from turtlelog.check.recorded_metric import watch_metric
 
     pair = choose_pair(name)
     low, middle, high = bound(name, pair)
     noted: list[CheckResult] = []
-    small, large = (MetricValue(build(change), change, name, noted.append) for change in pair)
+    small, large = (watch_metric(build(change), change, name, noted.append) for change in pair)
     passed = [small < middle, small <= low, large > middle, large >= high]
     passed += [small == low, large != low]
     failed = [large < middle, large <= low, small > middle, small >= high]

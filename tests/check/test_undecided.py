@@ -10,8 +10,9 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from tests.effects_cases import build_case
-from turtlelog.check import CheckResult, Recording, UndecidedError, Verdict
+from turtlelog.check import CheckResult, Recording, Verdict
 from turtlelog.check.result import CheckOutcome, find_worst
+from turtlelog.errors import UndecidedError
 from turtlelog.run import slice_run
 
 

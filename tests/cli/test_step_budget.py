@@ -92,5 +92,5 @@ def test_a_candidate_of_tune_without_end_fails_and_the_others_go_on(law: str) ->
     )
     found = candidates.evaluate([(1.0,), (2.0,), (1.25,)])
     assert [bool(one.failed) for one in found] == [False, True, False]
-    assert told == [f"--grid: {found[1].failed}"]
+    assert told == [f"grid: {found[1].failed}"]
     assert "sample 7 took more than 1050 ms of a budget of 50 ms, at 0.112 s" in told[0]

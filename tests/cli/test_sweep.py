@@ -46,7 +46,7 @@ def test_failed_rows_are_told_and_are_no_failure_of_the_sweep(call: Call) -> Non
     assert done.code == 0
     assert done.err.splitlines() == [
         "metric align.overshoot: no row has a value (no_phase)",
-        "2 rows failed, the first: row 0: --grid: law.kp_linear: expected a number > 0, found -1.0",
+        "2 rows failed, the first: row 0: grid: law.kp_linear: expected a number > 0, found -1.0",
     ]
 
 

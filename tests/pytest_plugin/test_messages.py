@@ -22,7 +22,7 @@ def test_a_failed_bound_says_all_there_is_to_say(suite: pytest.Pytester) -> None
     result = run(suite, OVERSHOOT)
     result.stdout.fnmatch_lines(
         [
-            "E * assert <rotate.overshoot = 1.0076 %> <= 0.5",
+            "E * assert <Metric rotate.overshoot: 1.0076 %> <= 0.5",
             "E * rotate.overshoot of runs/kp10.mcap: expected <= 0.5 %",
             "*-- turtlelog --*",
             "rotate.overshoot: expected <= 0.5 %",

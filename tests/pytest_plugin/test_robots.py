@@ -5,7 +5,8 @@ import pytest
 import turtlelog as tl
 from tests.identify.robots import Log, Truth, make_run, write_bag
 from tests.pytest_plugin.conftest import run
-from turtlelog.check import MissingValueError, Recording
+from turtlelog.check import Recording
+from turtlelog.errors import MissingValueError
 
 LOG = Log(turn_rate=Truth(dead_time_s=0.2, lag_s=0.1), duration_s=15.0, poses_hz=20.0)
 

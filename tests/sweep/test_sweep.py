@@ -159,7 +159,7 @@ def test_failed_run_is_a_row_with_its_reason(tmp_path: Path) -> None:
     sweep = prepare_sweep(base, build_plan(["law.kp_linear=-1:1"]), metrics=["run.duration"])
     summary = run_sweep(sweep, tmp_path / "t.parquet", jobs=1)
     assert (summary.rows, summary.failed) == (3, 2)
-    reason = "--grid: law.kp_linear: expected a number > 0, found -1.0"
+    reason = "grid: law.kp_linear: expected a number > 0, found -1.0"
     assert summary.first_failure == f"row 0: {reason}"
     table = read_result_table(tmp_path / "t.parquet", kind="sweep")
     assert list_cells(table, "failed")[0] == reason

@@ -24,9 +24,7 @@ from .recording import (
 )
 from .result import (
     CheckResult as CheckResult,
-    MissingValueError as MissingValueError,
     PartialLogError as PartialLogError,
-    UndecidedError as UndecidedError,
     Verdict as Verdict,
     join_verdicts as join_verdicts,
 )

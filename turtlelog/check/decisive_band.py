@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from turtlelog.charts.curves import Curve
 from turtlelog.check.formula import find_unit
 from turtlelog.check.formula_trace import FormulaTrace
-from turtlelog.check.judge_formula import MIRRORED
 from turtlelog.check.robustness import PartReader
 from turtlelog.expressions import (
     Call,
@@ -28,7 +27,7 @@ from turtlelog.expressions import (
     format_expression,
     iterate_nodes,
 )
-from turtlelog.measure import list_signals
+from turtlelog.measure import MIRRORED, list_signals
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]

@@ -15,11 +15,11 @@ from turtlelog.check.formula_trace import (
     find_span,
     read_signals,
 )
-from turtlelog.check.result import UndecidedError
 from turtlelog.check.robot_values import ROBOT_VALUES, find_robot_unit
 from turtlelog.check.robustness import CriticalPart, FormulaWalk
 from turtlelog.check.vocabulary import find_kind
 from turtlelog.display import format_html, format_number
+from turtlelog.errors import UndecidedError
 from turtlelog.escapes import escape_controls
 from turtlelog.expressions import (
     Call,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, TypeAlias
 
 from turtlelog.check.reference import ReferenceFile, load_reference
-from turtlelog.check.result import CheckResult, JudgedSignal, Verdict, describe_status
+from turtlelog.check.result import CheckResult, JudgedSignal, Verdict
 from turtlelog.check.spec import Tolerances
 from turtlelog.check.spec_file import load_tolerances
 from turtlelog.check.vocabulary import choose_signals
@@ -161,7 +161,7 @@ def _judge_run(
             tolerance = tolerances.metrics[metric.id]
             yield _judge_metric(pair, tolerance, run.declaration, file=file, is_strict=True)
         else:
-            yield _leave_open(metric, describe_status(metric), run.declaration, file=file)
+            yield _leave_open(metric, metric.lack, run.declaration, file=file)
 
 
 def _judge_signal(
@@ -257,7 +257,7 @@ def _tell_sides(sides: tuple[float | str | None, ...], unit: str) -> str:
 
 
 def _tell_status(metric: Metric) -> str:
-    return describe_status(metric) if metric.reason else metric.status.value
+    return metric.lack if metric.reason else metric.status.value
 
 
 def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:

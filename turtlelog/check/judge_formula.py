@@ -1,17 +1,15 @@
 """A formula on a run -> result: does it hold, by what margin, and since when not."""
 
 import math
-import operator as operators
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.formula_trace import find_span, find_window
-from turtlelog.check.result import CheckResult, Verdict, describe_status
+from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.robot_values import ROBOT_VALUES, measure_robot
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import (
@@ -23,6 +21,7 @@ from turtlelog.check.vocabulary import (
 from turtlelog.expressions import Comparison, Expression, Name, iterate_nodes
 from turtlelog.measure import (
     COMMANDED,
+    OPERATORS,
     SIGNALS,
     MeasureSettings,
     Metric,
@@ -175,7 +174,7 @@ class _Judge:
             if metric is None:
                 lacking.append(f"{name}: the recording does not hold it")
             elif metric.value is None:
-                lacking.append(f"{name}: {describe_status(metric)}")
+                lacking.append(f"{name}: {metric.lack}")
         return "; ".join(lacking)
 
     def _read_values(self, formula: Expression) -> dict[str, Any]:
@@ -268,23 +267,6 @@ def _find_start_s(run: Run, part: str) -> float:
     loop = run.declaration.find_loop(part)
     stretch = find_first_stretch(run, loop) if loop else []
     return (stretch[0].start_ns - run.start_ns) / 1e9 if stretch else 0.0
-
-
-OPERATORS: Final[Mapping[str, Callable[[float, Any], bool]]] = MappingProxyType(
-    {
-        "<": operators.lt,
-        "<=": operators.le,
-        ">": operators.gt,
-        ">=": operators.ge,
-        "==": operators.eq,
-        "!=": operators.ne,
-    }
-)
-
-MIRRORED: Final[Mapping[str, str]] = MappingProxyType(
-    {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
-)
-"""What an operator becomes where its sides change places, or their signs."""
 
 
 def measure_margin(value: float, operator: str, limit: float) -> float:

@@ -12,12 +12,11 @@ from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_difference import AnyReference, AnyTolerance, judge_replay, match_run
 from turtlelog.check.judge_formula import judge_check
 from turtlelog.check.judge_run import fail_recording
-from turtlelog.check.metric_value import MetricValue
+from turtlelog.check.recorded_metric import watch_metric
 from turtlelog.check.reference import ReferenceFile
 from turtlelog.check.result import (
     CheckOutcome,
     CheckResult,
-    MissingValueError,
     PartialLogError,
 )
 from turtlelog.check.spec import Check
@@ -28,12 +27,12 @@ from turtlelog.check.vocabulary import (
     require_phase,
 )
 from turtlelog.compare import Tolerance
-from turtlelog.errors import CheckError
+from turtlelog.errors import CheckError, MissingValueError
 from turtlelog.expressions import parse_expression
 from turtlelog.identify import AxisModel, Estimate, RobotModel, identify_robot
 from turtlelog.laws import AnyLaw, Law, LawPart
 from turtlelog.log import ReadChoice, ReadOptions, read_as_chosen, write_recording
-from turtlelog.measure import find_metric_kind, list_ids_like, list_metrics
+from turtlelog.measure import Metric, find_metric_kind, list_ids_like, list_metrics
 from turtlelog.remote.urls import make_path
 from turtlelog.replay import LawReplay, replay_law
 from turtlelog.run import Run
@@ -114,7 +113,7 @@ class Recording:
         # What is lost is told by the note, which decides.
         return read_as_chosen(self.path, replace(self._choice, allow_partial=True))
 
-    def metric(self, name: str, **settings: Any) -> MetricValue:
+    def metric(self, name: str, **settings: Any) -> Metric:
         """Return a metric by its id, as measured with settings of `MeasureSettings`.
 
         That of a loop which the run's law does not declare has no value, and says so.
@@ -125,7 +124,7 @@ class Recording:
         if find_metric_kind(name) is None:
             known = dict.fromkeys([*list_metrics(self.run.declaration), *list_ids_like(name)])
             raise CheckError(f"metric: {describe_nearest(name, tuple(known))}")
-        return MetricValue(self.run, self.file, name, self._note, settings)
+        return watch_metric(self.run, self.file, name, self._note, settings)
 
     def phase(self, name: str) -> "PhaseMetrics":
         """Return the metrics of a loop of the run's law (`rotate`), of `final` or `run`.
@@ -237,7 +236,7 @@ class PhaseMetrics:
     def __bool__(self) -> bool:
         raise CheckError(f"phase {self._name}: assert one of its metrics")
 
-    def __getattr__(self, name: str) -> MetricValue:
+    def __getattr__(self, name: str) -> Metric:
         if name.startswith("__"):
             raise AttributeError(name)
         ids = list_metrics(self._recording.run.declaration)

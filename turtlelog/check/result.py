@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from turtlelog.display import format_html, format_number
-from turtlelog.errors import CheckError
+from turtlelog.errors import CheckError, UndecidedError
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -14,14 +14,6 @@ if TYPE_CHECKING:
     from turtlelog.compare import Tolerance
     from turtlelog.measure import Metric
     from turtlelog.run import Run
-
-
-class UndecidedError(CheckError, AssertionError):
-    """A truth was asked for where it is unknown: neither it nor its negation passes."""
-
-
-class MissingValueError(UndecidedError):
-    """A metric that has no value was compared."""
 
 
 class PartialLogError(CheckError, AssertionError):
@@ -219,11 +211,6 @@ def describe_result(result: CheckResult) -> str:
         parts.append(f"first violated at {result.first_violation_s:.3f} s")
     parts += [result.reason] if result.reason else []
     return "; ".join(parts)
-
-
-def describe_status(metric: "Metric") -> str:
-    """Return why a metric has no value: `no_phase (the run has no phase rotate)`."""
-    return f"{metric.status.value} ({metric.reason})"
 
 
 def _tabulate_html(results: Iterable[CheckResult], *, title: str) -> str:

@@ -13,12 +13,11 @@ from turtlelog.charts.violated_signal import SignalSearch, ViolatedSignal, Viola
 from turtlelog.check.decisive_band import BandReader, find_scale, list_leaves, names_signals
 from turtlelog.check.formula import check_run
 from turtlelog.check.formula_trace import FormulaTrace, find_span, find_window, read_signals
-from turtlelog.check.judge_formula import MIRRORED
 from turtlelog.check.result import CheckResult, JudgedMetric, JudgedSignal, Verdict
 from turtlelog.check.spec import Check
 from turtlelog.compare.signal_comparison import trace_tube
 from turtlelog.expressions import Call, Comparison, Name
-from turtlelog.measure import list_metrics, list_signals, measure_run, read_signal
+from turtlelog.measure import MIRRORED, list_metrics, list_signals, measure_run, read_signal
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]

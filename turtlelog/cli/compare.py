@@ -387,7 +387,9 @@ def _build_answer(
     ids = list(tl.measure.list_metrics(*(found.declaration for found in summaries)))
     if only:
         chosen = tl.compare.choose_columns(summaries, only)
-        ids = [name for name in chosen if any(found.find_metric(name) for found in summaries)]
+        ids = [
+            name for name in chosen if any(one.find_metric(name) is not None for one in summaries)
+        ]
     marks = {name: tl.compare.mark_metric(summaries, name, ranking=ranking) for name in ids}
     parameters = tl.compare.order_parameters(summaries, ranking)
     names = tl.compare.name_runs(summaries)

@@ -287,7 +287,7 @@ def _tabulate_loops(summary: "RunSummary", loops: Sequence[str]) -> "Table":
     rows = {
         word: metrics
         for word, metrics in found.items()
-        if any(metrics)
+        if any(one is not None for one in metrics)
         and not (word in _IDLE and all(one is None or one.value == 0.0 for one in metrics))
     }
     return tl.compare.Table(

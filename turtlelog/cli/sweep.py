@@ -213,6 +213,7 @@ def _prepare(
         records=records,
         trust_law=work.trust_law,
         step_budget_s=choose_step_budget(work.step_budget_ms),
+        source="--grid",
     )
 
 

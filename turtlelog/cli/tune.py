@@ -28,10 +28,6 @@ if TYPE_CHECKING:
     from turtlelog.scenario import Scenario
     from turtlelog.tune import Candidates, SearchedKey, TuningGoal, Variation
 
-_FOR_EACH_KEY: Final = 300
-"""Candidates for each key: the cover takes 32, and a generation of the evolution 12."""
-
-_FEWEST: Final = 8
 _MOST_VARIANTS: Final = 1_000_000
 
 
@@ -80,9 +76,9 @@ class GoalOptions:
 
     def count_evaluations(self, keys: int) -> int:
         """Return how many candidates there are to be."""
-        found = _FOR_EACH_KEY * keys if self.evaluations is None else self.evaluations
-        if found < _FEWEST:
-            raise UsageError(f"--evaluations {found}: must be at least {_FEWEST}")
+        found = tl.tune.FOR_EACH_KEY * keys if self.evaluations is None else self.evaluations
+        if found < tl.tune.FEWEST:
+            raise UsageError(f"--evaluations {found}: must be at least {tl.tune.FEWEST}")
         return found
 
     def choose_seed(self) -> int:
@@ -219,17 +215,11 @@ def _parse_keys(
     scenario: "Scenario", vary: list[str], options: LawOptions | None, *, trust_law: bool
 ) -> "tuple[Scenario, tuple[SearchedKey, ...]]":
     """Return the keys, and the scenario with a value for each: a law need not have defaults."""
-    flatten, given = tl.scenario.flatten_scenario, list_given_keys(options)
-    known = flatten(scenario)
-    keys = tl.tune.parse_searched_keys(vary, known)
-    for key in keys:
+    given = list_given_keys(options)
+    for key in tl.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
         if key.key in given:
             raise UsageError(f"--set: {key.key} is tuned by --grid; leave one of them out")
-    lows = {key.key: key.low for key in keys if key.key not in known}
-    whole = {key: int(low) if float(low).is_integer() else low for key, low in lows.items()}
-    scenario = tl.override_scenario(scenario, whole, source="--grid")
-    resolved = tl.scenario.resolve_scenario(scenario, trust_law=trust_law)
-    return scenario, tl.tune.parse_searched_keys(vary, flatten(resolved))
+    return tl.tune.complete_searched(scenario, vary, source="--grid", trust_law=trust_law)
 
 
 def _search(  # noqa: PLR0913  (what a search takes)
@@ -260,6 +250,7 @@ def _search(  # noqa: PLR0913  (what a search takes)
             trust_law=work.trust_law,
             step_budget_s=choose_step_budget(work.step_budget_ms),
             tell=_tell_late,
+            source="--grid",
         )
         candidates.require_bounds([tuple(key.low for key in keys), tuple(key.high for key in keys)])
         is_maximised, around = wanted.is_maximised, None

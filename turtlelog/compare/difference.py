@@ -9,8 +9,7 @@ from turtlelog.compare.signal_comparison import compare_aligned_signals, share_t
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.compare.tube import Tolerance
 from turtlelog.differences import SignalDifference
-from turtlelog.display import format_html, show_angle
-from turtlelog.escapes import escape_controls
+from turtlelog.display import fit_line, format_answer, format_html, show_angle
 from turtlelog.measure import (
     SIGNALS,
     Metric,
@@ -59,9 +58,11 @@ class RunComparison:
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
+        return fit_line(f"<RunComparison of {self.name}: {self._describe()}>")
+
+    def _describe(self) -> str:
         differing = sum(bool(found.differing) for found in self.signals)
-        of = f"{differing} of {len(self.signals)} signals differ over {self.overlap_s:.1f} s"
-        return escape_controls(f"<RunComparison of {self.name}: {of}>")
+        return f"{differing} of {len(self.signals)} signals differ over {self.overlap_s:.1f} s"
 
     def _repr_html_(self) -> str:
         heads = ("signal", "unit", "largest difference", "at [s]")
@@ -69,7 +70,7 @@ class RunComparison:
             (found.signal, *show_angle(found.largest, found.unit)[::-1], found.at_s)
             for found in self.signals
         ]
-        return format_html(rows, heads=heads, title=repr(self))
+        return format_answer(f"{self.name}: {self._describe()}", format_html(rows, heads=heads))
 
 
 def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -> RunComparison:
@@ -158,8 +159,8 @@ def _pair_metrics(
     theirs, ours = reference[1], measure_run(run)
     return tuple(
         MetricDifference(
-            metric=ours.get(name) or miss_metric(declarations[1], name),
-            reference=theirs.get(name) or miss_metric(declarations[0], name),
+            metric=ours[name] if name in ours else miss_metric(declarations[1], name),
+            reference=theirs[name] if name in theirs else miss_metric(declarations[0], name),
         )
         for name in list_metrics(*declarations)
     )

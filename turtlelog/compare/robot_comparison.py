@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.compare.table import Cell, Column, Table
-from turtlelog.display import describe_count, format_html
-from turtlelog.escapes import escape_controls
+from turtlelog.display import describe_count, fit_line, format_answer, format_html
 from turtlelog.identify import AxisTraces
 from turtlelog.run import Clock, PoseColumns
 
@@ -208,19 +207,23 @@ class RobotComparison:
             yield self.recorded.xy_m[begin] + turned_m
 
     def __repr__(self) -> str:
+        return fit_line(
+            f"<RobotComparison of {self.name} with {self.scenario}: {self._describe()}>"
+        )
+
+    def _describe(self) -> str:
         told = ", ".join(
             f"{1e3 * band.median:.3g} mm after {band.horizon_s:g} s"
             for band in self.bands
             if band.quantity == "position"
         )
-        return escape_controls(
-            f"<RobotComparison of {self.name} with {self.scenario}: median error {told}>"
-        )
+        return f"median error {told}"
 
     def _repr_html_(self) -> str:
         table = tabulate_robots([self])
         heads = tuple(column.title for column in table.columns)
-        return format_html(table.rows, heads=heads, title=repr(self))
+        answer = f"{self.name} beside {self.scenario}: {self._describe()}"
+        return format_answer(answer, format_html(table.rows, heads=heads))
 
 
 def tabulate_robots(found: Sequence[RobotComparison]) -> Table:

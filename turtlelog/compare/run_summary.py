@@ -11,12 +11,13 @@ from typing import Any, Final
 from turtlelog import expressions
 from turtlelog.compare.like_loops import order_ids
 from turtlelog.compare.ranking import Conditions, find_conditions
+from turtlelog.display import fit_line
 from turtlelog.errors import CompareError, describe_unknown
-from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.loops import Declaration
 from turtlelog.measure import (
     Metric,
+    Metrics,
     find_metric_kind,
     is_lawless,
     is_metric_pattern,
@@ -25,7 +26,7 @@ from turtlelog.measure import (
     measure_run,
     miss_metric,
 )
-from turtlelog.measure.metric import Status, format_metrics_html
+from turtlelog.measure.metric import Status
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario import Start
 
@@ -120,10 +121,11 @@ class RunSummary:
 
     def __repr__(self) -> str:
         ended = self.stop_reason or "end not recorded"
-        return escape_controls(f"<RunSummary {self.name}: {len(self.metrics)} metrics, {ended}>")
+        return fit_line(f"<RunSummary {self.name}: {len(self.metrics)} metrics, {ended}>")
 
     def _repr_html_(self) -> str:
-        return format_metrics_html(self.metrics.values(), title=repr(self))
+        first = list_essential_metrics(self.declaration)
+        return Metrics(self.metrics.items(), first=first)._repr_html_()
 
 
 def complete_parameters(run: Run) -> Mapping[str, Parameter]:

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
-from turtlelog.display import describe_count, format_html, format_number
-from turtlelog.escapes import escape_controls
+from turtlelog.display import describe_count, fit_line, format_answer, format_html, format_number
+from turtlelog.tabular import Tabular
 
 Cell = str | float | int | None
 Mark = Literal["best", "worst"]
@@ -32,7 +33,7 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
+class Table(Tabular):
     """A table with its notes.
 
     Attributes:
@@ -53,14 +54,34 @@ class Table:
     marks: Mapping[tuple[int, int], Mark] = field(default_factory=lambda: MappingProxyType({}))
     label: str = ""
 
+    def _tabulate(self) -> Mapping[str, Any]:
+        names = [self._name(place) for place in range(len(self.columns))]
+        columns = {name: [row[place] for row in self.rows] for place, name in enumerate(names)}
+        # A column of texts and numbers is one of texts.
+        return {
+            name: [None if one is None else str(one) for one in cells]
+            if any(isinstance(one, str) for one in cells)
+            else cells
+            for name, cells in columns.items()
+        }
+
+    def _name(self, place: int) -> str:
+        title = self.columns[place].title
+        same = sum(one.title == title for one in self.columns[:place])
+        return f"{title}_{same + 1}" if same else title
+
+    def _list_units(self) -> Mapping[str, str]:
+        return {self._name(place): one.unit for place, one in enumerate(self.columns) if one.unit}
+
     def __repr__(self) -> str:
         rows = describe_count(len(self.rows), "row")
         columns = describe_count(len(self.columns), "column")
-        return escape_controls(f"<Table {self.title}: {rows} of {columns}>")
+        return fit_line(f"<Table {self.title}: {rows} of {columns}>")
 
     def _repr_html_(self) -> str:
         heads = [f"{one.title} [{one.unit}]" if one.unit else one.title for one in self.columns]
-        return format_html(self.rows, heads=heads, title=self.title)
+        notes = [f"<p>{escape(note)}</p>" for note in self.notes]
+        return format_answer(self.title, format_html(self.rows, heads=heads), *notes)
 
 
 def format_cell(cell: Cell, column: Column) -> str:

@@ -3,6 +3,7 @@ from .figures import (
     FIGURES as FIGURES,
     Page as Page,
     draw_figure as draw_figure,
+    draw_map as draw_map,
     list_left_out as list_left_out,
     list_unmarked as list_unmarked,
     write_difference_figure as write_difference_figure,

@@ -6,7 +6,7 @@ from html import escape
 from typing import Final
 
 from turtlelog.angles import wrap_angle
-from turtlelog.display import format_html
+from turtlelog.display import fit_line, format_answer, format_html
 from turtlelog.loops import Declaration
 from turtlelog.measure import list_metrics
 from turtlelog.run.ending import allow_position
@@ -345,7 +345,7 @@ class Attribution:
         cause = (", ".join(parts) or "no effect changes it") if is_divided else "no contributions"
         value = self.resimulated if self.as_logged is None else self.as_logged
         size = "no value" if value is None else f"{value:.4g} {self.unit}"
-        return f"<Attribution of {self.metric}: {size}: {cause}>"
+        return fit_line(f"<Attribution of {self.metric}: {size}: {cause}>")
 
     def _repr_html_(self) -> str:
         unit = self.unit
@@ -361,8 +361,10 @@ class Attribution:
             if self.contributions and self.seeds.varies:
                 row = [THIS_SEED, self.this_seed, None, None, THIS_SEED_MEANS]
                 rows.insert(sum(one.contribution is not None for one in self.changing), row)
-        table = format_html(rows, heads=heads, title=f"What caused {self.metric}")
-        return table + "".join(f"\n<p>{escape(text)}</p>" for text in self.sentences)
+        table = format_html(rows, heads=heads)
+        rest = [f"<p>{escape(text)}</p>" for text in self.sentences[1:]]
+        answer = self.sentences[0] if self.sentences else f"What caused {self.metric}"
+        return format_answer(answer, table, *rest)
 
 
 def choose_metric(declaration: Declaration) -> str:

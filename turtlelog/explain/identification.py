@@ -8,9 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.display import format_html
+from turtlelog.display import fit_line, format_answer, format_html
 from turtlelog.errors import ExplainError, ReplayError
-from turtlelog.escapes import escape_controls
 from turtlelog.explain.resimulation import Resimulation
 from turtlelog.replay import replay_plant
 from turtlelog.run import Run
@@ -184,19 +183,20 @@ class Identification:
         return self.scenario
 
     def __repr__(self) -> str:
+        return fit_line(f"<Identification of {self._describe()}>")
+
+    def _describe(self) -> str:
         unsure = (Certainty.UNKNOWN, Certainty.AMBIGUOUS)
         known = sum(found.certainty not in unsure for found in self.findings.values())
-        return escape_controls(
-            f"<Identification of {self.name}: {known} of {len(self.findings)} values known>"
-        )
+        return f"{self.name}: {known} of {len(self.findings)} values known"
 
     def _repr_html_(self) -> str:
         rows = [
             (key, found.value, found.certainty.value, found.evidence)
             for key, found in self.findings.items()
         ]
-        heads = ("", "value", "how sure", "evidence")
-        return format_html(rows, heads=heads, title=repr(self))
+        heads = ("", "value", "confidence", "evidence")
+        return format_answer(self._describe(), format_html(rows, heads=heads))
 
 
 def identify_plant(run: Run) -> Identification:

@@ -13,6 +13,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import fit_line
 from turtlelog.errors import ExplainError
 from turtlelog.explain.attribute import attribute_run
 from turtlelog.explain.attribution import Attribution, choose_metric
@@ -94,7 +95,7 @@ class Luck:
         return self.curves[-1].without
 
     def __repr__(self) -> str:
-        return f"<Luck of {self.metric}: {len(self.curves[0].values)} {self.varied}s>"
+        return fit_line(f"<Luck of {self.metric}: {len(self.curves[0].values)} {self.varied}s>")
 
 
 def measure_luck(

@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, SupportsFloat
+from typing import Any, Literal, SupportsFloat
 
-from turtlelog.display import format_html
-from turtlelog.escapes import escape_controls
+from turtlelog.display import fit_line, format_answer, format_html
+from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
 from turtlelog.identify.robot_structure import Bound, Order, Structure
+from turtlelog.libraries import load_library
 from turtlelog.run import Clock
 
 
@@ -137,6 +138,28 @@ class AxisModel:
     doubts: tuple[str, ...] = ()
     silent_stops_s: tuple[float, ...] = ()
 
+    def to_control(self, pade_order: int = 3) -> Any:
+        """Return the axis as a `control.TransferFunction`, from command to rate.
+
+        Limits and a deadband are not linear and left out.
+
+        Args:
+            pade_order: Of the rational function that stands for the dead time; 0: no dead time.
+
+        Raises:
+            IdentifyError: The axis is not known.
+            LibraryError: python-control is not installed.
+        """
+        if self.gain is None or self.dead_time_s is None or self.lag_s is None:
+            raise IdentifyError(f"{self.axis}: {self.reason or 'it is not known'}")
+        control = load_library("control")
+        product = 0.0 if self.lag_product_s2 is None else self.lag_product_s2.value
+        lag = [product, self.lag_s.value, 1.0] if product else [self.lag_s.value, 1.0]
+        follows = control.tf([self.gain.value], lag)
+        if not pade_order or not self.dead_time_s.value:
+            return follows
+        return control.tf(*control.pade(self.dead_time_s.value, pade_order)) * follows
+
     @property
     def advised_delay_s(self) -> float | None:
         """The total delay that a controller should reckon with: in doubt the longest [s]."""
@@ -253,7 +276,7 @@ class RobotModel:
 
     def __repr__(self) -> str:
         known = [axis.axis for axis in self.axes if axis.is_known]
-        return escape_controls(
+        return fit_line(
             f"<RobotModel of {', '.join(self.files)}: {' and '.join(known) or 'nothing'} known>"
         )
 
@@ -262,5 +285,7 @@ class RobotModel:
             (axis.axis, axis.gain, axis.dead_time_s, axis.lag_s, axis.total_delay_s, axis.reason)
             for axis in self.axes
         ]
-        heads = ("", "gain", "dead time", "lag", "total delay", "")
-        return format_html(rows, heads=heads, title=repr(self))
+        heads = ("", "gain", "dead time", "time constant", "total delay", "")
+        known = [f"{axis.axis} with gain {axis.gain.value:.4g}" for axis in self.axes if axis.gain]
+        answer = f"{', '.join(self.files)}: {' and '.join(known) or 'no axis is known'}."
+        return format_answer(answer, format_html(rows, heads=heads))

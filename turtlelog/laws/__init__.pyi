@@ -8,6 +8,11 @@ from .base import (
     LawPart as LawPart,
     Pose as Pose,
 )
+from .given_laws import (
+    is_given as is_given,
+    name_given_law as name_given_law,
+    read_law_source as read_law_source,
+)
 from .loading import (
     LAWS as LAWS,
     declare_law as declare_law,

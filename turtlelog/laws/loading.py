@@ -53,7 +53,9 @@ def find_law(kind: str) -> AnyLaw:
         return LAWS[kind]
     require_law_name(kind)
     place, _, name = kind.rpartition(":")
-    law = getattr(_load_module(place), name, None)
+    law = (
+        _find_session_law(kind) if place == "session" else getattr(_load_module(place), name, None)
+    )
     if law is None:
         raise LawError(f"{place} has no class {name}")
     if isinstance(law, LawPart):
@@ -68,6 +70,12 @@ def find_law(kind: str) -> AnyLaw:
         law = complete_law(law)
     _require_law(law, kind)
     return law
+
+
+def _find_session_law(kind: str) -> Any:
+    from turtlelog.laws.given_laws import find_given_law  # only Python gives such a law
+
+    return find_given_law(kind)
 
 
 def name_law(law: AnyLaw) -> str:

@@ -11,8 +11,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count
-from turtlelog.escapes import escape_controls
+from turtlelog.display import describe_count, fit_line
 from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
 from turtlelog.log.engine.channels import Catalogue, describe_unread
 from turtlelog.log.engine.limits import Allowance, measure_stored
@@ -95,7 +94,7 @@ class RecordingInfo:
         length = "no messages" if self.duration_s is None else f"{self.duration_s:.1f} s"
         topics = describe_count(len(self.topics), "topic")
         whole = "complete" if self.complete else "incomplete"
-        return escape_controls(f"<RecordingInfo {self.file}: {topics}, {length}, {whole}>")
+        return fit_line(f"<RecordingInfo {self.file}: {topics}, {length}, {whole}>")
 
 
 @dataclass(slots=True, kw_only=True, eq=False)

@@ -11,9 +11,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Schema
 
-from turtlelog.display import describe_count
+from turtlelog.display import describe_count, fit_line
 from turtlelog.errors import LogError
-from turtlelog.escapes import escape_controls
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.container import LIBRARY
 from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
@@ -61,7 +60,7 @@ class RecoveryReport:
     def __repr__(self) -> str:
         found = describe_count(sum(self.recovered.values()), "message")
         lost = f"{len(self.lost)} stretch{'es' * (len(self.lost) != 1)}"
-        return escape_controls(f"<RecoveryReport {self.file}: {found}, {lost} lost>")
+        return fit_line(f"<RecoveryReport {self.file}: {found}, {lost} lost>")
 
 
 def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:

@@ -16,6 +16,7 @@ from .measure_settings import (
 from .metric import (
     Metric as Metric,
     Metrics as Metrics,
+    MetricWatch as MetricWatch,
     Missing as Missing,
     Status as Status,
 )
@@ -32,6 +33,11 @@ from .metrics import (
     list_metrics as list_metrics,
     measure_run as measure_run,
     miss_metric as miss_metric,
+)
+from .numeric import (
+    MIRRORED as MIRRORED,
+    OPERATORS as OPERATORS,
+    Numeric as Numeric,
 )
 from .outliers import (
     Outlier as Outlier,

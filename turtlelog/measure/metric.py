@@ -2,11 +2,25 @@
 
 import enum
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from numbers import Real
+from typing import TYPE_CHECKING, Any, Final, NoReturn, Protocol
 
-from turtlelog.display import describe_count, format_html, format_number
+import numpy as np
+
+from turtlelog.display import (
+    describe_count,
+    fit_line,
+    format_answer,
+    format_details,
+    format_html,
+    format_number,
+)
+from turtlelog.errors import CheckError, MeasureError, MissingValueError
+from turtlelog.measure.numeric import MIRRORED, OPERATORS, Numeric
+from turtlelog.tabular import Tabular, refuse_array
 
 
 class Status(enum.StrEnum):
@@ -31,9 +45,33 @@ class Status(enum.StrEnum):
     """The recording fits several values alike, or none."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Metric:
-    """One figure of one run.
+class MetricWatch(Protocol):
+    """Who is told what a metric is compared with, as a recording is whose checks are reported."""
+
+    def compare(self, metric: "Metric", operator: str, other: object) -> bool:
+        """Return what a comparison comes to."""
+
+    def miss(self, metric: "Metric") -> NoReturn:
+        """Raise MissingValueError of a metric that was used as a number."""
+
+    def negate(self, metric: "Metric") -> "MetricWatch":
+        """Return the watch of its magnitude."""
+
+    def measure(self, metric: "Metric", settings: Mapping[str, Any]) -> "Metric":
+        """Return the metric measured with other settings."""
+
+    def describe(self, metric: "Metric") -> str:
+        """Return its name with what was done to it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Metric(Numeric):
+    """One figure of one run: a number with a unit, or the reason why there is none.
+
+    It computes, sorts, formats and compares as the float `value` does. A metric without a value
+    raises MissingValueError when it is used as a number, also by `!=`, so that no test passes by
+    it. `==` of two metrics compares value and unit, of two without a value status and reason; it
+    never raises. `hash` is that of the value. `bool` raises: a metric of 0 is no failure.
 
     Attributes:
         id: `<phase, final or run>.<metric>`.
@@ -43,6 +81,8 @@ class Metric:
         reason: One clause where there is none, else empty.
         at_s: When it is taken, from the first sample [s]: of a peak, the end of a rise, the largest
             jump; None where it belongs to no moment.
+        watch: Who is told what it is compared with; None for most. With a watch `==` and `!=` of a
+            metric without a value raise too.
     """
 
     id: str
@@ -51,6 +91,7 @@ class Metric:
     status: Status = Status.OK
     reason: str = ""
     at_s: float | None = None
+    watch: MetricWatch | None = None
 
     def to_dict(self) -> dict[str, str | float | None]:
         """Return the entry of JSON answers and references."""
@@ -63,43 +104,180 @@ class Metric:
             "at_s": self.at_s,
         }
 
+    def __float__(self) -> float:
+        if self.value is not None:
+            return self.value
+        if self.watch is not None:
+            self.watch.miss(self)
+        raise MissingValueError(f"{self.id}: expected a number, found no value: {self.lack}")
+
+    @property
+    def lack(self) -> str:
+        """Why it has no value: `no_phase (the run has no phase rotate)`; empty where it has."""
+        return "" if self.value is not None else f"{self.status.value} ({self.reason})"
+
+    def __call__(self, **settings: Any) -> "Metric":
+        """Return the metric of a recording with other settings: `settling_time(band=0.05)`."""
+        if self.watch is None:
+            raise MeasureError(f"{self.id}: expected measure_run(run, MeasureSettings(...))")
+        return self.watch.measure(self, settings)
+
+    def __lt__(self, other: Any) -> bool:
+        return self._compare("<", other)
+
+    def __le__(self, other: Any) -> bool:
+        return self._compare("<=", other)
+
+    def __gt__(self, other: Any) -> bool:
+        return self._compare(">", other)
+
+    def __ge__(self, other: Any) -> bool:
+        return self._compare(">=", other)
+
+    def __eq__(self, other: object) -> bool:
+        return self._compare("==", other)
+
+    def __ne__(self, other: object) -> bool:
+        return self._compare("!=", other)
+
+    def __hash__(self) -> int:
+        return hash(self._key if self.value is None else self.value)
+
+    def _compare(self, operator: str, other: object) -> bool:
+        watch = self.watch
+        if watch is not None:
+            return watch.compare(self, operator, other)
+        if not isinstance(other, Metric):
+            is_number = isinstance(other, Real | np.ndarray) or operator not in {"==", "!="}
+            return OPERATORS[operator](float(self), other) if is_number else operator == "!="
+        if other.watch is not None:
+            return other.watch.compare(other, MIRRORED[operator], self)
+        if operator in {"==", "!="}:
+            return (self._key == other._key) is (operator == "==")
+        if self.unit != other.unit:
+            found = f"{self.unit} and {other.unit}"
+            raise MeasureError(f"{self.id}: expected two metrics of one unit, found {found}")
+        return OPERATORS[operator](float(self), float(other))
+
+    @property
+    def _key(self) -> tuple[object, ...]:
+        return self.value, self.unit, self.status, self.reason
+
+    def __abs__(self) -> "Metric":
+        """Return its magnitude, to be compared in the same way."""
+        watch = None if self.watch is None else self.watch.negate(self)
+        return replace(self, value=abs(float(self)), watch=watch)
+
+    def __format__(self, spec: str) -> str:
+        return repr(self) if self.value is None else format(self.value, spec)
+
+    def __bool__(self) -> bool:
+        raise CheckError(f"{self._describe()}: compare it with a limit")
+
+    def _describe(self) -> str:
+        return self.id if self.watch is None else self.watch.describe(self)
+
     def __repr__(self) -> str:
         known = self.value is not None
-        text = format_number(self.value, self.unit) if known else self.status.value
-        return f"<Metric {self.id}: {text}>"
+        text = format_number(self.value, self.unit) if known else self.lack
+        return fit_line(f"<Metric {self._describe()}: {text}>")
+
+    def _repr_html_(self) -> str:
+        value = self.lack if self.value is None else format_number(self.value, self.unit)
+        return format_answer(f"{self._describe()}: {value}")
 
 
-class Metrics(dict[str, Metric]):
-    """Metrics by id; in a notebook a table of those to look at first, and below it all.
+Real.register(Metric)  # pytest.approx compares with nothing else
+
+
+if TYPE_CHECKING:
+    _MetricMapping = Mapping[str, Metric]
+else:
+
+    class _MetricMapping:
+        """As a Mapping, but no instance of it: polars would read that as columns."""
+
+        __slots__ = ()
+        __contains__, get = Mapping.__contains__, Mapping.get
+        keys, values, items = Mapping.keys, Mapping.values, Mapping.items
+
+
+class Metrics(_MetricMapping, Tabular):
+    """Metrics by id, read-only; a table for pandas, polars and Arrow, and in a notebook.
+
+    `==` of two compares all that they say. They have no hash.
 
     Attributes:
         first: Ids of those to look at first; all where empty.
     """
 
+    __slots__ = ("_found", "first")
+    __hash__ = None  # type: ignore[assignment]
+
     def __init__(self, found: Iterable[tuple[str, Metric]], *, first: Sequence[str] = ()) -> None:
-        super().__init__(found)
+        self._found = dict(found)
         self.first = tuple(first)
+
+    def __getitem__(self, name: str) -> Metric:
+        return self._found[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        return len(self._found)
 
     def __repr__(self) -> str:
         known = sum(metric.value is not None for metric in self.values())
         return f"<Metrics: {len(self)}, of which {known} have a value>"
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Metrics):
+            return self._found == other
+        mine, others = ({key: one.to_dict() for key, one in of.items()} for of in (self, other))
+        return mine == others
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(Metrics, first=self.first), ([*self.items()],)
+
+    def __array__(self, dtype: Any = None, *, copy: bool | None = None) -> NoReturn:
+        refuse_array(self)
+
+    def _tabulate(self) -> Mapping[str, Any]:
+        listed = [metric.to_dict() for metric in self.values()]
+        table = {name: [one[name] for one in listed] for name in _ENTRIES}
+        # A column without a number is one of numbers all the same.
+        numbers = {name: np.array(table[name], dtype=np.float64) for name in ("value", "at_s")}
+        return table | numbers
+
     def _repr_html_(self) -> str:
         shown = [self[name] for name in self.first if name in self]
+        told = [
+            f"{name} {format_number(self[name].value, self[name].unit)}"
+            for name in _ANSWERS
+            if name in self and self[name].value is not None
+        ]
+        known = sum(metric.value is not None for metric in self.values())
+        told.append(f"{known} of {describe_count(len(self), 'metric')} have a value")
+        answer = f"{', '.join(told)}."
         if len(shown) in {0, len(self)}:
-            return format_metrics_html(self.values(), title=repr(self))
-        title = f"{len(shown)} of {describe_count(len(self), 'metric')}"
-        every = format_metrics_html(self.values(), title="")
-        summary = f"<summary>All {len(self)} metrics</summary>"
-        return f"{format_metrics_html(shown, title=title)}\n<details>{summary}{every}</details>"
+            return format_answer(answer, format_metrics_html(self.values()))
+        every = format_details(f"All {len(self)} metrics", format_metrics_html(self.values()))
+        return format_answer(answer, format_metrics_html(shown), every)
 
 
-def format_metrics_html(metrics: Iterable[Metric], *, title: str) -> str:
+_ANSWERS: Final = ("final.position_error", "run.duration")
+"""Told first where they have a value."""
+
+_ENTRIES: Final = ("id", "value", "unit", "status", "reason", "at_s")
+
+
+def format_metrics_html(metrics: Iterable[Metric]) -> str:
     """Return metrics as a table for notebooks; those without a value say why."""
     rows = [
         (one.id, one.value, one.unit, one.reason if one.value is None else "") for one in metrics
     ]
-    return format_html(rows, heads=("metric", "value", "unit", "no value because"), title=title)
+    return format_html(rows, heads=("metric", "value", "unit", "no value because"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

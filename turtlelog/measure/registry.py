@@ -13,6 +13,7 @@ from math import degrees
 from types import MappingProxyType
 from typing import Final, Literal, TypedDict, TypeVar, Unpack
 
+from turtlelog.display import fit_line
 from turtlelog.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import (
@@ -89,7 +90,7 @@ class MetricKind:
         return value - reference if self.better == "lower" else reference - value
 
     def __repr__(self) -> str:
-        return f"<MetricKind [{self.unit}]: {self.meaning}>"
+        return fit_line(f"<MetricKind [{self.unit}]: {self.meaning}>")
 
 
 class Traits(TypedDict, total=False):

@@ -1,18 +1,26 @@
 """The signals of a run by name: the one table that metrics, comparison and pictures share."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.display import NamedValues
+from turtlelog.display import (
+    NamedValues,
+    describe_count,
+    fit_line,
+    format_answer,
+    format_curve_svg,
+    format_number,
+)
 from turtlelog.errors import MeasureError, describe_unknown
+from turtlelog.libraries import load_library
 from turtlelog.loops import STATE_PATTERN, Declaration
 from turtlelog.measure.references import (
     hold_samples,
@@ -48,7 +56,7 @@ class SignalKind:
     read: Callable[[Run], Values | None]
 
     def __repr__(self) -> str:
-        return f"<SignalKind [{self.unit}]: {self.meaning}>"
+        return fit_line(f"<SignalKind [{self.unit}]: {self.meaning}>")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,15 +68,86 @@ class Signal:
         kind: What it is.
         time_ns: Time [ns], shape (n,), not decreasing.
         values: In the kind's unit, shape (n,).
+        start_ns: Time zero of its run [ns].
     """
 
     name: str
     kind: SignalKind
     time_ns: NDArray[np.int64]
     values: Values
+    start_ns: int = 0
+
+    @property
+    def unit(self) -> str:
+        """Unit of the values."""
+        return self.kind.unit
+
+    @property
+    def time_s(self) -> Values:
+        """Time from the first sample of the run [s], shape (n,)."""
+        return (self.time_ns - self.start_ns) / 1e9
+
+    def to_pandas(self) -> Any:
+        """Return the values as a `pandas.Series` over the time from the first sample [s].
+
+        Its `attrs` hold the `unit`.
+
+        Raises:
+            LibraryError: pandas is not installed; turtlelog does not install it.
+        """
+        pd = load_library("pandas")
+        index = pd.Index(self.time_s, name="time_s")
+        series = pd.Series(self.values, index=index, name=self.name)
+        series.attrs = {"unit": self.unit}
+        return series
+
+    def __array__(self, dtype: Any = None, *, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.values, dtype=dtype, copy=copy)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # How its kind reads a run cannot be pickled, and is of no more use.
+        kind = replace(self.kind, read=_read_nothing)
+        return _rebuild, (self.name, kind, self.time_ns, self.values, self.start_ns)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __iter__(self) -> Iterator[np.float64]:
+        return iter(self.values)
+
+    def __getitem__(self, rows: Any) -> Any:
+        """Return values by their rows, as of an array."""
+        return self.values[rows]
 
     def __repr__(self) -> str:
-        return f"<Signal {self.name}: {len(self.values)} values in {self.kind.unit}>"
+        return fit_line(f"<Signal {self.name}: {self._describe()}>")
+
+    def _describe(self) -> str:
+        count = describe_count(len(self), "value")
+        if not np.isfinite(self.values).any():
+            return f"{count} in {self.unit}"
+        ends = (format_number(float(end(self.values)), self.unit) for end in (np.nanmin, np.nanmax))
+        return f"{count} in {self.unit}, {' to '.join(ends)}"
+
+    def _repr_html_(self) -> str:
+        rows = np.unique(np.linspace(0, max(0, len(self) - 1), _MOST_SHOWN).astype(int))
+        curve = self.values[rows] if len(self) else self.values
+        picture = format_curve_svg(curve.tolist(), label=f"{self.name} over time")
+        return format_answer(f"{self.name}: {self._describe()}. {self.kind.meaning}", picture)
+
+
+_MOST_SHOWN: Final = 400
+"""Values of the curve in a notebook: more are less than a pixel apart."""
+
+
+def _read_nothing(_: Run) -> None:
+    """Read nothing: what a signal that was pickled knows of other runs."""
+
+
+def _rebuild(
+    name: str, kind: SignalKind, time_ns: NDArray[np.int64], values: Values, start_ns: int
+) -> Signal:
+    return Signal(name=name, kind=kind, time_ns=time_ns, values=values, start_ns=start_ns)
 
 
 def could_be_signal(name: str) -> bool:
@@ -100,7 +179,8 @@ def read_signal(run: Run, name: str) -> Signal | None:
     values = kind.read(run)
     if values is None or (kind.source != "pose" and not len(values)):
         return None
-    return Signal(name=name, kind=kind, time_ns=_TIMES[kind.source](run), values=values)
+    time_ns = _TIMES[kind.source](run)
+    return Signal(name=name, kind=kind, time_ns=time_ns, values=values, start_ns=run.start_ns)
 
 
 def explain_no_signal(run: Run, name: str) -> str:

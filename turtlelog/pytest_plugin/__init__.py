@@ -160,7 +160,7 @@ def pytest_runtest_makereport(
 
 def pytest_assertrepr_compare(op: str, left: object, right: object) -> list[str] | None:
     """Say all there is to say where a comparison of a metric fails."""
-    if "turtlelog.check.metric_value" not in _list_homes(left, right):
+    if "turtlelog.measure.metric" not in _list_homes(left, right):
         return None
     from turtlelog.pytest_plugin.explaining import explain_comparison
 

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from turtlelog.check import ArtifactWriter, CheckResult
-from turtlelog.check.judge_formula import MIRRORED
-from turtlelog.check.metric_value import MetricValue
+from turtlelog.check.recorded_metric import RecordedMetric
 from turtlelog.errors import TurtlelogError
 from turtlelog.escapes import escape_controls
+from turtlelog.measure import MIRRORED, Metric
 
 if TYPE_CHECKING:
     from turtlelog.check.recording import Recording
@@ -15,11 +15,15 @@ if TYPE_CHECKING:
 
 def explain_comparison(operator: str, left: object, right: object) -> list[str] | None:
     """Return the head of the message of a comparison; the section below says all."""
-    value, other = (left, right) if isinstance(left, MetricValue) else (right, left)
-    if not isinstance(value, MetricValue) or operator not in MIRRORED:
+    watched = [one for one in (left, right) if isinstance(one, Metric) and one.watch is not None]
+    if not watched or operator not in MIRRORED:
+        return None
+    metric, watch = watched[0], watched[0].watch
+    asked, other = (operator, right) if metric is left else (MIRRORED[operator], left)
+    if not isinstance(watch, RecordedMetric):
         return None
     try:
-        result = value.judge(operator if value is left else MIRRORED[operator], other)
+        result = watch.judge(metric, asked, other)
     except TurtlelogError:
         return None
     lines = (

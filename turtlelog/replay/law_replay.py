@@ -11,11 +11,13 @@ from turtlelog.differences import (
     Pairing,
     SignalDifference as SignalDifference,
     compare_pairing,
+    describe_replay,
     find_earliest,
+    format_replay_html,
     require_tolerance,
 )
+from turtlelog.display import fit_line
 from turtlelog.errors import ReplayError as ReplayError
-from turtlelog.escapes import escape_controls
 from turtlelog.laws import Law, Pose, find_law
 from turtlelog.log.recording.recovery_note import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
@@ -88,9 +90,11 @@ class LawReplay:
         return tuple(found for found in (self.commands, self.stop) if found is not None)
 
     def __repr__(self) -> str:
-        first = self.first_difference
-        found = "no difference" if first is None else f"first differs in {first.signal}"
-        return escape_controls(f"<LawReplay of {self.name}: {self.samples} compared, {found}>")
+        found = describe_replay(self.samples, self.first_difference)
+        return fit_line(f"<LawReplay of {self.name}: {found}>")
+
+    def _repr_html_(self) -> str:
+        return format_replay_html(self.name, self.samples, self.first_difference, self.signals)
 
 
 def replay_law(

@@ -9,11 +9,13 @@ from turtlelog.differences import (
     Difference,
     SignalDifference,
     compare_pairing,
+    describe_replay,
     find_earliest,
+    format_replay_html,
     require_tolerance,
 )
+from turtlelog.display import fit_line
 from turtlelog.errors import ReplayError
-from turtlelog.escapes import escape_controls
 from turtlelog.plants import find_plant
 from turtlelog.replay.plant_replay import PoseError, find_pose_error
 from turtlelog.replay.plant_ticks import advise_other_mode
@@ -83,9 +85,11 @@ class LoopReplay:
     absent: tuple[str, ...]
 
     def __repr__(self) -> str:
-        first = self.first_difference
-        found = "no difference" if first is None else f"first differs in {first.signal}"
-        return escape_controls(f"<LoopReplay of {self.name}: {self.samples} compared, {found}>")
+        found = describe_replay(self.samples, self.first_difference)
+        return fit_line(f"<LoopReplay of {self.name}: {found}>")
+
+    def _repr_html_(self) -> str:
+        return format_replay_html(self.name, self.samples, self.first_difference, self.signals)
 
 
 def replay_loop(

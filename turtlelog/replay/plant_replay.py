@@ -14,9 +14,11 @@ from turtlelog.differences import (
     Pairing,
     SignalDifference,
     compare_pairing,
+    describe_replay,
     find_earliest,
+    format_replay_html,
 )
-from turtlelog.escapes import escape_controls
+from turtlelog.display import fit_line
 from turtlelog.plants import LAGGED, Turtle, find_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.lagged_drive import drive_lagged
@@ -140,9 +142,11 @@ class PlantReplay:
         return ()
 
     def __repr__(self) -> str:
-        first = self.first_difference
-        found = "no difference" if first is None else f"first differs in {first.signal}"
-        return escape_controls(f"<PlantReplay of {self.name}: {self.samples} compared, {found}>")
+        found = describe_replay(self.samples, self.first_difference)
+        return fit_line(f"<PlantReplay of {self.name}: {found}>")
+
+    def _repr_html_(self) -> str:
+        return format_replay_html(self.name, self.samples, self.first_difference, self.signals)
 
 
 def replay_plant(run: Run) -> PlantReplay:

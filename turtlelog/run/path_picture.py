@@ -30,14 +30,14 @@ def format_path_svg(xy_m: NDArray[np.float64], goal_xy_m: tuple[float, float] | 
 
     way = place(xy_m[rows])
     (left, top), (right, bottom) = way[0], way[-1]
-    marks = f'<rect x="{left - 4}" y="{top - 4}" width="8" height="8" fill="#555"/>'
-    marks += f'<circle cx="{right}" cy="{bottom}" r="4" fill="#0072b2"/>'
+    marks = f'<rect x="{left - 4}" y="{top - 4}" width="8" height="8" fill="currentColor"/>'
+    marks += f'<circle cx="{right}" cy="{bottom}" r="4" fill="#0082cc"/>'
     if goal_xy_m is not None:
         ((x, y),) = place(np.array([goal_xy_m]))
         cross = f"M{x - 5},{y - 5}L{x + 5},{y + 5}M{x - 5},{y + 5}L{x + 5},{y - 5}"
         marks += f'<path d="{cross}" stroke="currentColor" stroke-width="2"/>'
     points = " ".join(f"{x},{y}" for x, y in way)
-    line = f'<polyline points="{points}" fill="none" stroke="#0072b2" stroke-width="1.5"/>'
+    line = f'<polyline points="{points}" fill="none" stroke="#0082cc" stroke-width="1.5"/>'
     side = f'width="{_SIDE:g}" height="{_SIDE:g}"'
     label = 'role="img" aria-label="path from the start (square) to the end (dot)"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {side} {label}>{line}{marks}</svg>'

@@ -2,15 +2,20 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from turtlelog.display import describe_count, format_html
+from turtlelog.display import (
+    describe_count,
+    fit_line,
+    format_answer,
+    format_html,
+    format_short,
+)
 from turtlelog.errors import PathError, RunError
-from turtlelog.escapes import escape_controls
 from turtlelog.loops import PAUSE, Declaration
 from turtlelog.paths import Path, restore_path
 from turtlelog.run.columns import (
@@ -24,7 +29,7 @@ from turtlelog.run.columns import (
 )
 from turtlelog.run.path_picture import format_path_svg
 from turtlelog.run.slicing import locate_stretch, slice_run
-from turtlelog.run.tables import TABLES, build_arrow, build_pandas
+from turtlelog.run.tables import TABLES, build_arrow, build_pandas, build_xarray
 
 Parameter = bool | int | float | str | list[Any]
 
@@ -81,6 +86,8 @@ class GoalLine:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class Run:
     """Everything that is known of one run.
+
+    `==` and `hash` are those of the object; `equals` compares what two runs hold.
 
     Attributes:
         name: Short name for tables and legends.
@@ -295,11 +302,49 @@ class Run:
         """
         return build_pandas(self, table)
 
+    def to_xarray(self, table: str = "poses") -> Any:
+        """Return a table of this run as an `xarray.Dataset`; needs xarray, which is no dependency.
+
+        Its dimension is `time`, whose coordinate `time_s` is the time from the first sample [s].
+        The `attrs` of each variable hold its `units`, those of the dataset the run's name, goal and
+        scenario.
+
+        Args:
+            table: `poses`, `commands`, `samples` or `events`.
+
+        Raises:
+            RunError: Where there is no such table.
+            LibraryError: Where xarray is not installed.
+        """
+        return build_xarray(self, table)
+
+    def __arrow_c_stream__(self, requested_schema: Any = None) -> Any:
+        """Hand the poses over to polars, Arrow and pandas."""
+        return self.to_arrow().__arrow_c_stream__(requested_schema)
+
+    def equals(self, other: object) -> bool:
+        """Return whether another run holds the same values; `==` is that of the object.
+
+        All fields are compared, the name and the notes too; columns bit for bit.
+        """
+        return isinstance(other, Run) and all(
+            _is_same(getattr(self, one.name), getattr(other, one.name)) for one in fields(self)
+        )
+
     def __repr__(self) -> str:
         samples, poses = len(self.samples), len(self.poses)
         rows = describe_count(samples, "sample") if samples else describe_count(poses, "pose")
         ended = self.stop_reason or "end not recorded"
-        return escape_controls(f"<Run {self.name}: {rows}, {self.duration_s:.1f} s, {ended}>")
+        return fit_line(f"<Run {self.name}: {rows}, {self.duration_s:.1f} s, {ended}>")
+
+    def _describe_end(self) -> str:
+        """Return in a sentence how it ended."""
+        ended = (self.stop_reason or "its end is not recorded").replace("_", " ")
+        if self.goal_xy_m is None or not len(self.poses):
+            return f"{self.name}: {self.duration_s:.4g} s, {ended}."
+        missed_m = float(np.hypot(*(self.poses.xy_m[-1] - self.goal_xy_m)))
+        where = f"ends {format_short(missed_m, 'm')} from the goal after {self.duration_s:.4g} s"
+        return f"{self.name}: {where}, {ended}."
 
     def _repr_html_(self) -> str:
         goal = None if self.goal_xy_m is None else "({:g}, {:g}) m".format(*self.goal_xy_m)
@@ -310,14 +355,12 @@ class Run:
         rows = [
             ("source", self.source),
             ("goal", goal or "not recorded"),
-            ("run.duration", f"{self.duration_s:.4g} s"),
-            ("stop reason", self.stop_reason or "not recorded"),
             ("phases", spans or "none"),
-            *((table, f"{len(getattr(self, table))} rows") for table in TABLES),
+            ("rows", ", ".join(f"{len(getattr(self, name))} {name}" for name in TABLES)),
             ("not recorded", ", ".join(self.absent) or "nothing"),
         ]
         picture = format_path_svg(self.poses.xy_m, self.goal_xy_m) if len(self.poses) else ""
-        return f"{format_html(rows, title=repr(self))}\n{picture}"
+        return format_answer(self._describe_end(), picture, format_html(rows))
 
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
         """Return the phases in order; the silence after a phase's last sample is its pause.
@@ -346,6 +389,18 @@ class Run:
         if len(published) < len(answered):
             return self.end_ns > int(answered[-1])
         return len(published) == len(answered) and bool(published[-1] > answered[-1])
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Return whether two fields hold the same, columns bit for bit."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        same_kind = (one.dtype, one.shape) == (other.dtype, other.shape)
+        return bool(same_kind and one.tobytes() == other.tobytes())
+    if isinstance(one, PoseColumns | CommandColumns | SampleColumns):
+        return all(_is_same(getattr(one, at.name), getattr(other, at.name)) for at in fields(one))
+    return bool(one == other)
 
 
 def _is_finite(value: object) -> bool:

@@ -28,11 +28,13 @@ from .model import (
     Target as Target,
 )
 from .overrides import (
+    choose_scenario as choose_scenario,
     complete_scenario as complete_scenario,
     override_gains as override_gains,
     override_scenario as override_scenario,
     parse_assignments as parse_assignments,
     replay_commands as replay_commands,
+    unwrap_number as unwrap_number,
 )
 from .presets import (
     PAPER_RUNS as PAPER_RUNS,

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
+from turtlelog.display import fit_line, format_answer, format_details, format_html
 from turtlelog.effects import EFFECTS
-from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
 from turtlelog.parts import Effect, Place, absent
 from turtlelog.paths import Path
@@ -135,4 +135,13 @@ class Scenario:
 
     def __repr__(self) -> str:
         goal = f"goal ({self.goal.x_m:g}, {self.goal.y_m:g}) m"
-        return escape_controls(f"<Scenario {self.name}: {self.law.kind}, {goal}>")
+        return fit_line(f"<Scenario {self.name}: {self.law.kind}, {goal}>")
+
+    def _repr_html_(self) -> str:
+        from turtlelog.scenario.convert import flatten_scenario  # which needs this file
+
+        keys = flatten_scenario(self)
+        law = [(key, value) for key, value in keys.items() if key.startswith("law.")]
+        every = format_details(f"All {len(keys)} keys", format_html([*keys.items()]))
+        goal = f"to ({self.goal.x_m:g}, {self.goal.y_m:g}) m"
+        return format_answer(f"{self.name}: {self.law.kind} {goal}", format_html(law), every)

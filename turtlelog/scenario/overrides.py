@@ -2,10 +2,11 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final, get_type_hints
 
 from turtlelog.errors import ScenarioError
-from turtlelog.laws import find_law
+from turtlelog.laws import find_law, name_given_law
 from turtlelog.paths import PATH_KEYS
 from turtlelog.run import Run
 from turtlelog.scenario.convert import (
@@ -15,6 +16,7 @@ from turtlelog.scenario.convert import (
     resolve_scenario,
 )
 from turtlelog.scenario.dotted_keys import set_nested
+from turtlelog.scenario.files import load_scenario
 from turtlelog.scenario.model import LawChoice, LawTable, Scenario
 from turtlelog.text_files import parse_toml
 
@@ -48,6 +50,37 @@ def override_scenario(
     is_named = "law.kind" in values or _is_trusted(scenario)
     is_trusted = is_named if trust_law is None else trust_law
     return _override(scenario, values, source=source, trust_law=is_trusted)
+
+
+def choose_scenario(
+    scenario: Scenario | str | Path,
+    *,
+    law: Any = None,
+    changes: Mapping[str, Any] | None = None,
+) -> Scenario:
+    """Return the scenario that is meant, with another law and values.
+
+    Args:
+        scenario: A scenario, the name of a preset, or a file.
+        law: What drives instead of its law: text that names one, or the law itself; None: its own.
+        changes: Values by dotted key.
+
+    Raises:
+        LawError: Where `law` is no law.
+        ScenarioError: Where there is no such scenario, or a change is wrong.
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(str(scenario))
+    if law is not None:
+        kind = law if isinstance(law, str) else name_given_law(law)
+        scenario = override_scenario(scenario, {"law.kind": kind}, source="law")
+    plain = {key: unwrap_number(value) for key, value in (changes or {}).items()}
+    return override_scenario(scenario, plain) if plain else scenario
+
+
+def unwrap_number(value: Any) -> Any:
+    """Return a number of numpy as one of Python; anything else as it is."""
+    return value.item() if hasattr(value, "item") and not getattr(value, "ndim", 1) else value
 
 
 def _require_tables(scenario: Scenario, values: Mapping[str, Any], source: str) -> None:

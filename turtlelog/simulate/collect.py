@@ -1,17 +1,19 @@
 """From the ticks of a loop to the columns of a run."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from struct import Struct
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import SimulationError
+from turtlelog.laws import is_given, read_law_source
 from turtlelog.loops import Declaration
 from turtlelog.parts import Plant
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
-from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
+from turtlelog.scenario import Scenario, choose_scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate.events import describe_stop
 from turtlelog.simulate.plain_loop import Tick, iterate_ticks
 from turtlelog.simulate.rows import SampleRow
@@ -25,25 +27,32 @@ _SENSED_ROW: Final = Struct("<3d")
 
 
 def simulate_run(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     plant: Plant | None = None,
     *,
+    law: Any = None,
+    changes: Mapping[str, Any] | None = None,
     step_budget_s: float | None = STEP_BUDGET_S,
 ) -> Run:
     """Simulate a scenario and return its run; with a `plant` on that plant's clock.
 
     Args:
-        scenario: What to simulate.
+        scenario: What to simulate: a scenario, the name of a preset, or a file.
         plant: On whose clock; None: on that of the scenario's plant.
+        law: What drives instead of the scenario's law: a class, a function of `(time_ns, pose,
+            goal)` that returns speed [m/s] and turn rate [rad/s], an object with `step`, a
+            `LawPart`, or text that names one, as `my_law.py:MyLaw`.
+        changes: Values by dotted key, as in `{"law.kp_linear": 4.0}`.
         step_budget_s: Time that the law may compute for one answer, by the computer's clock [s];
             None: as long as it takes.
 
     Raises:
-        ScenarioError: Where the law cannot be loaded or may not run.
+        LawError: Where `law` is no law.
+        ScenarioError: Where the law cannot be loaded or may not run, or a change is wrong.
         SimulationError: Where the law fails or computes for longer, with the run so far as `run`,
             or no pose is answered within `max_duration_s`.
     """
-    scenario = resolve_scenario(scenario)
+    scenario = resolve_scenario(choose_scenario(scenario, law=law, changes=changes))
     return collect_run(scenario, iterate_ticks(scenario, plant, step_budget_s=step_budget_s))
 
 
@@ -142,7 +151,14 @@ class RunCollector:
             scenario_is_complete=True,
             stop_reason=self._stop_reason,
             events=tuple(self._events),
+            notes=_describe_law(scenario.law.kind),
         )
+
+
+def _describe_law(kind: str) -> dict[str, str]:
+    """Return the source of a law that only this session has: text for people."""
+    source = read_law_source(kind) if is_given(kind) else None
+    return {} if source is None else {"law_source": source}
 
 
 def _describe_wait(scenario: Scenario) -> str:

@@ -59,6 +59,12 @@ from .sweep_rows import (
     estimate_sweep as estimate_sweep,
     run_sweep as run_sweep,
 )
+from .sweep_scenario import (
+    SweepTable as SweepTable,
+    read_sweep_table as read_sweep_table,
+    read_table_results as read_table_results,
+    sweep_scenario as sweep_scenario,
+)
 from .swept_results import (
     SweptAxis as SweptAxis,
     SweptMetric as SweptMetric,

@@ -219,7 +219,7 @@ def build_row_scenario(
     values: Sequence[Any],
     row: int,
     *,
-    source: str = "--grid",
+    source: str = "grid",
     trust_law: bool | None = None,
 ) -> Scenario:
     """Return the scenario of a row, named after it. Loads no code.

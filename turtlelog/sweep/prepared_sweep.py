@@ -7,9 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from turtlelog.errors import ScenarioError
+from turtlelog.laws import is_given, read_law_source
 from turtlelog.laws.law_files import list_law_files
 from turtlelog.measure import choose_metrics
-from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
+from turtlelog.scenario import (
+    Scenario,
+    flatten_scenario,
+    format_scenario,
+    parse_scenario,
+    resolve_scenario,
+)
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.plan import SweepPlan, build_row_scenario
@@ -67,7 +74,7 @@ class Sweep:
         )
 
 
-def prepare_sweep(
+def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
     base: Scenario,
     plan: SweepPlan,
     *,
@@ -75,6 +82,7 @@ def prepare_sweep(
     records: RowRecords | None = None,
     trust_law: bool = False,
     step_budget_s: float = STEP_BUDGET_S,
+    source: str = "grid",
 ) -> Sweep:
     """Return a sweep of a base scenario, after the first, the middle and the last row were built.
 
@@ -86,6 +94,7 @@ def prepare_sweep(
         trust_law: Whether a law that a recording names may run, too.
         step_budget_s: Time that a law may compute for one answer [s]; a row whose law takes longer
             fails.
+        source: Begins error lines about the values of a row.
 
     Raises:
         ScenarioError: Where none of these rows makes a scenario, or the law may not run.
@@ -97,7 +106,7 @@ def prepare_sweep(
     for row in plan.list_probes():
         try:
             scenario = build_row_scenario(
-                base, plan.keys, plan.find_values(row), row, trust_law=trusted
+                base, plan.keys, plan.find_values(row), row, source=source, trust_law=trusted
             )
             found.append(resolve_scenario(scenario, trust_law=trust_law))
         except ScenarioError as err:
@@ -125,10 +134,18 @@ def prepare_sweep(
 def _sum_up_code(kinds: Sequence[str]) -> str:
     """Return a checksum of the files of laws and of what they import from beside them.
 
-    Empty where all are built in or modules.
+    Of a law that only this session has, of its text. Empty where all are built in or modules.
     """
+    texts = [text for kind in kinds if (text := read_law_source(kind)) is not None]
     laws = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
     files = [file for law in laws for file in list_law_files(law)]
-    if not files:
-        return ""
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+    parts = [*(path.read_bytes() for path in files), *(text.encode() for text in texts)]
+    return hashlib.sha256(b"".join(parts)).hexdigest() if parts else ""
+
+
+def has_given_law(sweep: Sweep) -> bool:
+    """Return whether a row may have a law that only this process and its forks find."""
+    kinds = [parse_scenario(sweep.base).law.kind]
+    for one in (*sweep.plan.grid, *sweep.plan.zipped):
+        kinds += [*one.values] if one.key == "law.kind" else []
+    return any(map(is_given, kinds))

@@ -114,6 +114,16 @@ def write_result_table(table: ResultTable, path: str | Path) -> None:
             writer.write_table(load_library("pyarrow").table(arrays, schema=schema))
 
 
+def build_result_arrow(table: ResultTable) -> Any:
+    """Return a table as the `pyarrow.Table` that its file holds."""
+    schema, rows = _build_schema(table), slice(None)
+    arrays = [
+        _build_array(column, rows, kind)
+        for column, kind in zip(table.columns, schema.types, strict=True)
+    ]
+    return load_library("pyarrow").table(arrays, schema=schema)
+
+
 def cut_groups(row_count: int, column_count: int) -> Iterator[slice]:
     """Yield the groups in which the rows of a table are written, and best made."""
     size = min(_MOST_GROUPED, max(1, _CELLS_GROUPED // max(1, column_count)))

@@ -30,3 +30,10 @@ from .searched_keys import (
     SearchedKey as SearchedKey,
     parse_searched_keys as parse_searched_keys,
 )
+from .tune_scenario import (
+    FEWEST as FEWEST,
+    FOR_EACH_KEY as FOR_EACH_KEY,
+    TunedScenario as TunedScenario,
+    complete_searched as complete_searched,
+    tune_scenario as tune_scenario,
+)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from turtlelog.errors import ScenarioError, TuneError
+from turtlelog.laws import is_given
 from turtlelog.measure import list_metrics
-from turtlelog.processes import LONG_S, count_cores, map_in_processes, start_pool
+from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes, start_pool
 from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
@@ -83,6 +84,7 @@ class Candidates:
         trust_law: bool = False,
         step_budget_s: float = STEP_BUDGET_S,
         tell: Callable[[str], None] | None = None,
+        source: str = "grid",
     ) -> None:
         """Take what the candidates vary.
 
@@ -96,6 +98,7 @@ class Candidates:
             trust_law: Whether a law that a recording names may run, too.
             step_budget_s: Time that the law may compute for one answer [s].
             tell: Called once, with the first candidate whose law takes longer.
+            source: Begins error lines about the values of a candidate.
 
         Raises:
             ScenarioError: Where the base is no scenario, or its law may not run.
@@ -106,6 +109,7 @@ class Candidates:
         self.evaluations = 0
         resolved = resolve_scenario(base, trust_law=trust_law)
         self._parameters: Mapping[str, Any] = flatten_scenario(resolved)
+        self._source = source
         self._goal, self._base = goal, format_scenario(base)
         self._jobs, self._expected = jobs, expected
         self._watch = watch or (lambda _: None)
@@ -129,7 +133,7 @@ class Candidates:
         trusted = True if self._trusts else None
         keys, values = [*self.keys, "name"], [*point, self._scenario.name]
         return build_row_scenario(
-            self._scenario, keys, values, 0, source="--grid", trust_law=trusted
+            self._scenario, keys, values, 0, source=self._source, trust_law=trusted
         )
 
     def require_bounds(self, points: Sequence[Point]) -> None:
@@ -156,7 +160,7 @@ class Candidates:
                 self.evaluations += 1
             late = results.find_late()
             if late is not None and self._tell is not None:
-                self._tell(f"--grid: {late.partition(': ')[2]}")
+                self._tell(f"{self._source}: {late.partition(': ')[2]}")
                 self._tell = None
             self._watch(len(self._known))
         return [self._known[point] for point in points]
@@ -184,11 +188,14 @@ class Candidates:
             # A generation is cut for all who work, and for those who are done sooner.
             threads, size = 1, -(-len(points) // _CUTS)
             size = max(1, min(size, int(_CHUNK_S / self._row_s)))
+        is_forked = is_given(self._scenario.law.kind)
         chunks = [
             self._cut(points[first : first + size], threads=threads)
             for first in range(done, len(points), max(size, 1))
         ]
-        for results in map_in_processes(simulate_rows, chunks, jobs, name=_name_chunk):
+        for results in map_in_processes(
+            simulate_rows, chunks, jobs, name=_name_chunk, is_forked=is_forked
+        ):
             yield done, results
             done += len(results)
 
@@ -196,6 +203,9 @@ class Candidates:
         if self._jobs is None:
             rest_s = (self._expected - self.evaluations) * (self._row_s or 0.0)
             self._jobs = count_cores() if rest_s > LONG_S else 1
+        if is_given(self._scenario.law.kind):
+            # Processes of a pool are spawned, and would not find a law of this session.
+            return self._jobs if CAN_FORK or not isinstance(self._jobs, int) else 1
         if isinstance(self._jobs, int) and self._jobs > 1 and not self._is_batch:
             self._jobs = start_pool(self._jobs)
         return self._jobs
@@ -222,7 +232,7 @@ class Candidates:
         }
         failed = results.failed[place] or ""
         if failed.startswith(_ROWS):
-            failed = f"--grid: {failed.removeprefix(_ROWS)}"
+            failed = f"{self._source}: {failed.removeprefix(_ROWS)}"
         objective = None if failed else self._goal.compute_objective(values)
         if objective is not None and not math.isfinite(objective):
             objective = None

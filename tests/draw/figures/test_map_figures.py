@@ -13,7 +13,7 @@ from tests.draw.words import list_clipped
 from tests.sweep.swept_tables import Compute, write_table
 from tests.sweep.test_gain_borders import GRID, is_stable, view_table
 from turtlelog.charts.map_values import find_edges, is_logarithmic
-from turtlelog.draw.figures.map_figure import draw_map
+from turtlelog.draw.figures.map_figure import draw_map_panel
 from turtlelog.draw.figures.page import Page, use_looks
 from turtlelog.draw.figures.sweep_figures import MapKind, lay_out, write_map_figure
 from turtlelog.draw.figures.swept_curves import draw_curves
@@ -35,7 +35,7 @@ def draw(view: SweptView) -> tuple[Axes, dict[str, object]]:
     axes = Figure().subplots()
     metrics = view.results.metrics
     limits = find_loop_limits(view)
-    return axes, draw_map(axes, view, metrics[0], limits, group_reasons(metrics))
+    return axes, draw_map_panel(axes, view, metrics[0], limits, group_reasons(metrics))
 
 
 def view_metric(path: Path, name: str, compute: Compute) -> SweptView:

@@ -14,7 +14,7 @@ from turtlelog.draw.figures.left_out import list_left_out, list_unmarked
 from turtlelog.draw.figures.page import Page
 from turtlelog.draw.figures.prediction_figure import write_prediction_figure
 from turtlelog.draw.figures.robot_figure import write_robot_figure
-from turtlelog.draw.figures.sweep_figures import write_map_figure
+from turtlelog.draw.figures.sweep_figures import draw_map, write_map_figure
 from turtlelog.draw.figures.writing import draw_figure, write_figures, write_tables
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "FigureKind",
     "Page",
     "draw_figure",
+    "draw_map",
     "list_left_out",
     "list_unmarked",
     "write_difference_figure",

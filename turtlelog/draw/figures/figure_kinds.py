@@ -15,7 +15,7 @@ from turtlelog.charts.robot_curves import lack_samples
 from turtlelog.charts.state_groups import are_comparable, group_states
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.charts.tracked_path import read_along_error
-from turtlelog.display import NamedValues
+from turtlelog.display import NamedValues, fit_line
 from turtlelog.draw.figures.attribution_figure import draw_attribution
 from turtlelog.draw.figures.figure_curves import (
     draw_plant_responses,
@@ -169,7 +169,7 @@ class FigureKind:
             self.arrange(figure, runs, [panel.draw for panel in self.choose_panels(runs)])
 
     def __repr__(self) -> str:
-        return f"<FigureKind: {self.title}>"
+        return fit_line(f"<FigureKind: {self.title}>")
 
 
 def list_usual_figures() -> tuple[str, ...]:

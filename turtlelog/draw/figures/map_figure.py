@@ -69,7 +69,7 @@ LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
 """Theory's limits by their names in a legend, and how they look."""
 
 
-def draw_map(
+def draw_map_panel(
     axes: Axes,
     view: SweptView,
     metric: SweptMetric,

@@ -3,7 +3,7 @@
 import io
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -11,8 +11,9 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from turtlelog.draw.figures.legend import count_columns
-from turtlelog.draw.figures.map_figure import draw_map
-from turtlelog.draw.figures.page import LOOKS, Page
+from turtlelog.draw.figures.map_figure import draw_map_panel
+from turtlelog.draw.figures.page import LOOKS, Page, use_looks
+from turtlelog.draw.figures.shown_figure import ShownFigure
 from turtlelog.draw.figures.swept_curves import draw_curves
 from turtlelog.draw.figures.tornado_figure import draw_tornado
 from turtlelog.draw.figures.value_scale import group_reasons
@@ -20,9 +21,11 @@ from turtlelog.draw.figures.writing import FIGURE_FORMATS, save_figure
 from turtlelog.draw.output_files import replace_file
 from turtlelog.errors import ShowError
 from turtlelog.remote.urls import make_path
-from turtlelog.sweep.gain_borders import LoopLimits
+from turtlelog.sweep.gain_borders import LoopLimits, find_loop_limits, list_gain_keys
 from turtlelog.sweep.sensitivities import find_sensitivities
-from turtlelog.sweep.swept_views import SweptView
+from turtlelog.sweep.sweep_scenario import SweepTable, read_table_results
+from turtlelog.sweep.swept_results import read_swept_results
+from turtlelog.sweep.swept_views import SweptView, choose_view, require_values
 
 _PANEL_INCH: Final = 2.5
 """Height of a map with its title and the name of its lower side."""
@@ -84,6 +87,43 @@ def write_map_figure(
     return path
 
 
+def draw_map(  # noqa: PLR0913  (all but the first have defaults)
+    table: SweepTable | str | Path,
+    metrics: Sequence[str] | None = None,
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    at: Mapping[str, Any] | None = None,
+    kind: MapKind = "map",
+    page: Page | None = None,
+) -> Figure:
+    """Return the map of a sweep, drawn, which a notebook shows.
+
+    Args:
+        table: Of `sweep_scenario`, or the file of one.
+        metrics: Ids or patterns; None: up to four of them.
+        x: Key at the bottom; None: chosen.
+        y: Key at the side; None: chosen.
+        at: Values of keys that are held.
+        kind: Maps over two keys (over one, curves), curves over one of them, or how far each key
+            moves a metric (`tornado`).
+        page: Where it will stand.
+
+    Raises:
+        SweepError: Where a key does not vary, a metric is not there, or no row has a value.
+        LogError: Where the file is no table of a sweep.
+    """
+    if isinstance(table, SweepTable):
+        results = read_table_results(table, metrics)
+    else:
+        results = read_swept_results(table, metrics)
+    view = choose_view(results, x=x, y=y, at=at, gains=list_gain_keys(results))
+    require_values(view)
+    kind = "curves" if view.y is None and kind == "map" else kind
+    with use_looks():
+        return lay_out(view, find_loop_limits(view), kind, page or Page(kind="page"))
+
+
 def draw_sweep(
     view: SweptView,
     limits: Sequence[LoopLimits],
@@ -108,7 +148,7 @@ def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: 
     most = max(len(one.keys) for one in found)
     height = _TORNADO_INCH + _BAR_INCH * most if kind == "tornado" else _PANEL_INCH
     rows, columns = _choose_grid(len(metrics), height, page)
-    figure = Figure(figsize=(page.width_inch, height * rows), layout="constrained")
+    figure = ShownFigure(figsize=(page.width_inch, height * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     named: dict[str, Any] = {}
     reasons = group_reasons(metrics)
@@ -120,7 +160,7 @@ def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: 
         elif kind == "curves":
             named |= draw_curves(axes, view, metrics[number], limits)
         else:
-            named |= draw_map(axes, view, metrics[number], limits, reasons)
+            named |= draw_map_panel(axes, view, metrics[number], limits, reasons)
     if kind == "tornado":
         words = [_METHODS[view.results.is_sampled], *filter(None, [found[0].held])]
         _write_below(figure, words)

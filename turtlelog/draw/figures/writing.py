@@ -37,6 +37,7 @@ from turtlelog.draw.figures.legend import add_legend
 from turtlelog.draw.figures.marked_panels import mark_panels
 from turtlelog.draw.figures.page import Page, use_looks
 from turtlelog.draw.figures.plane_panels import has_one_plane, stress_window
+from turtlelog.draw.figures.shown_figure import ShownFigure
 from turtlelog.draw.figures.time_window import cut_time_axes, find_window, require_window
 from turtlelog.draw.output_files import replace_file, replace_together
 from turtlelog.draw.table_formats import format_latex
@@ -77,24 +78,25 @@ _NO_DATE: Final = {
 
 def draw_figure(
     name: str,
-    runs: Sequence[Run] = (),
+    runs: Run | Sequence[Run] = (),
     *,
     page: Page | None = None,
     kinds: Mapping[str, FigureKind] | None = None,
 ) -> Figure:
-    """Return one figure, drawn; several panels side by side take the whole text width.
+    """Return one figure, drawn, which a notebook shows; several panels take the whole text width.
 
     Runs stand in the order of their gains.
 
     Args:
         name: One of `FIGURES`.
-        runs: What to draw.
+        runs: What to draw: a run or several.
         page: Where it will stand.
         kinds: Figures that take the place of those of `FIGURES`, by their names.
 
     Raises:
         ShowError: Where there is no such figure, or the runs do not hold what it needs.
     """
+    runs = [runs] if isinstance(runs, Run) else [*runs]
     kind, page = _find_kind(name, runs, kinds), page or Page()
     is_alone = name == "plane" and has_one_plane(runs)
     require_window(runs, page)
@@ -102,7 +104,7 @@ def draw_figure(
         page = page.widen()
     with use_looks():
         size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))
-        figure = Figure(figsize=size, layout="constrained")
+        figure = ShownFigure(figsize=size, layout="constrained")
         kind.draw_on(figure, order_by_gain(runs))
         cut_time_axes(figure, runs, page)
         stress_window(figure, order_by_gain(runs), find_window(runs, page))

@@ -3,14 +3,13 @@
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import fit_line
 from turtlelog.errors import LogError
-from turtlelog.escapes import escape_controls
 from turtlelog.log.engine.decode import (
     LOG_TIME,
     PUBLISH_TIME,
@@ -25,6 +24,7 @@ from turtlelog.log.engine.opening import open_source
 from turtlelog.log.engine.selection import EVER, Selection
 from turtlelog.log.engine.source import Piece, Source, count_rows, iterate_pieces
 from turtlelog.log.engine.sqlite_source import SqliteSource
+from turtlelog.tabular import Tabular
 
 _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
 
@@ -34,8 +34,11 @@ _SHARE: Final = 16
 _SPARE: Final = 2**22  # bytes; of small files
 
 
+_TIMES: Final = ("log_time_ns", "publish_time_ns", "sequence")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TopicColumns:
+class TopicColumns(Tabular):
     """The messages of one topic, as columns in order of log time; equal times as in the file.
 
     Attributes:
@@ -68,12 +71,20 @@ class TopicColumns:
             log_time_ns=self.log_time_ns[rows],
             publish_time_ns=self.publish_time_ns[rows],
             sequence=self.sequence[rows],
-            fields=MappingProxyType(select_rows(self.fields, rows)),
+            fields=select_rows(self.fields, rows),
         )
+
+    def _tabulate(self) -> Mapping[str, Any]:
+        own = {name: getattr(self, name) for name in _TIMES}
+        named = {f"message.{key}" if key in own else key: one for key, one in self.fields.items()}
+        return own | named
+
+    def _list_units(self) -> Mapping[str, str]:
+        return dict.fromkeys(_TIMES[:2], "ns")
 
     def __repr__(self) -> str:
         names = ", ".join(self.fields)
-        return escape_controls(f"<TopicColumns {self.topic}: {len(self)} of {self.type}: {names}>")
+        return fit_line(f"<TopicColumns {self.topic}: {len(self)} of {self.type}: {names}>")
 
 
 def read_columns(
@@ -230,9 +241,9 @@ def build_columns(
             log_time_ns=rows.pop(LOG_TIME),
             publish_time_ns=rows.pop(PUBLISH_TIME),
             sequence=rows.pop(SEQUENCE),
-            fields=MappingProxyType(rows),
+            fields=rows,
         )
-    return MappingProxyType(topics)
+    return topics
 
 
 def _select_topics(

@@ -11,7 +11,7 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from turtlelog.check import CheckResult
-from turtlelog.check.metric_value import MetricValue
+from turtlelog.check.recorded_metric import watch_metric
 
 RUN = simulate("paper-kp10")
 OVERSHOOT = tl.measure_run(RUN)["rotate.overshoot"].value or 0.0
@@ -68,8 +68,8 @@ ASKED: dict[str, Ask] = {
 }
 
 
-def measure(name: str = "rotate.overshoot", noted: list[CheckResult] | None = None) -> MetricValue:
-    return MetricValue(RUN, "a.mcap", name, ([] if noted is None else noted).append)
+def measure(name: str = "rotate.overshoot", noted: list[CheckResult] | None = None) -> tl.Metric:
+    return watch_metric(RUN, "a.mcap", name, ([] if noted is None else noted).append)
 
 
 @pytest.mark.parametrize("ask", TRUE.values(), ids=TRUE)
@@ -95,7 +95,9 @@ def test_a_comparison_with_a_metric_without_a_value_fails_on_either_side() -> No
     share, missing = measure("rotate.saturated_share"), measure(MISSING)
     with pytest.raises(tl.MissingValueError, match=f"{MISSING}: expected a number"):
         assert share < missing
-    with pytest.raises(tl.MissingValueError, match=f"{MISSING}: expected < <rotate.saturated"):
+    with pytest.raises(
+        tl.MissingValueError, match=f"{MISSING}: expected < <Metric rotate.saturated"
+    ):
         assert missing < share
 
 

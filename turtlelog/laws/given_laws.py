@@ -1,0 +1,135 @@
+"""Laws that are objects of this Python session: classes, functions and objects of a notebook.
+
+A scenario holds laws by name. Such a law gets one, `session:NAME`, by which this process and those
+that it forks find it. No other one does: a recording has its source as text, which nothing runs.
+"""
+
+import copy
+import inspect
+import sys
+from functools import cache
+from threading import Lock
+from typing import Any, Final
+
+from turtlelog.errors import LawError
+from turtlelog.laws.base import Goal, LawPart, Pose
+from turtlelog.laws.loading import LAWS
+from turtlelog.laws.short_laws import NoParameters
+from turtlelog.paths import Path
+
+SESSION: Final = "session:"
+"""Begins the kind of such a law."""
+
+_GIVEN: Final[dict[str, Any]] = {}
+_GIVING: Final = Lock()
+
+
+def name_given_law(law: Any) -> str:
+    """Return the kind of a law: its own of a built-in one, `module:NAME` where a module has it.
+
+    Args:
+        law: A class, a function of `(time_ns, pose, goal)`, a `LawPart`, or an object with `step`.
+
+    Raises:
+        LawError: Where it is none of these.
+    """
+    if isinstance(law, LawPart) and LAWS.get(law.name) is law:
+        return law.name
+    is_named = isinstance(law, type | LawPart) or inspect.isfunction(law)
+    if not is_named and not callable(getattr(law, "step", None)):
+        expected = "a class, a function of (time_ns, pose, goal), or an object with step"
+        raise LawError(f"law: expected {expected}, found {law!r:.60}")
+    name = law.name if isinstance(law, LawPart) else _get_name(law)
+    module = getattr(law.step if isinstance(law, LawPart) else law, "__module__", None)
+    if is_named and _is_importable(module, name, law):
+        return f"{module}:{name}"
+    return _keep(law, name)
+
+
+def is_given(kind: object) -> bool:
+    """Return whether a kind is that of a law of some session, which spawned processes lack."""
+    return isinstance(kind, str) and kind.startswith(SESSION)
+
+
+def find_given_law(kind: str) -> Any:
+    """Return a law of this session.
+
+    Raises:
+        LawError: Where it is that of another one.
+    """
+    if kind not in _GIVEN:
+        raise LawError(
+            f"{kind} is a law of another Python session; write it to a file and name that:"
+            " path.py:NAME"
+        )
+    law = _GIVEN[kind]
+    is_named = isinstance(law, type | LawPart) or inspect.isfunction(law)
+    return law if is_named else _complete_object(law)
+
+
+def read_law_source(kind: str) -> str | None:
+    """Return the text of a law of this session; None where nobody knows it, or it is another's."""
+    if kind not in _GIVEN:
+        return None
+    law = _GIVEN[kind]
+    is_named = isinstance(law, type) or inspect.isfunction(law)
+    found = law.step if isinstance(law, LawPart) else law if is_named else type(law)
+    try:
+        return inspect.getsource(found)
+    except (OSError, TypeError):  # typed into a console that keeps no text
+        return None
+
+
+def _get_name(law: Any) -> str:
+    name = getattr(law, "__name__", type(law).__name__)
+    return str(name) if str(name).isidentifier() else "law"  # a lambda
+
+
+def _is_importable(module: str | None, name: str, law: Any) -> bool:
+    """Return whether another process finds the law by its module, too."""
+    loaded = sys.modules.get(module or "")
+    spec = getattr(loaded, "__spec__", None)
+    is_main = module in {None, "__main__", "__mp_main__"}
+    return not is_main and spec is not None and getattr(loaded, name, None) is law
+
+
+def _keep(law: Any, name: str) -> str:
+    """Return the kind of a law, the same whenever that law is given."""
+    with _GIVING:
+        known = [kind for kind, one in _GIVEN.items() if one is law]
+        if known:
+            return known[0]
+        number, kind = 1, f"{SESSION}{name}"
+        while kind in _GIVEN:
+            number += 1
+            kind = f"{SESSION}{name}-{number}"
+        _GIVEN[kind] = law
+        return kind
+
+
+@cache
+def _complete_object(law: Any) -> type[Any]:
+    """Return the class of runs that a copy of an object drives, each of them as it is now."""
+
+    class Given:
+        Parameters = NoParameters
+
+        def __init__(self, parameters: object) -> None:
+            del parameters
+            self._law = copy.deepcopy(law)
+            if hasattr(law, "take_limits"):
+                self.take_limits = self._law.take_limits
+
+        def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
+            if hasattr(self._law, "reset"):
+                self._law.reset(start, goal, path)
+
+        def step(self, time_ns: int, pose: Pose) -> Any:
+            return self._law.step(time_ns, pose)
+
+    for name in ("declare", "causes"):
+        if hasattr(law, name):
+            setattr(Given, name, staticmethod(law.declare) if name == "declare" else law.causes)
+    Given.__name__ = Given.__qualname__ = type(law).__name__
+    Given.__module__ = type(law).__module__
+    return Given

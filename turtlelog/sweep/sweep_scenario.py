@@ -1,0 +1,176 @@
+"""A sweep in one call: arrays in, a table in memory out."""
+
+import json
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from turtlelog.display import describe_count, fit_line, format_answer, format_html
+from turtlelog.errors import SweepError
+from turtlelog.scenario import Scenario, choose_scenario, parse_scenario, unwrap_number
+from turtlelog.simulate.step_budget import STEP_BUDGET_S
+from turtlelog.sweep.grid import MOST_ROWS, KeyValues
+from turtlelog.sweep.plan import SweepPlan
+from turtlelog.sweep.prepared_sweep import prepare_sweep
+from turtlelog.sweep.result_table import (
+    ResultTable,
+    build_result_arrow,
+    choose_type,
+    write_result_table,
+)
+from turtlelog.sweep.stored_table import open_result_table
+from turtlelog.sweep.sweep_rows import run_sweep
+from turtlelog.sweep.swept_results import SweptResults, read_swept_results
+from turtlelog.tabular import Tabular
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+_SHOWN_ROWS: Final = 20
+"""Of the table in a notebook; all are in the frame."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class SweepTable(Tabular):
+    """The rows of a sweep: a table for pandas, polars and Arrow.
+
+    Its columns are the number of the row, the keys that vary, each metric and its status, why the
+    run ended, and why a row failed.
+
+    Attributes:
+        name: Of the scenario that the rows vary.
+        keys: That vary.
+        table: All columns, and what the file of such a table says about itself.
+    """
+
+    name: str
+    keys: tuple[str, ...]
+    table: ResultTable
+
+    def __len__(self) -> int:
+        return self.table.row_count
+
+    @property
+    def failed(self) -> int:
+        """How many rows failed."""
+        column = self.table.find("failed")
+        return 0 if column is None else sum(cell is not None for cell in column.cells)
+
+    def _tabulate(self) -> Mapping[str, Any]:
+        return {one.name: one.cells for one in self.table.columns}
+
+    def _list_units(self) -> Mapping[str, str]:
+        return {one.name: one.unit for one in self.table.columns if one.unit}
+
+    def to_arrow(self) -> Any:
+        """Return the table as the `pyarrow.Table` that a file of it holds."""
+        return build_result_arrow(self.table)
+
+    def __repr__(self) -> str:
+        return fit_line(f"<SweepTable of {self._describe()}>")
+
+    def _describe(self) -> str:
+        rows, failed = describe_count(len(self), "row"), self.failed
+        more = f", {failed} failed" if failed else ""
+        return f"{self.name}: {rows} over {', '.join(self.keys)}{more}"
+
+    def _repr_html_(self) -> str:
+        shown = [one for one in self.table.columns if one.name in self.keys or one.type == "real"]
+        heads = [f"{one.name} [{one.unit}]" if one.unit else one.name for one in shown]
+        rows = [[one.cells[row] for one in shown] for row in range(min(len(self), _SHOWN_ROWS))]
+        rest = len(self) - len(rows)
+        more = f"<p>{describe_count(rest, 'more row')}: to_pandas()</p>" if rest else ""
+        return format_answer(self._describe(), format_html(rows, heads=heads), more)
+
+
+def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
+    scenario: Scenario | str | Path,
+    grid: Mapping[str, Iterable[Any]],
+    *,
+    metrics: Sequence[str] | None = None,
+    law: Any = None,
+    changes: Mapping[str, Any] | None = None,
+    output: str | Path | None = None,
+    jobs: "int | Executor | None" = None,
+    step_budget_s: float = STEP_BUDGET_S,
+) -> SweepTable:
+    """Simulate and measure all combinations of values, the last key fastest.
+
+    A row that fails says why in the column `failed`; that is no error of the sweep.
+
+    Args:
+        scenario: What the rows vary: a scenario, the name of a preset, or a file.
+        grid: Values by dotted key, as in `{"law.kp_linear": np.linspace(1, 4, 30)}`.
+        metrics: Ids or patterns; None: the essential ones of the law but `dead_time`.
+        law: What drives instead of the scenario's law, as in `simulate_run`. Processes beside this
+            one find a law of a notebook on Linux; elsewhere there is one process for it.
+        changes: Values by dotted key that all rows have.
+        output: The .parquet file, which the same call goes on with where it was interrupted; None:
+            no file is kept.
+        jobs: Processes, or what takes the work; None: as many as cores where that is quicker.
+        step_budget_s: Time that a law may compute for one answer [s].
+
+    Raises:
+        SweepError: Where `grid` is nothing to sweep over, or the file is that of another sweep.
+        MeasureError: Where `metrics` names what there is not.
+        LawError: Where `law` is no law.
+        ScenarioError: Where there is no such scenario, or no row makes one.
+        LogError: Where `output` cannot be written.
+        LibraryError: Where pyarrow is not installed.
+    """
+    base = choose_scenario(scenario, law=law, changes=changes)
+    plan = SweepPlan(grid=tuple(_read_values(grid)))
+    sweep = prepare_sweep(base, plan, metrics=metrics, step_budget_s=step_budget_s)
+    if output is not None:
+        run_sweep(sweep, output, jobs=jobs)
+        return read_sweep_table(output)
+    with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
+        file = Path(folder, "sweep.parquet")
+        run_sweep(sweep, file, jobs=jobs)
+        return read_sweep_table(file)
+
+
+def read_sweep_table(path: str | Path) -> SweepTable:
+    """Return the table of a sweep that a file holds.
+
+    Raises:
+        LogError: Where it is no table of a sweep.
+        LibraryError: Where pyarrow is not installed.
+    """
+    table = open_result_table(path, kind="sweep").load()
+    name = parse_scenario(table.facts["base"]).name
+    plan = json.loads(table.facts["plan"])
+    return SweepTable(name=name, keys=(*plan["grid"], *plan["zip"]), table=table)
+
+
+def read_table_results(table: SweepTable, patterns: Sequence[str] | None = None) -> SweptResults:
+    """Return the rows of a table in memory as pictures show them; see `read_swept_results`."""
+    with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
+        file = Path(folder, "sweep.parquet")
+        write_result_table(table.table, file)
+        return replace(read_swept_results(file, patterns), path=f"sweep of {table.name}")
+
+
+def _read_values(grid: Mapping[str, Iterable[Any]]) -> Iterator[KeyValues]:
+    """Yield the values of each key, numbers of numpy as those of Python."""
+    example = '{"law.kp_linear": [1.0, 2.0]}'
+    if not isinstance(grid, Mapping) or not grid:
+        raise SweepError(f"grid: expected values by key, as in {example}, found {grid!r:.60}")
+    rows = 1
+    for key, given in grid.items():
+        if not isinstance(key, str) or isinstance(given, str) or not isinstance(given, Iterable):
+            raise SweepError(f"grid: {key}: expected values, as in {example}, found {given!r:.60}")
+        values = [unwrap_number(one) for one in given]
+        if not values:
+            raise SweepError(f"grid: {key}: expected at least one value, found none")
+        is_text = choose_type(values) == "text"
+        if None in values or (is_text and not all(isinstance(one, str) for one in values)):
+            expected = "numbers, texts or truths alone"
+            raise SweepError(f"grid: {key}: expected {expected}, found {values!r:.60}")
+        rows *= len(values)
+        text = ",".join(one if isinstance(one, str) else json.dumps(one) for one in values)
+        yield KeyValues(key=key, text=text, values=values)
+    if rows > MOST_ROWS:
+        raise SweepError(f"grid: expected at most {MOST_ROWS:,} rows, found {rows:,}")
