@@ -1,8 +1,10 @@
 """The answer to why two runs differ, as data."""
 
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any, Final
 
+from turtlelog.display import fit_line, format_answer, format_html
 from turtlelog.explain.attribution import Resolution, Together, ValueSet
 from turtlelog.explain.departure import Departure
 
@@ -160,4 +162,24 @@ class ExplainedDifference:
         object.__setattr__(self, "sentences", write_sentences(self))
 
     def __repr__(self) -> str:
-        return f"<ExplainedDifference of {self.first.name} and {self.second.name}: {self.metric}>"
+        names = f"{self.first.name} and {self.second.name}"
+        return fit_line(f"<ExplainedDifference of {names}: {self.metric}>")
+
+    def _repr_html_(self) -> str:
+        heads = ["settings", f"contribution [{self.unit}]", "first run", "second run"]
+        rows = [
+            [
+                one.name,
+                one.contribution,
+                _write_values(one, one.first),
+                _write_values(one, one.second),
+            ]
+            for one in self.contributions
+        ]
+        table = format_html(rows, heads=heads) if rows else ""
+        rest = [f"<p>{escape(text)}</p>" for text in self.sentences[1:]]
+        return format_answer(self.sentences[0], table, *rest)
+
+
+def _write_values(change: Change, values: tuple[Any, ...]) -> str:
+    return ", ".join(f"{key} = {value}" for key, value in zip(change.keys, values, strict=False))
