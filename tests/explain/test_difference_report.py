@@ -61,6 +61,14 @@ def test_of_few_changes_those_that_change_no_digit_are_not_named(
     assert len(found.contributions) == 3
 
 
+def test_a_notebook_shows_the_answer_and_the_contributions() -> None:
+    shown = make(1.0, -0.2)._repr_html_()
+    assert "<strong>final.position_error rose from 1.000 m to 1.800 m: the a adds" in shown
+    assert "<th>contribution [m]</th>" in shown
+    assert shown.count("<tr>") == 3
+    assert "nobody&lt;b&gt;" in replace(make(1.0), metric="nobody<b>")._repr_html_()
+
+
 @pytest.mark.parametrize(("part", "is_named"), [(0.099, False), (0.101, True)])
 def test_of_many_changes_those_above_a_tenth_are_named(part: float, *, is_named: bool) -> None:
     size = 2.0 * part / (1.0 - part)
