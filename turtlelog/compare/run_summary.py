@@ -402,7 +402,9 @@ def _describe_lack(summary: RunSummary, values: Mapping[str, Any]) -> str:
     for name in sorted(values):
         if values[name] is None:
             metric = summary.find_metric(name)
-            lacks.append(f"{name} is {metric.status.value}" if metric else f"{name} is not known")
+            lacks.append(
+                f"{name} is {metric.status.value}" if metric is not None else f"{name} is not known"
+            )
     return ", ".join(lacks) or "the expression has no value"
 
 

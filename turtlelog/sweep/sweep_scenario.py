@@ -4,6 +4,7 @@ import json
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -43,11 +44,13 @@ class SweepTable(Tabular):
         name: Of the scenario that the rows vary.
         keys: That vary.
         table: All columns, and what the file of such a table says about itself.
+        notes: On laws that were not compiled, or took longer than their budget; one line each.
     """
 
     name: str
     keys: tuple[str, ...]
     table: ResultTable
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return self.table.row_count
@@ -82,7 +85,8 @@ class SweepTable(Tabular):
         rows = [[one.cells[row] for one in shown] for row in range(min(len(self), _SHOWN_ROWS))]
         rest = len(self) - len(rows)
         more = f"<p>{describe_count(rest, 'more row')}: to_pandas()</p>" if rest else ""
-        return format_answer(self._describe(), format_html(rows, heads=heads), more)
+        notes = [f"<p>{escape(note)}</p>" for note in self.notes]
+        return format_answer(self._describe(), format_html(rows, heads=heads), more, *notes)
 
 
 def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
@@ -123,13 +127,11 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
     base = choose_scenario(scenario, law=law, changes=changes)
     plan = SweepPlan(grid=tuple(_read_values(grid)))
     sweep = prepare_sweep(base, plan, metrics=metrics, step_budget_s=step_budget_s)
-    if output is not None:
-        run_sweep(sweep, output, jobs=jobs)
-        return read_sweep_table(output)
+    notes: list[str] = []
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
-        file = Path(folder, "sweep.parquet")
-        run_sweep(sweep, file, jobs=jobs)
-        return read_sweep_table(file)
+        file = Path(folder, "sweep.parquet") if output is None else output
+        run_sweep(sweep, file, jobs=jobs, tell=notes.append)
+        return replace(read_sweep_table(file), notes=tuple(notes))
 
 
 def read_sweep_table(path: str | Path) -> SweepTable:
