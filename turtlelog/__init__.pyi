@@ -33,7 +33,6 @@ from .check import (
     Recording as Recording,
     Spec as Spec,
     Tolerances as Tolerances,
-    Verdict as Verdict,
     check_formula as check_formula,
     check_runs as check_runs,
     load_spec as load_spec,
@@ -90,7 +89,6 @@ from .identify import (
 )
 from .laws import (
     LAWS as LAWS,
-    Decision as Decision,
     Goal as Goal,
     Law as Law,
     Pose as Pose,
@@ -108,7 +106,6 @@ from .log import (
     write_recording as write_recording,
 )
 from .loops import (
-    Cause as Cause,
     ControlLoop as ControlLoop,
     Declaration as Declaration,
 )
@@ -127,7 +124,6 @@ from .replay import (
 )
 from .run import (
     CommandColumns as CommandColumns,
-    Event as Event,
     PoseColumns as PoseColumns,
     Run as Run,
     SampleColumns as SampleColumns,
