@@ -33,7 +33,6 @@ from .check import (
     Recording as Recording,
     Spec as Spec,
     Tolerances as Tolerances,
-    Verdict as Verdict,
     check_formula as check_formula,
     check_runs as check_runs,
     load_spec as load_spec,
@@ -91,7 +90,6 @@ from .identify import (
 )
 from .laws import (
     LAWS as LAWS,
-    Decision as Decision,
     Goal as Goal,
     Law as Law,
     Pose as Pose,
@@ -109,7 +107,6 @@ from .log import (
     write_recording as write_recording,
 )
 from .loops import (
-    Cause as Cause,
     ControlLoop as ControlLoop,
     Declaration as Declaration,
 )

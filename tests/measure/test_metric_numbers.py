@@ -112,6 +112,7 @@ def test_copies_are_equal(repeat: Callable[[Any], Any]) -> None:
 
 
 def test_runs_are_equal_where_all_that_they_hold_is() -> None:
+    """Simulates three runs: 1 to 2 s."""
     scenario = tl.load_scenario("paper-kp10")
     run = tl.simulate_run(scenario)
     assert run.equals(tl.simulate_run(scenario))
