@@ -70,8 +70,8 @@ PACKAGES = {
 }
 """Packages that are not called like their module."""
 
-BROUGHT_BY_OTHERS = {"pandas", "pytest", "fontTools"}
-"""Used where they are there: data frames, the plugin, the fonts of matplotlib's PDFs."""
+BROUGHT_BY_OTHERS = {"pandas", "pytest", "fontTools", "xarray"}
+"""Used where they are there: data frames, labelled arrays, the plugin, fonts of PDFs."""
 
 
 def list_imports() -> set[str]:

@@ -6,7 +6,6 @@ from . import (
     charts as charts,
     check as check,
     compare as compare,
-    display as display,
     draw as draw,
     explain as explain,
     expressions as expressions,
@@ -103,7 +102,6 @@ from .log import (
     read_recording as read_recording,
     read_run as read_run,
     recover_recording as recover_recording,
-    write_columns as write_columns,
     write_recording as write_recording,
 )
 from .loops import (

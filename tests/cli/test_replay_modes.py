@@ -218,10 +218,19 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["bag.mcap"], "bag: expected a pose per tick of exactly 16 ms, or the samples of a con"),
+        (
+            ["bag.mcap"],
+            "bag.mcap: expected a pose per tick of exactly 16 ms, or the samples of a con",
+        ),
         (["bag.mcap", "--law"], "(topic /turtle1/control)"),
-        (["ticks.mcap"], "ticks: expected a run with its whole scenario, found mcap: ticks.mcap"),
-        (["ticks.mcap", "--law", "--kp", "1"], "ticks: expected a run with its whole scenario"),
+        (
+            ["ticks.mcap"],
+            "ticks.mcap: expected a run with its whole scenario, found mcap: ticks.mcap",
+        ),
+        (
+            ["ticks.mcap", "--law", "--kp", "1"],
+            "ticks.mcap: expected a run with its whole scenario",
+        ),
         ([], "replay needs a recording: turtlelog replay FILE"),
         (["--law"], "replay needs a recording: turtlelog replay FILE"),
         (["--law", "a:B", "kp4.mcap", "x"], "--law: takes at most 2 words, not 3"),

@@ -30,9 +30,13 @@ def test_a_command_answers_as_of_the_local_file(
 ) -> None:
     path, url = "recordings/paper/kp4.mcap", server.url("signed.mcap")
     assert _run([*words, url + SIGNED]) == 0
-    remote = capsys.readouterr().out
+    remote = json.loads(capsys.readouterr().out.replace(url, path))
     assert _run([*words, path]) == 0
-    assert json.loads(remote.replace(url, path)) == json.loads(capsys.readouterr().out)
+    local = json.loads(capsys.readouterr().out)
+    if words[0] == "info":
+        # How a run ended takes its poses, which info does not fetch unasked.
+        assert (remote[0].pop("ending"), local[0].pop("ending")[:6]) == (None, "missed")
+    assert remote == local
 
 
 def test_a_row_of_a_map_is_run_again_from_its_url(

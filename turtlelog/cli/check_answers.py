@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, format_table, print_json, print_tables, print_verdicts
-from turtlelog.display import format_short, show_angle
+from turtlelog.display import format_number, format_short, show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -234,9 +234,10 @@ def conclude(counted: "CountedResults", files: int) -> str:
 def _name_failing(counted: "CountedResults") -> str:
     """Return the first check that fails, with its value or how many more there are."""
     names = [check for check, found in counted.of_checks.items() if found[tl.check.Verdict.FAIL]]
+    first = escape_controls(names[0])
     if counted.verdicts[tl.check.Verdict.FAIL] == 1:
-        return f"{names[0]}, {_tell_value(counted.failures[0])}"
-    return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+        return f"{first}, {_tell_value(counted.failures[0])}"
+    return first if len(names) == 1 else f"{first} and {len(names) - 1} more"
 
 
 def _tell_value(result: "CheckResult") -> str:
@@ -266,8 +267,8 @@ def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: boo
     """Yield the smallest margins where all pass, bounds to think about, and what to do next."""
     observed = 0 if spec is None else sum(check.is_observed for check in spec.checks)
     if counted.verdict == "PASS" and (found := counted.find_smallest()) is not None:
-        margin = tl.display.format_number(found.margin, found.unit)
-        limit = tl.display.format_number(found.limit, found.unit)
+        margin = format_number(found.margin, found.unit)
+        limit = format_number(found.limit, found.unit)
         yield f"Nearest to its limit: {found.check}, margin {margin}, limit {limit}"
     if spec is not None and observed:
         were = "1 bound was" if observed == 1 else f"{observed} bounds were"

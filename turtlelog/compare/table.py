@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from html import escape
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
@@ -80,6 +79,8 @@ class Table(Tabular):
 
     def _repr_html_(self) -> str:
         heads = [f"{one.title} [{one.unit}]" if one.unit else one.title for one in self.columns]
+        from html import escape  # a notebook alone needs it
+
         notes = [f"<p>{escape(note)}</p>" for note in self.notes]
         return format_answer(self.title, format_html(self.rows, heads=heads), *notes)
 
