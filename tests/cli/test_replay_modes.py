@@ -89,7 +89,10 @@ def test_what_if_writes_a_recording_that_says_what_it_is(
     answer = call("replay", kp10, "--set", "loop.queue_policy=newest", "-o", target)
     assert (answer.code, answer.err) == (0, f"wrote {target}\n")
     lines = answer.out.splitlines()
-    first = "the replay departs in heading at 0.016 s: recorded 0 deg, replayed 0.916733 deg."
+    first = (
+        "with loop.queue_policy=newest, the replay departs in heading at 0.016 s: recorded 0 deg,"
+        " replayed 0.916733 deg."
+    )
     assert " ".join(lines[:2]) == f"kp10.mcap: {first}"
     assert len(lines) <= 40
     assert max(map(len, lines)) <= 80

@@ -88,7 +88,8 @@ def _describe_delays(model: "RobotModel", files: Sequence[Path]) -> str:
     one = tl.compare.name_file(files[0]) if files else "no file"
     name = one if len(files) == 1 else f"{len(files)} runs of one robot"
     said = [
-        f"{_NAMES[axis.axis]} {{}}{_show_gain(axis.gain)}after {_show_delay(axis.total_delay_s)}"
+        f"{_NAMES[axis.axis]} {{}}{_show_gain(axis.gain)}total delay"
+        f" {_show_delay(axis.total_delay_s)}"
         for axis in model.axes
         if axis.total_delay_s is not None
     ]
@@ -97,13 +98,13 @@ def _describe_delays(model: "RobotModel", files: Sequence[Path]) -> str:
         return f"{name}: no axis could be identified."
     rest = f" The {unknown[0]} could not be identified." if unknown else ""
     words = ", ".join(
-        [said[0].format("follows its commands "), *(one.format("") for one in said[1:])]
+        [said[0].format("follows its commands with "), *(one.format("with ") for one in said[1:])]
     )
     return f"{name}: {words}.{rest}"
 
 
 def _show_gain(found: "Estimate | None") -> str:
-    return "" if found is None else f"with gain {format_value(found, 'gain').partition(' ')[0]} "
+    return "" if found is None else f"gain {format_value(found, 'gain').partition(' ')[0]} and "
 
 
 def _show_delay(found: "Estimate") -> str:
@@ -290,6 +291,8 @@ def _list_nav2(known: "Sequence[AxisModel]") -> list[str]:
         if axis.advised_delay_s is not None
     ]
     head = "For Nav2's MPPI controller, dead time and time constant as one delay [s]:"
+    if any(axis.doubts for axis in known):
+        head = head.replace("[s]:", "[s],\nthe upper end of its interval where there is a doubt:")
     return ["", head, *lines] if lines else []
 
 

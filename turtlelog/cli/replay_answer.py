@@ -304,10 +304,14 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
         slack = _describe_slack(found.signals)
         head = f"the replay is the recording, in {columns}{end}{slack}"
     else:
-        head = f"the replay departs in {_format_difference(run, first, found.signals)}"
+        # Of a changed scenario that is what was asked for, and no failure.
+        changes = found.run.name.removeprefix(run.name).strip()
+        given = "with" if found.run.name.startswith(run.name) else "called"
+        whose = f"{given} {changes}, the replay" if changes else "the replay"
+        head = (
+            f"{escape_controls(whose)} departs in {_format_difference(run, first, found.signals)}"
+        )
     lines = [f"{escape_controls(file.name)}: {head}."]
-    if found.run.name != run.name:
-        lines.append(escape_controls(f"Replayed as: {found.run.name}"))
     lines += [*_list_counts(run, found), *_format_declaration(found)]
     rows = "tick by tick" if found.by_tick else "sample by sample"
     title = f"{found.run.name} simulated again, against {run.name}, {rows}"

@@ -321,7 +321,7 @@ def write_effects(found: "ExplainedDifference") -> str:
     """Return how the contributions of `explain` differ; empty if none is worth a word."""
     large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
     parts = [_write_shift(found, one) for one in large[:_FEW]]
-    head = "Contributions of the effects (turtlelog explain) change"
+    head = "As a whole, effects contribute differently in the second run (turtlelog explain)"
     return f"{head}: {join_words(parts)}." if parts else ""
 
 
