@@ -42,6 +42,14 @@ def test_theory_has_null_where_there_is_no_crossover(call: Call) -> None:
     )
 
 
+@pytest.mark.parametrize(("ticks", "left_out"), [("0", "limits or dead time:"), ("1", "limits:")])
+def test_the_first_line_names_what_the_recommended_gains_leave_out(
+    ticks: str, left_out: str, call: Call
+) -> None:
+    text = call("theory", "--dead-time", ticks, "--kp", "4").out
+    assert text.startswith(f"Recommended without command {left_out} P with Kp = ")
+
+
 def test_theory_reads_well_in_a_terminal(call: Call) -> None:
     answer = call("theory", "--dead-time", "6", "--kp", "1,2,4,10,16")
     assert (answer.code, answer.err) == (0, "")

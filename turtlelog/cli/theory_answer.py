@@ -36,7 +36,12 @@ def format_integrator(
         shows_all: Show the plant, the ideal loop, limits at other dead times and published rules.
     """
     head = [
-        *_list_recommended(recommended.found, "P", wishes),
+        *_list_recommended(
+            recommended.found,
+            "P",
+            wishes,
+            ideal=_IDEAL if loops[0].dead_time_ticks else f"{_IDEAL} or dead time",
+        ),
         *summarise_gains(loops),
         describe_sampling(loops[0]),
     ]
@@ -160,7 +165,7 @@ def find_best(found: "Sequence[Recommendation]", controller: str) -> "Recommenda
 
 
 def _list_recommended(
-    found: "Sequence[Recommendation]", controller: str, wishes: Wishes
+    found: "Sequence[Recommendation]", controller: str, wishes: Wishes, *, ideal: str = _IDEAL
 ) -> Iterator[str]:
     """Yield the recommended gains of a controller, or of P; else why there are none."""
     best = find_best(found, controller) or find_best(found, "P")
@@ -169,7 +174,7 @@ def _list_recommended(
         yield f"No gains are recommended: {next(iter(reasons), 'no rule gives any')}."
         return
     yield (
-        f"Recommended {_IDEAL}: {best.controller} with {_show_gains(best.gains)} for"
+        f"Recommended {ideal}: {best.controller} with {_show_gains(best.gains)} for"
         f" {wishes.describe(best.rule)}."
     )
 
