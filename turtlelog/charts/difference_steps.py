@@ -4,7 +4,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import AttributionStep, StepScale, choose_scale
 from turtlelog.charts.palette import choose_cause_colors
 from turtlelog.explain import Change, ExplainedDifference
-from turtlelog.explain.explained_difference import SEED
+from turtlelog.explain.explained_difference import SEED, Side
 
 
 def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, ...]:
@@ -20,16 +20,7 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
         return ()
     scale = choose_difference_scale(found)
     colors = choose_cause_colors([one.name for one in found.contributions])
-    steps = [
-        AttributionStep(
-            kind="total",
-            start=0.0,
-            end=first,
-            name=found.first.name,
-            text=scale.format_value(first),
-            color=palette.REFERENCE,
-        )
-    ]
+    steps = [_make_total(found.first, scale, palette.REFERENCE)]
     at = first
     for one in found.contributions:
         end = at + (one.contribution or 0.0)
@@ -46,17 +37,19 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
             )
         )
         at = end
-    steps.append(
-        AttributionStep(
-            kind="total",
-            start=0.0,
-            end=second,
-            name=found.second.name,
-            text=scale.format_value(second),
-            color=palette.MAIN,
-        )
+    return (*steps, _make_total(found.second, scale, palette.MAIN))
+
+
+def _make_total(side: Side, scale: StepScale, color: palette.Color) -> AttributionStep:
+    value = side.resimulated or 0.0
+    return AttributionStep(
+        kind="total",
+        start=0.0,
+        end=value,
+        name=side.name,
+        text=scale.format_value(value),
+        color=color,
     )
-    return tuple(steps)
 
 
 def choose_difference_scale(found: ExplainedDifference) -> StepScale:
