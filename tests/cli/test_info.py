@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+import turtlelog as tl
 from tests.cli.conftest import Call
 from tests.log.ros2.bags import (
     START_NS,
@@ -163,6 +164,19 @@ def test_how_a_run_ended_is_told_of_what_is_quickly_read_and_had_a_goal(
     (answer,) = call("info", square, "--json").json
     assert answer["ending"] is None
     assert "goal" not in call("info", square).out
+
+
+def test_a_note_of_several_lines_is_counted_and_one_of_one_line_is_printed(
+    call: Call, tmp_path: Path
+) -> None:
+    notes = {"law_source": "def law(time_ns, pose, goal):\n    return 0.5, 0.0\n", "place": "desk"}
+    run = tl.simulate_run("textbook", changes={"max_duration_s": 0.1})
+    path = tmp_path / "a.mcap"
+    tl.write_recording(replace(run, notes=notes), path)
+    text = call("info", path).out
+    assert "  law source  2 lines: --json has them\n" in text
+    assert "  place       desk\n" in text
+    assert call("info", path, "--json").json[0]["notes"]["law_source"] == notes["law_source"]
 
 
 def test_of_large_bags_the_poses_are_read_where_that_is_asked_for(

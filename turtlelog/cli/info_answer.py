@@ -174,7 +174,13 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         reason = (answer.stop_reason or "").replace("_", " ")
         told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
         yield from [("ended", told)] if told else []
-    yield from ((key.replace("_", " "), text) for key, text in answer.notes.items())
+    yield from ((key.replace("_", " "), _tell_note(text)) for key, text in answer.notes.items())
+
+
+def _tell_note(text: str) -> str:
+    """Return a note; of one with several lines, as the source of a law, how many."""
+    lines = len(text.splitlines())
+    return text if lines <= 1 else f"{lines} lines: --json has them"
 
 
 def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
