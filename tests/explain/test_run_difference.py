@@ -247,7 +247,8 @@ def spoil(run: Run, *, part: str) -> Run:
     ("part", "at_s", "cause"),
     [
         ("controller", 6.768, "the cause lies in the controller"),
-        ("robot", 8.0, "the cause lies after the controller"),
+        ("robot", 8.0, "lies outside the controller: in the transport of commands, in the robot,"),
+        ("robot", 8.0, "in what acts on it, or in the measurement of its poses."),
         ("start", 0.0, "They start from other poses"),
     ],
 )

@@ -44,8 +44,8 @@ _WORDS: Final = {"law": "the law itself"}
 
 _PARTS: Final = {
     "start": "They start from other poses",
-    "robot": "Until then all commands are equal, so the cause lies after the controller: in the"
-    " transport of commands, in the robot, or in what acts on it",
+    "robot": "Until then all commands are equal, so the cause lies outside the controller: in the"
+    " transport of commands, in the robot, in what acts on it, or in the measurement of its poses",
     "sensor": "Until then the robot moves equally, so the cause lies in the sensor",
     "controller": "Until then the controller reads equal poses, so the cause lies in the"
     " controller: its code, its version or its state",
