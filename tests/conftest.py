@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Generator
 from pathlib import Path
+from secrets import token_hex
 from typing import Final
 
 import pytest
@@ -55,7 +56,10 @@ def pytest_configure(config: pytest.Config) -> None:
     if is_named or not os.access(_MEMORY, os.W_OK):
         return
     if shutil.disk_usage(_MEMORY).free >= _ROOM_BYTES:
-        os.environ["TMPDIR"] = tempfile.tempdir = tempfile.mkdtemp(prefix="tests-", dir=_MEMORY)
+        # Without the underscores of mkdtemp, which Markdown escapes in names of files.
+        folder = _MEMORY / f"tests-{token_hex(8)}"
+        folder.mkdir(mode=0o700)
+        os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
         # At the very end: what other modules leave there they remove before.
         atexit.register(_give_back, tempfile.tempdir, os.getpid())
 
