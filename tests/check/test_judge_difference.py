@@ -37,6 +37,7 @@ def list_failed(run: tl.Run, limit: float, alignment: str = "first_sample") -> s
     return {name.removeprefix("signals.") for name in failed}
 
 
+@pytest.mark.everyday("sample-x", "first_sample-heading", "recorded-wanted_speed")
 @pytest.mark.parametrize("signal", OWN)
 @pytest.mark.parametrize("alignment", ["first_sample", "recorded", "sample"])
 @given(row=st.integers(6, 680), by=st.floats(1.0001e-3, 0.1), sign=st.sampled_from([-1, 1]))

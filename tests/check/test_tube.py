@@ -97,6 +97,7 @@ def test_a_held_signal_is_judged_as_the_definition_says(
     check_result(judge(runs[0], runs[1], "speed", **limits), at, margins)
 
 
+@pytest.mark.thorough
 @given(data=st.data(), limits=LIMITS)
 @settings(max_examples=200, deadline=None)
 def test_a_line_is_judged_as_the_definition_says(

@@ -156,6 +156,7 @@ def test_a_footer_is_not_fetched_because_the_file_is_said_to_be_large(
     assert server.sent < 3 * 2**23
 
 
+@pytest.mark.everyday("350001")
 @pytest.mark.parametrize("rows", [350_000, 350_001])
 def test_a_table_of_many_rows_is_fetched_before_they_are_believed(
     rows: int, tmp_path: Path
