@@ -88,7 +88,9 @@ def test_a_signal_that_is_not_there_fails(lacks: str) -> None:
     assert result.reason == "poor does not hold it"
 
 
-def judge_metric(reference: tl.Run, run: tl.Run, name: str, **limits: float) -> tl.CheckResult:
+def judge_metric(
+    reference: tl.Run, run: tl.Run, name: str, **limits: float
+) -> tl.check.CheckResult:
     tolerances = tl.Tolerances(metrics={name: tl.Tolerance(reason="", **limits)})
     (result,) = tl.check.match_run(run, reference, tolerances)
     return result
