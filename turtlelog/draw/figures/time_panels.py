@@ -111,7 +111,7 @@ def draw_time_plot(
     Beside it stands what the plot's signal aims at. Runs that never settle are dimmed where others
     do, and do not set the axes.
     """
-    plot = find_plot(name)
+    plot = find_plot(name, runs)
     scale = scale or plot.scale
     origin_m = 0.0
     if plot.pair == "position":
@@ -145,11 +145,10 @@ def draw_states(axes: Axes, runs: Sequence[Run], *, names: Sequence[str], label:
     """Draw states of a law: one of every run, or several of one run."""
     if len(names) == 1:
         draw_time_plot(axes, runs, name=names[0])
-        axes.set_ylabel(label)
         return
     draw_level(axes, [0.0], **_GRID)
     for name, looks in zip(names, choose_lines(len(names)), strict=True):
-        for found in list_plotted(runs[0], find_plot(name)):
+        for found in list_plotted(runs[0], find_plot(name, runs)):
             draw_curve(axes, found.curve, **looks, label=name)
     finish(axes, runs, label)
 

@@ -172,7 +172,8 @@ def _is_due(runs: Sequence[Run], plot: TimePlot) -> bool:
 
 def _moves(runs: Sequence[Run], state: str) -> bool:
     """Whether a state of a law is ever anything but 0."""
-    return any(curve.values.any() for run in runs for curve in list_own(run, find_plot(state)))
+    plot = find_plot(state, runs)
+    return any(curve.values.any() for run in runs for curve in list_own(run, plot))
 
 
 def _draw_plot(
@@ -183,8 +184,8 @@ def _draw_plot(
     marked: tuple[Sequence[Sequence[Characteristic]], Sequence[Violation]],
 ) -> None:
     models = load_library("bokeh.models")
-    plot = find_plot(name)
-    label = plot.label if name in TIME_PLOTS else f"state {name}"
+    plot = find_plot(name, [one.run for one in drawn])
+    label = plot.label if name in TIME_PLOTS else f"state {plot.label}"
     without = describe_restless([one.run for one in drawn if not one.is_ghost])
     if without and leaves_out(len(drawn), plot):
         label += f", without {without}"
