@@ -23,10 +23,10 @@ from turtlelog.charts.attribution_steps import (
 from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
 from turtlelog.charts.curves import find_unit, list_levels, read_curve
 from turtlelog.charts.ideal_curves import find_steps
-from turtlelog.charts.palette import Color
+from turtlelog.charts.looks import SUPPOSED_DASH
 from turtlelog.draw.figures.direct_labels import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.draw.figures.page import REFERENCE, choose_lines, label_runs
+from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_lines, label_runs, to_rgb
 from turtlelog.errors import ShowError
 from turtlelog.explain import (
     Attribution,
@@ -58,7 +58,7 @@ _GOAL_MM: Final = 1.6
 _MINUS: Final = "\N{MINUS SIGN}"
 
 _GHOST: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.55", "linestyle": (0, (5, 1.5)), "linewidth": 1.3, "zorder": 1.9}
+    {"color": "0.55", "linestyle": STROKES[SUPPOSED_DASH], "linewidth": 1.3, "zorder": 1.9}
 )
 _RING: Final[Mapping[str, Any]] = MappingProxyType(
     {"fill": False, "color": "0.78", "linewidth": 0.5, "linestyle": (0, (4, 2)), "zorder": 1.2}
@@ -203,7 +203,7 @@ def draw_bars(
         texts = [text.replace(", ", ",\n", 1) for text in texts]
         span = _find_span(texts, rights - low, high - low or 1.0, room_inch)
     for row, (step, text) in enumerate(zip(steps, texts, strict=True)):
-        color = "0.62" if step.kind == "left" else _to_rgb(step.color)
+        color = "0.62" if step.kind == "left" else to_rgb(step.color)
         axes.barh(row, ends[row] - starts[row], left=starts[row], height=_BAR, color=color)
         words = f" {text}" if "\n" not in text else text
         axes.text(rights[row] + 0.012 * span, row, words, va="center", fontsize=_WORDS_POINTS)
@@ -225,10 +225,6 @@ def _find_span(texts: Sequence[str], rights: Values, least: float, room_inch: fl
         share = min(words_inch / room_inch, 0.8)
         span = max(span, float(right) / (1.0 - share), least * min(1.0, words_inch / room_inch))
     return 1.02 * span
-
-
-def _to_rgb(color: Color) -> tuple[float, ...]:
-    return tuple(part / 255.0 for part in color)
 
 
 def _draw_run_and_ghost(axes: Axes, told: Explained) -> None:
