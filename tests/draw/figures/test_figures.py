@@ -5,7 +5,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
