@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -103,11 +104,26 @@ def test_limit_is_that_of_the_command_unless_declared() -> None:
 
 
 def test_declarations_of_one_content_are_equal_and_survive_a_process() -> None:
-    one = Declaration(loops=(make_loop(),), phases={"p": ("a",)}, states=("m",))
+    declared: dict[str, Any] = {"loops": (make_loop(),), "phases": {"p": ("a",)}, "states": ("m",)}
+    one = Declaration(**declared, state_units={"m": "rad s"})
     again = pickle.loads(pickle.dumps(one))
     assert again == one
     assert hash(again) == hash(one)
-    assert again != Declaration()
+    assert again != Declaration(**declared)
+
+
+@pytest.mark.parametrize(
+    ("units", "line"),
+    [
+        ({"n": "m"}, "state_units: expected one of m, found 'n'"),
+        ({"m": ""}, "state_units: m: expected a unit such as rad s, up to 20 letters, found ''"),
+        ({"m": 1}, "state_units: m: expected a unit such as rad s, up to 20 letters, found 1"),
+        ("rad", "state_units: expected units by the names of states, found 'rad'"),
+    ],
+)
+def test_units_are_of_states_that_are_declared(units: Any, line: str) -> None:
+    with pytest.raises(RunError, match=re.escape(line)):
+        Declaration(states=("m",), state_units=units)
 
 
 @pytest.mark.parametrize(

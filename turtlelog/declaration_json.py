@@ -30,11 +30,12 @@ class _Phase(msgspec.Struct, forbid_unknown_fields=True):
     loops: tuple[str, ...]
 
 
-class _Entry(msgspec.Struct, forbid_unknown_fields=True):
+class _Entry(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     loops: tuple[_Loop, ...]
     phases: tuple[_Phase, ...]
     states: tuple[str, ...]
     uses_goal: bool
+    state_units: dict[str, str] = {}
 
 
 def format_declaration(declaration: Declaration) -> str:
@@ -44,6 +45,7 @@ def format_declaration(declaration: Declaration) -> str:
         phases=tuple(_Phase(name=name, loops=of) for name, of in declaration.phases.items()),
         states=declaration.states,
         uses_goal=declaration.uses_goal,
+        state_units={**declaration.state_units},
     )
     return msgspec.json.encode(entry).decode()
 
@@ -60,6 +62,7 @@ def parse_declaration(text: str) -> Declaration:
             loops=tuple(ControlLoop(**msgspec.structs.asdict(loop)) for loop in entry.loops),
             phases=_name_phases(entry.phases),
             states=entry.states,
+            state_units=entry.state_units,
             uses_goal=entry.uses_goal,
         )
     except msgspec.MsgspecError as err:

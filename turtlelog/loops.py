@@ -90,6 +90,7 @@ STATE_PATTERN: Final = r"[a-z](?:_?[a-z0-9]){0,59}"
 
 _NAME: Final = re.compile(NAME_PATTERN)
 _STATE: Final = re.compile(STATE_PATTERN)
+_UNIT: Final = re.compile(r"[A-Za-z0-9%/^*. -]{1,20}")
 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(?:\.[A-Za-z0-9_-]+)+")
 _MOST_PHASES: Final = 250
@@ -226,6 +227,8 @@ class Declaration:
         loops: Empty: there are no metrics of loops.
         phases: The loops that act in each phase, by its name, in order; at least one phase.
         states: Names of the law's own numbers, recorded with every sample.
+        state_units: Their units by name, as in `{"integral": "rad s"}`; 1 of a plain number. A
+            state without one is shown without a unit.
         uses_goal: False: the run has no goal.
 
     Raises:
@@ -235,6 +238,7 @@ class Declaration:
     loops: tuple[ControlLoop, ...] = ()
     phases: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"control": ()})
     states: tuple[str, ...] = ()
+    state_units: Mapping[str, str] = field(default_factory=dict)
     uses_goal: bool = True
     _hash: int = field(init=False, repr=False, compare=False, default=0)
 
@@ -250,12 +254,17 @@ class Declaration:
         object.__setattr__(self, "phases", MappingProxyType(phases))
         object.__setattr__(self, "loops", _list_entries("loops", self.loops))
         object.__setattr__(self, "states", _list_entries("states", self.states))
+        if not isinstance(self.state_units, Mapping):
+            expected = "units by the names of states"
+            raise RunError(f"state_units: expected {expected}, found {self.state_units!r:.60}")
+        object.__setattr__(self, "state_units", MappingProxyType({**self.state_units}))
         for loop in self.loops:
             if not isinstance(loop, ControlLoop):
                 raise RunError(f"loops: expected a ControlLoop, found {loop!r:.60}")
         self._require_names()
         # Tables of many runs ask for it a hundred times for each run.
-        held = self.loops, tuple(phases.items()), self.states, self.uses_goal
+        units = frozenset(self.state_units.items())
+        held = self.loops, tuple(phases.items()), self.states, units, self.uses_goal
         object.__setattr__(self, "_hash", hash(held))
 
     def _require_names(self) -> None:
@@ -269,18 +278,27 @@ class Declaration:
             _require_distinct(f"phase {phase}", loops)
             for loop in loops:
                 _require_one_of(f"phase {phase}: loop", loop, tuple(names))
+        self._require_states()
+
+    def _require_states(self) -> None:
         for state in self.states:
             if not (isinstance(state, str) and _STATE.fullmatch(state)):
                 expected = "a field name of ROS 2 such as integral"
                 raise RunError(f"state: expected {expected}, found {state!r}")
             if state in SIGNAL_NAMES:
                 raise RunError(f"state: expected a name that no signal has, found {state!r}")
+        for state, unit in self.state_units.items():
+            _require_one_of("state_units", state, self.states)
+            if not (isinstance(unit, str) and _UNIT.fullmatch(unit)):
+                expected = "a unit such as rad s, up to 20 letters"
+                raise RunError(f"state_units: {state}: expected {expected}, found {unit!r:.60}")
 
     def __hash__(self) -> int:
         return self._hash
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuild, (self.loops, dict(self.phases), self.states, self.uses_goal)
+        phases, units = dict(self.phases), dict(self.state_units)
+        return _rebuild, (self.loops, phases, self.states, units, self.uses_goal)
 
     @property
     def phase_names(self) -> tuple[str, ...]:
@@ -343,9 +361,12 @@ def _rebuild(
     loops: tuple[ControlLoop, ...],
     phases: dict[str, tuple[str, ...]],
     states: tuple[str, ...],
+    state_units: dict[str, str],
     uses_goal: bool,  # noqa: FBT001
 ) -> Declaration:
-    return Declaration(loops=loops, phases=phases, states=states, uses_goal=uses_goal)
+    return Declaration(
+        loops=loops, phases=phases, states=states, state_units=state_units, uses_goal=uses_goal
+    )
 
 
 def _list_entries(place: str, entries: Any) -> tuple[Any, ...]:

@@ -51,6 +51,7 @@ class Pid:
             loops=(align, approach),
             phases={"drive": ("align", "approach")},
             states=("integral", "derivative"),
+            state_units={"integral": "rad s", "derivative": "rad/s"},
         )
 
     def __init__(self, parameters: Settings) -> None:

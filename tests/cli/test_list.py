@@ -25,7 +25,10 @@ def test_every_name_is_listed(call: Call) -> None:
     }
     declaration = tl.simulate.declare_scenario(tl.load_scenario("textbook"))
     assert found["metrics"] == [*tl.measure.list_metrics(declaration)]
-    assert found["signals"] == [*tl.SIGNALS]
+    states = [
+        f"{term}_{axis}" for axis in ("angular", "linear") for term in ("integral", "derivative")
+    ]
+    assert found["signals"] == [*tl.SIGNALS, *states, "lyapunov"]
     assert found["presets"] == [*tl.PRESETS]
     assert found["laws"] == [*LAWS]
     assert found["figures"] == [*tl.draw.FIGURES]

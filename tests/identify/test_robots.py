@@ -54,7 +54,14 @@ def test_turtlesim_tells_which_tick_took_which_command() -> None:
     assert (delays.least_s, delays.median_s, delays.largest_s) == (0.016, 0.016, 0.016)
     for axis in model.axes:
         assert (axis.status, known(axis.gain).value, known(axis.lag_s).value) == ("ok", 1.0, 0.0)
-        assert known(axis.dead_time_s).value == 0.016
+        assert known(axis.dead_time_s).value == 0.0
+
+
+def test_each_axis_of_turtlesim_has_the_dead_time_that_the_metrics_measure() -> None:
+    run = tl.simulate_run(tl.load_scenario("paper-kp10"))
+    model, metrics = tl.identify_robot(run), tl.measure_run(run)
+    for axis, loop in ((model.turn_rate, "rotate"), (model.speed, "translate")):
+        assert known(axis.dead_time_s).value == pytest.approx(metrics[f"{loop}.dead_time"].value)
 
 
 @pytest.mark.parametrize("ticks", [0, 3])

@@ -1,4 +1,4 @@
-"""An attribution as steps from the logged value down to what is left: the bars of a waterfall."""
+"""An attribution as a waterfall: steps from the logged value down to what is left."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -70,6 +70,61 @@ class StepScale:
         if not float(text):
             text = f"{scaled:{sign}.1g}" if scaled else "0"
         return f"{text} {self.unit}".strip()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Waterfall:
+    """Bars below each other, each of which begins where the one above it ends.
+
+    Attributes:
+        steps: The bars, each with its name before it and its size in words behind it.
+        scale: In which unit they are drawn.
+        metric: What they add up to.
+        notes: What a reader of the bars must know, a line each; they stand below the axis.
+    """
+
+    steps: tuple[AttributionStep, ...]
+    scale: StepScale
+    metric: str
+    notes: tuple[str, ...]
+
+    @property
+    def joints(self) -> tuple[float, ...]:
+        """Where a line joins each bar with the one below it, in the metric's unit."""
+        return tuple(step.end for step in self.steps[:-1])
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """From where to where the bars go, in the metric's unit; 0 is within."""
+        ends = [value for step in self.steps for value in (step.start, step.end)]
+        return min(0.0, *ends), max(0.0, *ends)
+
+    @property
+    def label(self) -> str:
+        """The metric in words with the unit in which it is drawn."""
+        words = self.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
+        unit = f" [{self.scale.unit}]" if self.scale.unit else ""
+        return f"{words.replace('.', ' ')}{unit}"
+
+
+def draw_up_attribution(found: Attribution) -> Waterfall:
+    """Return the waterfall of an attribution; without steps where contributions are withheld."""
+    # The contribution of one cause is just what its removal changes.
+    is_average = len(choose_acting_contributions(found)) > 1
+    seeds = 0 if found.seeds is None else found.seeds.used
+    return Waterfall(
+        steps=list_attribution_steps(found),
+        scale=choose_step_scale(found),
+        metric=found.metric,
+        notes=note_averages("removal", seeds, is_average=is_average),
+    )
+
+
+def note_averages(orders: str, seeds: int, *, is_average: bool) -> tuple[str, ...]:
+    """Return that bars are averages, over orders of something and over so many seeds."""
+    notes = [f"bars: averages over the orders of {orders}; no run ends between them"]
+    notes = notes if is_average else []
+    return (*notes, f"contributions: means over {seeds} seeds") if seeds > 1 else tuple(notes)
 
 
 def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:

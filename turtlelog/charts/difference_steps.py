@@ -1,10 +1,27 @@
 """The difference of two runs as steps from one value to the other: the bars of a waterfall."""
 
 from turtlelog.charts import palette
-from turtlelog.charts.attribution_steps import AttributionStep, StepScale, choose_scale
+from turtlelog.charts.attribution_steps import (
+    AttributionStep,
+    StepScale,
+    Waterfall,
+    choose_scale,
+    note_averages,
+)
 from turtlelog.charts.palette import choose_cause_colors
 from turtlelog.explain import Change, ExplainedDifference
 from turtlelog.explain.explained_difference import SEED, Side
+
+
+def draw_up_difference(found: ExplainedDifference) -> Waterfall:
+    """Return the waterfall of a difference; without steps if the contributions are withheld."""
+    steps = list_difference_steps(found)
+    return Waterfall(
+        steps=steps,
+        scale=choose_difference_scale(found),
+        metric=found.metric,
+        notes=note_averages("the changes", found.seeds, is_average=len(steps) > 3),
+    )
 
 
 def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, ...]:

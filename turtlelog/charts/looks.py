@@ -1,12 +1,19 @@
-"""What each colour means in every picture: one for a run, others for what stands beside it."""
+"""What each colour, dash and marker means in every picture.
+
+A run has a colour, and on paper a marker; a loop of its law a dash; what stands beside runs has a
+colour and a dash by its kind.
+"""
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import Final, Literal
 
 from turtlelog.charts import palette
 from turtlelog.charts.palette import Color
 from turtlelog.charts.plotted_curves import CurveKind
+
+Dash = Literal["solid", "dashed", "dotted", "dash-dot"]
+Marker = Literal["up", "diamond", "down", "plus", "star", "left", "right"]
 
 _FIXED: Final[Mapping[CurveKind, Color]] = MappingProxyType(
     {
@@ -19,6 +26,24 @@ _FIXED: Final[Mapping[CurveKind, Color]] = MappingProxyType(
     }
 )
 """Kinds whose colour is the same of every run."""
+
+_DASHES: Final[Mapping[CurveKind, Dash]] = MappingProxyType(
+    {"ideal": "dotted", "aim": "dash-dot", "shaped": "dash-dot"}
+)
+"""Kinds that are no curve of a run's own."""
+
+LIMIT_DASH: Final[Dash] = "dashed"
+"""Of limits and tolerances; a target is solid."""
+
+SUPPOSED_DASH: Final[Dash] = "dashed"
+"""Of what did not happen: a run without some effects, what a model does."""
+
+LOOP_DASHES: Final[tuple[Dash, ...]] = ("solid", "dashed", "dash-dot", "dotted")
+"""Of the loops of a law, in the order in which it declares them; more begin again."""
+
+RUN_MARKERS: Final[tuple[Marker, ...]] = ("up", "diamond", "down", "plus", "star", "left", "right")
+"""Of runs that have hues of their own, where colours may be gone: triangles that point up, down,
+left and right, and others. Discs, squares and crosses are places and values."""
 
 
 def choose_curve_color(kind: CurveKind, run: Color, *, is_alone: bool) -> Color:
@@ -37,3 +62,13 @@ def choose_curve_color(kind: CurveKind, run: Color, *, is_alone: bool) -> Color:
     if kind == "applied" and not is_alone:
         return run
     return _FIXED.get(kind, run)
+
+
+def choose_dash(kind: CurveKind) -> Dash:
+    """Return the dash of a curve of a run, by its kind."""
+    return _DASHES.get(kind, "solid")
+
+
+def choose_markers(count: int) -> tuple[Marker, ...]:
+    """Return markers that tell several runs apart; a run alone and very many have none."""
+    return RUN_MARKERS[:count] if 1 < count <= len(RUN_MARKERS) else ()

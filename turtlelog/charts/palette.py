@@ -90,6 +90,9 @@ SHAPED: Final[Color] = FEW[3]
 MEASURED: Final[Color] = FEW[2]
 """What the robot did of a command: what it reports, or what the plant applied."""
 
+MODEL: Final[Color] = FEW[1]
+"""What an identified model does of a command; a run beside it is alone."""
+
 SENSED: Final[Color] = (128, 128, 128)
 """What the controller read of a pose."""
 

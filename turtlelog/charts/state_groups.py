@@ -1,6 +1,6 @@
 """Which states of a law are shown together: by the command that they belong to."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -28,12 +28,28 @@ class StateGroup:
     Attributes:
         title: What they are, as `State lyapunov`, `States of the turn rate`.
         names: As the law declares them.
+        units: Of each, as the law declares it; empty where it does not.
         command: To which command they belong, None of states that belong to none.
     """
 
     title: str
     names: tuple[str, ...]
+    units: tuple[str, ...]
     command: str | None = None
+
+    @property
+    def label(self) -> str:
+        """Title and unit, where all have one."""
+        return _add_unit(self.title, self.units[0] if len({*self.units}) == 1 else "")
+
+    def label_state(self, name: str) -> str:
+        """Return a state with its unit."""
+        return _add_unit(name, self.units[self.names.index(name)])
+
+    def can_share(self, names: Sequence[str], columns: Sequence[NDArray[np.float64]]) -> bool:
+        """Whether some of them can share a plot, by their units and by their values."""
+        units = {self.units[self.names.index(name)] for name in names}
+        return len(units) <= 1 and are_comparable(columns)
 
 
 def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
@@ -50,16 +66,25 @@ def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
             commands = {loop.command for loop in declaration.loops if _belongs(name, loop)}
             of_one = of_command[commands.pop()] if len(commands) == 1 else others
             of_one[name] = None
+
+    def group(title: str, names: Iterable[str], command: str | None = None) -> StateGroup:
+        units = tuple(find_state_unit(name, declarations) for name in names)
+        return StateGroup(title=title, names=tuple(names), units=units, command=command)
+
     found = [
-        StateGroup(
-            title=f"States of the {COMMAND_WORDS[command]}", names=tuple(names), command=command
-        )
+        group(f"States of the {COMMAND_WORDS[command]}", names, command)
         for command, names in of_command.items()
         if names
     ]
     if len(found) + len(others) > _MOST_APART and len(others) > 1:
-        return (*found, StateGroup(title="States", names=tuple(others)))
-    return (*found, *(StateGroup(title=f"State {name}", names=(name,)) for name in others))
+        return (*found, group("States", others))
+    return (*found, *(group(f"State {name}", [name]) for name in others))
+
+
+def find_state_unit(name: str, declarations: Iterable[Declaration]) -> str:
+    """Return the unit of a state, empty where no law declares one or two laws differ."""
+    units = {one.state_units.get(name, "") for one in declarations if name in one.states}
+    return units.pop() if len(units) == 1 else ""
 
 
 def are_comparable(columns: Sequence[NDArray[np.float64]]) -> bool:
@@ -69,6 +94,10 @@ def are_comparable(columns: Sequence[NDArray[np.float64]]) -> bool:
     known = [np.abs(values[np.isfinite(values)]).max(initial=0.0) for values in columns]
     largest = [float(value) for value in known if value > 0.0]
     return not largest or max(largest) <= _LARGEST_RATIO * min(largest)
+
+
+def _add_unit(title: str, unit: str) -> str:
+    return f"{title} [{unit}]" if unit else title
 
 
 def _belongs(state: str, loop: ControlLoop) -> bool:

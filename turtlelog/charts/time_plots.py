@@ -3,7 +3,7 @@
 Figures, Rerun, reports and movies draw what stands here.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
@@ -30,6 +30,7 @@ from turtlelog.charts.curves import (
 from turtlelog.charts.ideal_curves import compute_ideals
 from turtlelog.charts.plotted_curves import Column, CurveEntry, TimePlot
 from turtlelog.charts.robot_curves import part_curve, read_measured
+from turtlelog.charts.state_groups import find_state_unit
 from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.loops import COMMAND_UNITS
 from turtlelog.run import Run
@@ -41,9 +42,9 @@ _TOLERANCES: Final[Mapping[str, str]] = MappingProxyType(
 _LIMIT_LABEL: Final = "limit"
 
 
-def find_plot(name: str) -> TimePlot:
-    """Return a plot by its name; any other name is a state of a law."""
-    return TIME_PLOTS.get(name) or _describe_state(name)
+def find_plot(name: str, runs: Sequence[Run]) -> TimePlot:
+    """Return a plot by its name; any other name is a state of the law of some of the runs."""
+    return TIME_PLOTS.get(name) or _describe_state(name, runs)
 
 
 def find_marked(signal: str) -> tuple[str, CurveEntry] | None:
@@ -261,10 +262,10 @@ def _plot_world_velocity(axis: str) -> TimePlot:
     )
 
 
-def _describe_state(name: str) -> TimePlot:
+def _describe_state(name: str, runs: Sequence[Run]) -> TimePlot:
     return TimePlot(
         title=name,
-        unit="",
+        unit=find_state_unit(name, [run.declaration for run in runs]),
         curves=(
             CurveEntry(
                 kind="run", label=name, signal=name, read=partial(_read_signal, signal=name)

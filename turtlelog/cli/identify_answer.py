@@ -123,7 +123,7 @@ def _list_trust(model: "RobotModel") -> Iterator[str]:
         delays = model.tick_delays
         count = describe_count(delays.shown, "command")
         yield (
-            f"Dead time of {count}: least {1e3 * delays.least_s:.1f} ms, median"
+            f"From {count} to the pose that shows each: least {1e3 * delays.least_s:.1f} ms, median"
             f" {1e3 * delays.median_s:.1f} ms, largest {1e3 * delays.largest_s:.1f} ms."
         )
     doubts = [doubt for axis in model.axes for doubt in axis.doubts]

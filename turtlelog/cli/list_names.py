@@ -30,7 +30,7 @@ _PRESETS: Final = {
 _NOTES: Final[Mapping[str, str]] = {
     "metrics": "Of the law sequential-p. Another law has loops of other names:"
     " `turtlelog metrics FILE --all` shows the metrics of a recording.",
-    "signals": "And the states of a law, by their names.",
+    "signals": "And the states of laws of your own, by their names.",
     "causes": "effect: of the implementation; design: a design parameter.",
     "laws": "And laws of your own: FILE.py:NAME.",
 }
@@ -110,10 +110,24 @@ def _list_metrics() -> Entries:
 
 
 def _list_signals() -> Entries:
-    return [
+    rows = [
         {"name": name, "unit": kind.unit, "row per": kind.source, "meaning": kind.meaning}
         for name, kind in tl.SIGNALS.items()
     ]
+    return rows + list(_list_states())
+
+
+def _list_states() -> Iterator[dict[str, Any]]:
+    """Yield the states of the laws that are built in, with the units that they declare."""
+    from turtlelog.laws import LAWS, Goal
+
+    for law in LAWS.values():
+        if law.needs_path:
+            continue  # their declarations need one, and none has a state
+        declaration = law.declare(law.Parameters(), Goal(0.0, 0.0, 0.0), None)
+        for name in declaration.states:
+            unit, meaning = declaration.state_units.get(name, ""), f"State of the law {law.name}."
+            yield {"name": name, "unit": unit, "row per": "sample", "meaning": meaning}
 
 
 def _list_presets() -> Entries:

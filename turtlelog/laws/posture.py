@@ -50,6 +50,7 @@ DECLARATION: Final = Declaration(
     # Turning on the spot at the goal is neither: the bearing means nothing there.
     phases={"drive": ("approach", "align"), "turn": ()},
     states=("lyapunov",),
+    state_units={"lyapunov": "1"},  # squared metres and squared radians, added as numbers
 )
 """What the posture law declares, whatever its parameters."""
 

@@ -1,6 +1,8 @@
 """The sequential law with P, PI, PD or PID control in each of its loops."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
@@ -21,7 +23,15 @@ from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.parts import ABSENT_BY_DEFAULT
 from turtlelog.paths import Path
 
-_STATES: Final = ("integral_angular", "derivative_angular", "integral_linear", "derivative_linear")
+_STATES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "integral_angular": "rad/s",
+        "derivative_angular": "rad/s",
+        "integral_linear": "m/s",
+        "derivative_linear": "m/s",
+    }
+)
+"""What the terms add to the commands, and in which unit."""
 
 NonNegative = Annotated[float, Meta(ge=0)]
 
@@ -69,7 +79,7 @@ def declare(parameters: Any, goal: Goal | None, path: Path | None) -> Declaratio
         _add_keys(rotate, "angular", parameters.ki_angular, parameters.kd_angular),
         _add_keys(translate, "linear", parameters.ki_linear, parameters.kd_linear),
     )
-    base = replace(DECLARATION, loops=loops, states=_STATES)
+    base = replace(DECLARATION, loops=loops, states=(*_STATES,), state_units=_STATES)
     return declare_loops(base, goal, parameters.schedule, reorient=parameters.reorient)
 
 

@@ -202,7 +202,11 @@ def explain_no_signal(run: Run, name: str) -> str:
 def list_signals(declaration: Declaration) -> Mapping[str, SignalKind]:
     """Return every signal that runs of a law can hold, by name: `SIGNALS`, then its states."""
     states = {
-        name: _sample("1", f"State {name} of the law.", partial(_read_state, column=column))
+        name: _sample(
+            declaration.state_units.get(name, "1"),
+            f"State {name} of the law.",
+            partial(_read_state, column=column),
+        )
         for column, name in enumerate(declaration.states)
     }
     return MappingProxyType({**SIGNALS, **states})

@@ -84,7 +84,10 @@ def _read_numbers(answers: Answers) -> dict[str, tuple[str, NDArray[np.float64]]
     """Return the unit and the column of each signal that there is, states by their names."""
     samples, names = answers
     found = {name: (unit, read(samples)) for name, (unit, read) in _NUMBERS.items()}
-    found |= {name: ("1", _take(samples.states, row)) for row, name in enumerate(names.states)}
+    found |= {
+        name: (names.state_units.get(name, "1"), _take(samples.states, row))
+        for row, name in enumerate(names.states)
+    }
     return {name: (unit, column) for name, (unit, column) in found.items() if column is not None}
 
 

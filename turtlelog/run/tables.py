@@ -52,10 +52,11 @@ def tabulate_run(run: "Run", table: str) -> Table:
 
 
 def list_units(run: "Run", table: str) -> dict[str, str]:
-    """Return the units of a table's columns by name; counts, texts and a law's states have none."""
+    """Return the units of a table's columns by name; counts and texts have none."""
     columns = _flatten(run.samples) if table == "samples" else tabulate_run(run, table)
     found = {name: [u for end, u in _UNITS.items() if name.endswith(end)] for name in columns}
-    return {name: units[0] for name, units in found.items() if units}
+    states = run.declaration.state_units if table == "samples" else {}
+    return {name: units[0] for name, units in found.items() if units} | dict(states)
 
 
 def list_facts(run: "Run") -> dict[str, str]:

@@ -19,7 +19,7 @@ Read = Callable[[tl.Run], Values]
 LABELS = {
     "plant": ["response of 1/s", "", ""],
     "step-responses": ["response to a unit step"],
-    "root-locus": ["imaginary part [1/s]", "imaginary part of z", "imaginary part of z"],
+    "root-locus": ["imaginary part [1/s]", "imaginary part of z", ""],
     "heading": ["heading [deg]"],
     "position": ["x [m]", "y [m]"],
     "heading-error": ["heading error [deg]"],

@@ -150,10 +150,14 @@ def test_a_run_has_its_colour_and_a_loop_its_dashes_of_which_the_broader_lie_bel
 
 def test_poles_have_the_colours_of_their_runs_in_every_plane_and_equal_ones_are_rings() -> None:
     figure = tl.draw.draw_figure("root-locus", [KP10, dataclasses.replace(KP10, name="again")])
-    colors = [looks["color"] for looks in choose_lines(2)]
+    runs = choose_lines(2)
     for axes in figure.axes:
-        lower, upper = [one for one in axes.get_lines() if one.get_marker() == "o"]
-        assert [lower.get_color(), upper.get_color()] == colors
+        lower, upper = [
+            one
+            for looks in runs
+            for one in axes.get_lines()
+            if (one.get_color(), one.get_marker()) == (looks["color"], looks["marker"])
+        ]
         assert lower.get_markersize() >= 1.4 * upper.get_markersize()
 
 

@@ -136,8 +136,8 @@ def test_of_a_run_on_its_path_the_reason_for_no_close_up_is_given() -> None:
 def test_states_stand_beside_the_command_that_they_belong_to() -> None:
     figure = tl.draw.draw_figure("panel", [PID])
     turning, driving = figure.axes[7:]
-    assert turning.get_ylabel() == "states of the turn rate"
-    assert driving.get_ylabel() == "states of the speed"
+    assert turning.get_ylabel() == "states of the turn rate [rad/s]"
+    assert driving.get_ylabel() == "states of the speed [m/s]"
     assert PID.samples.states is not None
     for axes, names in (
         (turning, PID.declaration.states[:2]),
@@ -151,7 +151,8 @@ def test_states_stand_beside_the_command_that_they_belong_to() -> None:
 
 def test_of_several_runs_each_state_has_a_panel() -> None:
     figure = tl.draw.draw_figure("states", [PID, EXAMPLE, simulate_law("strange")])
-    assert [axes.get_ylabel() for axes in figure.axes] == [*PID.declaration.states, "memory"]
+    expected = [f"{name} [{unit}]" for name, unit in PID.declaration.state_units.items()]
+    assert [axes.get_ylabel() for axes in figure.axes] == [*expected, "memory"]
     assert find_lines(figure.axes[4], "strange")
     assert not find_lines(figure.axes[4], "pid")
 
@@ -164,13 +165,14 @@ def replace_states(run: tl.Run, factors: list[float]) -> tl.Run:
 
 def test_states_of_other_scales_have_a_panel_each() -> None:
     run = replace_states(PID, [1.0, 1e-3, 1.0, 1.0])
-    expected = ["integral_angular", "derivative_angular", "states of the speed"]
+    expected = ["integral_angular [rad/s]", "derivative_angular [rad/s]"]
+    expected.append("states of the speed [m/s]")
     assert list_labels(run, "states") == expected
 
 
 def test_states_that_are_always_0_have_no_panel() -> None:
     turning = replace_states(PID, [1.0, 1.0, 0.0, 0.0])
-    assert list_labels(turning, "states") == ["states of the turn rate"]
+    assert list_labels(turning, "states") == ["states of the turn rate [rad/s]"]
     idle = replace_states(PID, [0.0] * 4)
     expected = "states of its law that are not always 0"
     assert tl.draw.FIGURES["states"].find_lack([idle]) == expected

@@ -80,7 +80,7 @@ def test_the_steps_stand_with_their_words_in_a_view_of_their_own(kp10_rrd: Path)
         "0 mm",
         "50 mm",
         "100 mm",
-        "Bars: averages over the orders of removal",
+        "bars: averages over the orders of removal; no run ends between them",
         "Ghosts: 26.8 mm without queue, 27.4 mm without pause",
     ]
     places = np.array(read_static(kp10_rrd, "/attribution/words", "Points2D:positions"))
@@ -323,7 +323,9 @@ def test_withheld_shares_give_their_reason_in_place_of_the_steps(tmp_path: Path)
     reason = "they differ by more than a tenth of what the effects add together"
     found = replace(make_attribution(RUN, {}), withheld=reason)
     write_explanation_rrd(RUN, found, {}, tmp_path / "why.rrd")
-    assert "Why there are no shares of final.position_error" in read_layout(tmp_path / "why.rrd")
+    assert "Why there are no contributions to final.position_error" in read_layout(
+        tmp_path / "why.rrd"
+    )
     assert reason in " ".join(read_words(tmp_path / "why.rrd", "/attribution/words"))
 
 

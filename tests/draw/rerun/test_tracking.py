@@ -180,9 +180,11 @@ def test_trackers_over_each_other_are_compared_by_their_errors(trackers_rrd: Pat
 def test_states_that_belong_together_share_a_plot(pid_rrd: Path) -> None:
     views = read_layout(pid_rrd)
     of_turn = ["/state/integral_angular", "/state/derivative_angular"]
-    assert [name for name in views["States of the turn rate"] if "lines" not in name] == of_turn
+    assert [
+        name for name in views["States of the turn rate [rad/s]"] if "lines" not in name
+    ] == of_turn
     of_speed = ["/state/integral_linear", "/state/derivative_linear"]
-    assert [name for name in views["States of the speed"] if "lines" not in name] == of_speed
+    assert [name for name in views["States of the speed [m/s]"] if "lines" not in name] == of_speed
     samples, names = simulate_pid().samples, simulate_pid().declaration.states
     assert samples.states is not None
     for column, name in enumerate(names):
@@ -198,17 +200,17 @@ def test_states_of_other_scales_and_of_several_runs_are_tabs(tmp_path: Path) -> 
     run = replace(pid, samples=replace(pid.samples, states=states))
     write_run_rrd(run, tmp_path / "run.rrd")
     views = read_layout(tmp_path / "run.rrd")
-    assert "/state/derivative_angular" in views["derivative_angular"]
-    assert "/state/integral_angular" not in views["derivative_angular"]
-    assert "States of the speed" in views
+    assert "/state/derivative_angular" in views["derivative_angular [rad/s]"]
+    assert "/state/integral_angular" not in views["derivative_angular [rad/s]"]
+    assert "States of the speed [m/s]" in views
     idle = replace(pid.samples, states=pid.samples.states * [1.0, 1.0, 0.0, 0.0])
     write_run_rrd(replace(pid, samples=idle), tmp_path / "idle.rrd")
     assert "/state/integral_linear" in list_entities(tmp_path / "idle.rrd")
     shown = [view for view in read_layout(tmp_path / "idle.rrd") if "States" in view]
-    assert shown == ["States of the turn rate"]
+    assert shown == ["States of the turn rate [rad/s]"]
     write_comparison_rrd([pid, simulate_law("strange")], tmp_path / "two.rrd")
     views = read_layout(tmp_path / "two.rrd")
-    assert views["integral_angular"] == ["/runs/pid/state/integral_angular"]
+    assert views["integral_angular [rad/s]"] == ["/runs/pid/state/integral_angular"]
     assert views["State memory"] == ["/runs/strange/state/memory"]
 
 

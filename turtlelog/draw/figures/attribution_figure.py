@@ -1,6 +1,7 @@
 """The attribution of one run: a waterfall of its contributions, beside the run and its ghost."""
 
 import re
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -14,19 +15,18 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from turtlelog.charts.attribution_steps import (
-    AttributionStep,
-    StepScale,
-    choose_acting_contributions,
+    Waterfall,
     choose_step_scale,
+    draw_up_attribution,
     list_attribution_steps,
 )
 from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
 from turtlelog.charts.curves import find_unit, list_levels, read_curve
 from turtlelog.charts.ideal_curves import find_steps
-from turtlelog.charts.palette import Color
+from turtlelog.charts.looks import SUPPOSED_DASH
 from turtlelog.draw.figures.direct_labels import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.draw.figures.page import REFERENCE, choose_lines, label_runs
+from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_lines, label_runs, to_rgb
 from turtlelog.errors import ShowError
 from turtlelog.explain import (
     Attribution,
@@ -55,10 +55,13 @@ _NEAR: Final = 0.1
 _GOAL_MM: Final = 1.6
 """Half of the size of the goal's cross in print [mm]."""
 
+_NOTE_LETTERS: Final = 42
+"""Of a line below the axis: a column has room for as many."""
+
 _MINUS: Final = "\N{MINUS SIGN}"
 
 _GHOST: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.55", "linestyle": (0, (5, 1.5)), "linewidth": 1.3, "zorder": 1.9}
+    {"color": "0.55", "linestyle": STROKES[SUPPOSED_DASH], "linewidth": 1.3, "zorder": 1.9}
 )
 _RING: Final[Mapping[str, Any]] = MappingProxyType(
     {"fill": False, "color": "0.78", "linewidth": 0.5, "linestyle": (0, (4, 2)), "zorder": 1.2}
@@ -139,11 +142,11 @@ def draw_attribution(
         explained: What `explain_for_figure` returned; it is called where this is not given.
     """
     told = explained or explain_for_figure(runs)
-    steps = list_attribution_steps(told.found)
+    waterfall = draw_up_attribution(told.found)
     width = figure.get_figwidth()
     line_inch = 0.27
     if width < _SIDE_BY_SIDE_INCH:
-        low = line_inch * (len(steps) + 2.0)
+        low = line_inch * (len(waterfall.steps) + 2.0)
         figure.set_size_inches(width, 0.82 * width + low)
         seen, bars = figure.subplots(2, 1, height_ratios=[0.82 * width, low])
         if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine):
@@ -151,50 +154,26 @@ def draw_attribution(
             engine.set(w_pad=0.1)
         room_inch = 0.72 * width
     else:
-        figure.set_size_inches(width, max(0.42 * width, line_inch * (len(steps) + 2.5)))
+        figure.set_size_inches(width, max(0.42 * width, line_inch * (len(waterfall.steps) + 2.5)))
         seen, bars = figure.subplots(1, 2, width_ratios=[1.0, 1.35])
         room_inch = 0.41 * width
     _draw_run_and_ghost(seen, told)
-    _draw_waterfall(bars, told.found, steps, room_inch)
+    draw_waterfall(bars, waterfall, room_inch)
+    bars.set_title(f"what caused {waterfall.steps[0].text}")
 
 
-def _draw_waterfall(
-    axes: Axes, found: Attribution, steps: Sequence[AttributionStep], room_inch: float
-) -> None:
-    scale = choose_step_scale(found)
-    draw_bars(axes, steps, scale, room_inch)
-    names = [f"{_MINUS} {step.name}" if step.cause else step.name for step in steps]
-    axes.set_yticks(range(len(steps)), names)
-    # The contribution of one cause is just what its removal changes.
-    is_average = len(choose_acting_contributions(found)) > 1
-    notes = ["bars: averages over the orders of removal"] if is_average else []
-    if found.seeds is not None:
-        notes.append(f"contributions: means over {found.seeds.used} seeds")
-    label = "\n".join([name_metric(found.metric, scale), *notes])
-    axes.set(xlabel=label, title=f"what caused {steps[0].text}")
-
-
-def name_metric(metric: str, scale: StepScale) -> str:
-    """Return a metric in words with the unit in which it is drawn."""
-    words = metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
-    unit = f" [{scale.unit}]" if scale.unit else ""
-    return f"{words.replace('.', ' ')}{unit}"
-
-
-def draw_bars(
-    axes: Axes, steps: Sequence[AttributionStep], scale: StepScale, room_inch: float
-) -> None:
-    """Draw the steps of a waterfall below each other, each with its words.
+def draw_waterfall(axes: Axes, waterfall: Waterfall, room_inch: float) -> None:
+    """Draw the bars of a waterfall, each with its words.
 
     Args:
         axes: To draw on.
-        steps: In their order.
-        scale: In which unit.
+        waterfall: What it consists of.
         room_inch: Width for the bars and the words beside them.
     """
-    starts = np.array([step.start for step in steps]) * scale.factor
-    ends = np.array([step.end for step in steps]) * scale.factor
-    low, high = min(0.0, *starts, *ends), max(0.0, *starts, *ends)
+    steps, factor = waterfall.steps, waterfall.scale.factor
+    starts = np.array([step.start for step in steps]) * factor
+    ends = np.array([step.end for step in steps]) * factor
+    low, high = (factor * end for end in waterfall.span)
     rights = np.maximum(starts, ends)
     texts = [re.sub("^-", _MINUS, step.text) for step in steps]
     span = _find_span(texts, rights - low, high - low or 1.0, room_inch)
@@ -203,13 +182,16 @@ def draw_bars(
         texts = [text.replace(", ", ",\n", 1) for text in texts]
         span = _find_span(texts, rights - low, high - low or 1.0, room_inch)
     for row, (step, text) in enumerate(zip(steps, texts, strict=True)):
-        color = "0.62" if step.kind == "left" else _to_rgb(step.color)
+        color = "0.62" if step.kind == "left" else to_rgb(step.color)
         axes.barh(row, ends[row] - starts[row], left=starts[row], height=_BAR, color=color)
         words = f" {text}" if "\n" not in text else text
         axes.text(rights[row] + 0.012 * span, row, words, va="center", fontsize=_WORDS_POINTS)
-        if row + 1 < len(steps):
-            at, below = ends[row], row + 1 - _BAR / 2.0
-            axes.plot([at, at], [row + _BAR / 2.0, below], **_CONNECTOR)
+    for row, joint in enumerate(waterfall.joints):
+        edges = [row + _BAR / 2.0, row + 1 - _BAR / 2.0]
+        axes.plot([factor * joint] * 2, edges, **_CONNECTOR)
+    axes.set_yticks(range(len(steps)), [step.name for step in steps])
+    notes = [textwrap.fill(note, _NOTE_LETTERS) for note in waterfall.notes]
+    axes.set_xlabel("\n".join([waterfall.label, *notes]))
     axes.axvline(0.0, color="0.2", linewidth=0.6)
     axes.tick_params(axis="y", length=0.0, labelsize=_WORDS_POINTS + 0.5)
     axes.spines["left"].set_visible(False)
@@ -225,10 +207,6 @@ def _find_span(texts: Sequence[str], rights: Values, least: float, room_inch: fl
         share = min(words_inch / room_inch, 0.8)
         span = max(span, float(right) / (1.0 - share), least * min(1.0, words_inch / room_inch))
     return 1.02 * span
-
-
-def _to_rgb(color: Color) -> tuple[float, ...]:
-    return tuple(part / 255.0 for part in color)
 
 
 def _draw_run_and_ghost(axes: Axes, told: Explained) -> None:

@@ -4,8 +4,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from turtlelog.charts.difference_steps import choose_difference_scale, list_difference_steps
-from turtlelog.draw.figures.attribution_figure import draw_bars, name_metric
+from turtlelog.charts.difference_steps import (
+    draw_up_difference,
+)
+from turtlelog.draw.figures.attribution_figure import draw_waterfall
 from turtlelog.draw.figures.page import Page, use_looks
 from turtlelog.draw.figures.writing import require_figure_path, write_figure
 from turtlelog.errors import ShowError
@@ -32,21 +34,13 @@ def write_difference_figure(
         ShowError: If there are no contributions, or the file cannot be written.
     """
     path = require_figure_path(path)
-    steps = list_difference_steps(found)
-    if not steps:
+    waterfall = draw_up_difference(found)
+    if not waterfall.steps:
         reason = found.withheld or "no setting that differs changes the metric"
         raise ShowError(f"{path}: there are no contributions to draw: {reason}")
     page = page or Page(kind="page")
-    scale = choose_difference_scale(found)
     with use_looks():
-        height_inch = _LINE_INCH * (len(steps) + 2.5)
+        height_inch = _LINE_INCH * (len(waterfall.steps) + 2.5)
         figure = Figure(figsize=(page.width_inch, height_inch), layout="constrained")
-        axes = figure.subplots()
-        draw_bars(axes, steps, scale, _BARS * page.width_inch)
-        axes.set_yticks(range(len(steps)), [step.name for step in steps])
-        is_average = len(steps) > 3
-        notes = ["bars: averages over the orders of the changes"] if is_average else []
-        if found.seeds > 1:
-            notes.append(f"contributions: means over {found.seeds} seeds")
-        axes.set(xlabel="\n".join([name_metric(found.metric, scale), *notes]))
+        draw_waterfall(figure.subplots(), waterfall, _BARS * page.width_inch)
     return write_figure(figure, path, page)

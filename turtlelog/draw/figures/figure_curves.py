@@ -15,8 +15,9 @@ from turtlelog.charts.curves import (
     Curve,
     choose_rows,
 )
+from turtlelog.charts.looks import LOOP_DASHES
 from turtlelog.draw.figures.legend import name_some
-from turtlelog.draw.figures.page import DASHES, REFERENCE, choose_lines
+from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_lines
 from turtlelog.run import Run
 from turtlelog.theory import (
     PLANT_INPUTS,
@@ -32,6 +33,8 @@ Values = NDArray[np.float64]
 _RING_POINTS: Final = 2.4
 """Poles of several loops at one place are rings of half this width."""
 _MOST_RINGS: Final = 4
+_LARGER: Final = 1.0
+"""Poles than the markers of curves [points]."""
 
 PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
 _LAST_S: Final = 5.0
@@ -43,12 +46,12 @@ class Pole:
 
     Attributes:
         values: In the plane of s [1/s] or z, shape (n,).
-        color: Of the run.
+        looks: Colour and marker of the run.
         label: In the legend.
     """
 
     values: NDArray[np.complex128]
-    color: Any
+    looks: Mapping[str, Any]
     label: str
 
 
@@ -61,8 +64,9 @@ def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
 def draw_thinned(axes: Axes, across: Values, up: Values, kept: Values, **looks: Any) -> None:
     """Draw a line; where points are left out the extremes of `kept` stay, and a note says so."""
     across, up = _thin(axes, across, up, kept)
-    # A line of one point would be none.
-    axes.plot(across, up, marker="o" if len(up) == 1 else None, markersize=3.0, **looks)
+    if len(up) == 1:  # a line would be nothing
+        looks |= {"marker": "o", "ms": 3.0, "markevery": None}
+    axes.plot(across, up, **looks)
 
 
 def draw_points(axes: Axes, across: Values, up: Values, **looks: Any) -> None:
@@ -123,8 +127,8 @@ def _style_gains(runs: Sequence[Run]) -> dict[float, Mapping[str, Any]]:
     """Return how each gain looks: the colour of the first run with it, dashes for its others."""
     styled: dict[float, Mapping[str, Any]] = {}
     for run, looks in zip(runs, choose_lines(len(runs)), strict=True):
-        for gain, dashes in zip(find_gains([run]), cycle(DASHES), strict=False):
-            styled.setdefault(gain, {**looks, "linestyle": dashes})
+        for gain, dash in zip(find_gains([run]), cycle(LOOP_DASHES), strict=False):
+            styled.setdefault(gain, {**looks, "linestyle": STROKES[dash]})
     return styled
 
 
@@ -132,7 +136,7 @@ def draw_ideal_locus(axes: Axes, poles: Sequence[Pole]) -> None:
     """Draw the ideal closed loops' poles s = -Kp, from the plant's at the origin leftward."""
     left = 1.25 * min(float(pole.values.real.min()) for pole in poles)
     axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
-    axes.text(-0.12 * left, 0.82, "unstable", ha="center", fontsize=7.0, color="0.4")
+    axes.text(-0.12 * left, 0.6, "unstable", ha="center", fontsize=7.0, color="0.4")
     branch = compute_root_locus([0.0, -left])
     axes.plot(branch.real, branch.imag, color="0.3", label="s = -Kp")
     axes.plot([0.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="pole of 1/s", zorder=3)
@@ -145,7 +149,7 @@ def list_paper_poles() -> list[Pole]:
     """Return the poles of the ideal loops with the gains of the paper."""
     styled = zip(PAPER_GAINS, choose_lines(len(PAPER_GAINS)), strict=True)
     return [
-        Pole(values=compute_root_locus([kp]), color=looks["color"], label=f"Kp = {kp:g}")
+        Pole(values=compute_root_locus([kp]), looks=looks, label=f"Kp = {kp:g}")
         for kp, looks in styled
     ]
 
@@ -155,9 +159,10 @@ def draw_poles(axes: Axes, poles: Sequence[Pole]) -> None:
     labels = name_some(axes, [pole.label for pole in poles])
     for number, (pole, label) in enumerate(zip(poles, labels, strict=True)):
         later = sum(np.array_equal(pole.values, other.values) for other in poles[number + 1 :])
-        size = 4.5 + _RING_POINTS * min(later, _MOST_RINGS)
-        looks: dict[str, Any] = {"ms": size, "color": pole.color, "zorder": 2.9 - 0.001 * later}
-        axes.plot(pole.values.real, pole.values.imag, "o", label=label, **looks)
+        looks = {"marker": "o", "ms": 4.5, **pole.looks, "markevery": None, "linestyle": ""}
+        looks["ms"] += _LARGER + _RING_POINTS * min(later, _MOST_RINGS)
+        looks["zorder"] = 2.9 - 0.001 * later
+        axes.plot(pole.values.real, pole.values.imag, label=label, **looks)
 
 
 def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:

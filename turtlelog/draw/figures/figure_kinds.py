@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from turtlelog.charts.curves import list_loops, read_curve, require_near
 from turtlelog.charts.plotted_curves import Scale
 from turtlelog.charts.robot_curves import lack_samples
-from turtlelog.charts.state_groups import are_comparable, group_states
+from turtlelog.charts.state_groups import group_states
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.display import NamedValues, fit_line
@@ -225,9 +225,9 @@ def list_state_panels(
         if len(runs) == 1:
             curves = [read_curve(runs[0], name) for name in acting]
             columns = [curve.values for curve in curves if curve is not None]
-            names = [acting] if are_comparable(columns) else names
+            names = [acting] if group.can_share(acting, columns) else names
         for shown in names:
-            label = shown[0] if len(shown) == 1 else group.title.lower()
+            label = shown[0] if len(shown) == 1 else group.label[0].lower() + group.label[1:]
             draw = partial(draw_states, names=shown, label=label)
             panels.append(Panel(name=label, needs="states", draw=draw, is_usual=False))
     return tuple(panels[:most])

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from turtlelog.charts.many_runs import find_gain_scale, group_by_gain
 from turtlelog.charts.palette import FEW
-from turtlelog.draw.figures.page import choose_lines, label_runs
+from turtlelog.draw.figures.page import choose_colors, label_runs
 from turtlelog.run import Run
 
 _BAR_INCH: Final = 0.42
@@ -30,7 +30,7 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     if len(runs) <= len(FEW) or not drawn:
         return frozenset()
     count = len(runs)
-    colors = ListedColormap([line["color"] for line in choose_lines(count)])
+    colors = ListedColormap(choose_colors(count))
     norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + _BAR_INCH)

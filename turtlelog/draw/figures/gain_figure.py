@@ -19,7 +19,7 @@ from turtlelog.draw.figures.metric_panels import (
     set_ticks_at,
     set_value_scale,
 )
-from turtlelog.draw.figures.page import choose_lines, label_runs
+from turtlelog.draw.figures.page import STROKES, choose_colors, label_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 from turtlelog.theory import (
@@ -55,7 +55,7 @@ would be narrower stand below each other."""
 _ROW_INCH: Final = 1.45
 
 _OVERSHOOT: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#b07000", "linewidth": 0.9, "linestyle": (0, (5, 2))}
+    {"color": "#b07000", "linewidth": 0.9, "linestyle": STROKES["dashed"]}
 )
 _UNSTABLE: Final[Mapping[str, Any]] = MappingProxyType({"color": "#b3261e", "linewidth": 1.0})
 _BEYOND: Final[Mapping[str, Any]] = MappingProxyType(
@@ -65,9 +65,9 @@ _OVERSHOOTING: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "#e69f00", "alpha": 0.10, "linewidth": 0.0, "zorder": 0.5}
 )
 _THEORY: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.35", "linewidth": 0.9, "linestyle": (0, (1, 1.5)), "zorder": 1.8}
+    {"color": "0.35", "linewidth": 0.9, "linestyle": STROKES["dotted"], "zorder": 1.8}
 )
-_LIMITED: Final = {**_THEORY, "linestyle": (0, (4, 1.5))}
+_LIMITED: Final = {**_THEORY, "linestyle": STROKES["dashed"]}
 _SAMPLED: Final = {**_THEORY, "linestyle": "-", "linewidth": 0.6}
 
 
@@ -156,11 +156,11 @@ def _draw_panel(
         line: dict[str, Any] = {"color": "0.75", "linewidth": 0.7, "zorder": 1.7}
         axes.plot(gains[asked][order], found.values[asked][order], **line)
     small = 4.5 if len(runs) <= _MOST_NAMED else 3.4 if len(runs) <= 3 * _MOST_NAMED else 2.4
-    for place, looks in zip(places, choose_lines(len(places)), strict=True):
+    for place, color in zip(places, choose_colors(len(places)), strict=True):
         there = gains == place
         values = found.values[there]
         known = values[np.isfinite(values)]
-        look: dict[str, Any] = {"ms": small, "color": looks["color"], "zorder": 3}
+        look: dict[str, Any] = {"ms": small, "color": color, "zorder": 3}
         axes.plot(np.full(len(known), place), known, "o", **look)
         if len(known) < len(values):
             look = {"ms": 5.0, "mew": 1.2, "color": "#b3261e", "label": "no value"}

@@ -18,8 +18,8 @@ from turtlelog.charts.luck import (
     build_luck_picture,
     spread_labels,
 )
-from turtlelog.charts.palette import Color
 from turtlelog.draw.figures.direct_labels import WordSpace, measure_text_mm, name_ring, place_words
+from turtlelog.draw.figures.page import to_rgb
 from turtlelog.errors import ExplainError, ShowError
 from turtlelog.explain import Luck, Work, choose_metric, measure_luck, require_causes
 from turtlelog.run import Run
@@ -184,17 +184,13 @@ def _mark_recorded(axes: Axes, shown: LuckPicture, recorded: tuple[float, float]
 
 
 def _choose_color(line: LuckLine) -> tuple[float, ...]:
-    return _GHOST if line.kind == "ghost" else _to_rgb(line.color)
+    return _GHOST if line.kind == "ghost" else to_rgb(line.color)
 
 
 def _darken(line: LuckLine) -> tuple[float, ...]:
     if line.kind == "ghost":
         return _GHOST_WORDS
-    return tuple(_DARKER * part for part in _to_rgb(line.color))
-
-
-def _to_rgb(color: Color) -> tuple[float, ...]:
-    return tuple(part / 255.0 for part in color)
+    return tuple(_DARKER * part for part in to_rgb(line.color))
 
 
 def _draw_plane(axes: Axes, plane: LuckPlane, side_inch: float) -> None:
@@ -207,7 +203,7 @@ def _draw_plane(axes: Axes, plane: LuckPlane, side_inch: float) -> None:
         axes.add_patch(Circle((0.0, 0.0), ring_m, fill=False, color="0.8", lw=0.5, zorder=1.2))
     axes.plot(0.0, 0.0, "+", ms=9.0, mew=1.0, color="black", zorder=1.8)
     axes.plot(*plane.ghosts_m.T, "o", ms=2.4, color=_GHOST, zorder=2.4)
-    run = _to_rgb(palette.MAIN)
+    run = to_rgb(palette.MAIN)
     axes.plot(*plane.ends_m.T, "o", ms=3.2, mfc="none", mec=run, mew=0.7, zorder=2.2)
     axes.plot(*plane.recorded_m, "o", ms=6.0, color=run, mec="white", mew=0.6, zorder=2.8)
     scale = place.half / place.half_mm

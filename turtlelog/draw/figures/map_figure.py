@@ -25,6 +25,7 @@ from turtlelog.charts.map_values import (
     list_branches,
     scale_values,
 )
+from turtlelog.draw.figures.page import STROKES
 from turtlelog.draw.figures.value_scale import VALUELESS, ColorScale, build_scale
 from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
 from turtlelog.sweep.swept_results import SweptAxis, SweptMetric
@@ -57,12 +58,12 @@ LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
         GROWN: {
             "color": "#b3261e",
             "linewidth": 1.0,
-            "linestyle": (0, (1.2, 1.2)),
+            "linestyle": STROKES["dotted"],
         },
         OVERSHOOT: {
             "color": "#7a4b00",
             "linewidth": 1.0,
-            "linestyle": (0, (5, 2)),
+            "linestyle": STROKES["dashed"],
         },
     }
 )

@@ -13,8 +13,10 @@ from matplotlib import rc_context, rcParams
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 
+from turtlelog.charts import palette
 from turtlelog.charts.curves import BEARING_NOW, REFERENCE as AIMED
-from turtlelog.charts.palette import FEW, choose_run_colors
+from turtlelog.charts.looks import SUPPOSED_DASH, Dash, Marker, choose_dash, choose_markers
+from turtlelog.charts.palette import FEW, Color, choose_run_colors
 from turtlelog.compare import name_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
@@ -85,16 +87,40 @@ def use_looks(looks: Mapping[str, Any] = LOOKS) -> Iterator[None]:
         yield
 
 
-_MOST_DASHED: Final = 12
-"""Lines that dashes help to tell apart; of more, four patterns are three lines and more each, and
-only make a picture restless."""
+def to_rgb(color: Color) -> tuple[float, ...]:
+    """Return a colour as matplotlib takes it."""
+    return tuple(part / 255.0 for part in color)
+
 
 _MOST_BROAD: Final = 24
 """Lines of the usual width: in a column of 40 mm more of them leave no ground between."""
 _THIN: Final = 0.7
 
-DASHES: Final[tuple[Any, ...]] = ("-", (0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
-"""Patterns of lines: what tells runs apart where colours are gone."""
+STROKES: Final[Mapping[Dash, Any]] = MappingProxyType(
+    {
+        "solid": "-",
+        "dashed": (0, (5, 2)),
+        "dotted": (0, (1, 1.5)),
+        "dash-dot": (0, (4, 1.2, 1, 1.2)),
+    }
+)
+"""Dashes as matplotlib has them, in widths of their line."""
+
+_MARKERS: Final[Mapping[Marker, tuple[str, float]]] = MappingProxyType(
+    {
+        "up": ("^", 4.6),
+        "diamond": ("D", 3.6),
+        "down": ("v", 4.6),
+        "plus": ("P", 4.8),
+        "star": ("*", 6.0),
+        "left": ("<", 4.6),
+        "right": (">", 4.6),
+    }
+)
+"""Markers as matplotlib has them, with the sizes at which they look alike [points]."""
+
+_MARK_EVERY: Final = 0.24
+"""How far the markers of a run are apart on its curve, over the diagonal of its panel."""
 
 REFERENCE: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.45", "linewidth": 0.7})
 """Goals, limits, zeros."""
@@ -103,9 +129,17 @@ IDEAL_ENDS: Final = "ideal, first and last run"
 """Name of the ideal responses of the first and the last of many runs."""
 
 AIM: Final[Mapping[str, Any]] = MappingProxyType(
-    {"linewidth": 0.8, "linestyle": (0, (4, 1.2, 1, 1.2, 1, 1.2)), "zorder": 1.9}
+    {"linewidth": 0.8, "linestyle": STROKES[choose_dash("aim")], "zorder": 1.9, "marker": ""}
 )
 """What a law, or the goal, asks for where that moves."""
+
+MEASURED: Final[Mapping[str, Any]] = MappingProxyType({"color": to_rgb(palette.MEASURED)})
+"""What a robot did of a command, beside a model."""
+
+MODELLED: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": to_rgb(palette.MODEL), "linestyle": STROKES[SUPPOSED_DASH]}
+)
+"""What a model does of a command."""
 
 SENSED: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -218,21 +252,26 @@ class Page:
                     axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
 
 
+def choose_colors(count: int) -> list[tuple[float, ...]]:
+    """Return the colour of each of several runs, as on screen."""
+    return [*map(to_rgb, choose_run_colors(count))]
+
+
 def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
-    """Return colour and dashes for each of several runs; the colours are those on screen.
+    """Return colour and marker for each of several runs.
 
     Of more runs than have a hue of their own, the first lie on top: the fast swings of a large gain
     would cover all others.
     """
-    colors = [tuple(part / 255.0 for part in color) for color in choose_run_colors(count)]
-    lines = [
-        {"color": color, "linestyle": DASHES[index % len(DASHES)]}
-        for index, color in enumerate(colors)
-    ]
+    lines: list[dict[str, Any]] = [{"color": color} for color in choose_colors(count)]
+    for number, (line, marker) in enumerate(zip(lines, choose_markers(count), strict=False)):
+        shape, size = _MARKERS[marker]
+        first = _MARK_EVERY * (number + 0.5) / count
+        line |= {"marker": shape, "ms": size, "markevery": (first, _MARK_EVERY)}
+        line |= {"mec": "white", "mew": 0.4}
     if count <= len(FEW):
         return lines
-    looks: dict[str, Any] = {} if count <= _MOST_DASHED else {"linestyle": "-"}
-    looks |= {"linewidth": _THIN} if count > _MOST_BROAD else {}
+    looks = {"linewidth": _THIN} if count > _MOST_BROAD else {}
     return [{**line, **looks, "zorder": 2.9 - 0.9 * i / count} for i, line in enumerate(lines)]
 
 

@@ -49,7 +49,7 @@ from turtlelog.draw.figures.page import (
     AIM,
     REFERENCE,
     SENSED,
-    choose_lines,
+    choose_colors,
     style_runs,
 )
 from turtlelog.draw.figures.tracking_panels import (
@@ -68,7 +68,7 @@ _RING: Final[Mapping[str, Any]] = MappingProxyType(
 )
 
 _OF_MANY: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.8", "linewidth": 0.4, "linestyle": "-", "zorder": 1.6}
+    {"color": "0.8", "linewidth": 0.4, "zorder": 1.6}
 )
 """Paths of very many runs: their ends have the colours."""
 
@@ -148,7 +148,7 @@ def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
 def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw where runs end, above all paths; of many of a gain also the median and an outline."""
     ends_m = np.array([run.poses.xy_m[-1] for run in runs])
-    colors = [looks["color"] for looks in choose_lines(len(runs))]
+    colors = choose_colors(len(runs))
     is_many = len(runs) > MANY_PATHS
     # In the order of gains the last would cover the others.
     order = np.random.default_rng(0).permutation(len(runs)) if is_many else range(len(runs))
@@ -230,9 +230,9 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
     for ring_m in close_up.rings_m:
         axes.add_patch(Circle(close_up.goal_xy_m, ring_m, fill=False, **_RING))
     misses = list_miss_labels(close_up, lettering)
-    lines = choose_lines(len(runs))
+    colors = choose_colors(len(runs))
     for label in misses:
-        color = lines[label.runs[0]]["color"] if len(label.runs) == 1 else "0.2"
+        color = colors[label.runs[0]] if len(label.runs) == 1 else "0.2"
         _write(axes, label, color)
     for label in list_ring_labels(close_up, runs[0].poses.xy_m[0], misses, lettering):
         _write(axes, label, "0.45")
@@ -242,10 +242,10 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
 
 def _show_worst(axes: Axes, runs: Sequence[Run], worst: WorstPlace, lettering: Lettering) -> None:
     """Show where runs are furthest from their path, and how far that is."""
-    center, looks = np.array(worst.center_xy_m), choose_lines(len(runs))[worst.run]
+    center, color = np.array(worst.center_xy_m), choose_colors(len(runs))[worst.run]
     _show_square(axes, center - worst.half_m, center + worst.half_m)
-    draw_worst_place(axes, worst, looks)
-    _write(axes, label_worst_place(worst, lettering), looks["color"])
+    draw_worst_place(axes, worst, color)
+    _write(axes, label_worst_place(worst, lettering), color)
     axes.set(title="furthest off the path", ylabel="")
     axes.locator_params(nbins=5)
 

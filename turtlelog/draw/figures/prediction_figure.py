@@ -13,7 +13,7 @@ from turtlelog.compare import ErrorGrowth, RobotComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.draw.figures.figure_curves import draw_thinned
 from turtlelog.draw.figures.legend import add_legend
-from turtlelog.draw.figures.page import REFERENCE, Page, choose_lines, use_looks
+from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, Page, use_looks
 from turtlelog.draw.figures.writing import require_figure_path, write_figure
 from turtlelog.identify import AxisTraces
 from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
@@ -73,31 +73,29 @@ def write_prediction_figure(
 
 
 def _draw_paths(axes: Axes, found: RobotComparison) -> None:
-    recorded, simulated = choose_lines(2)
-    axes.plot(*found.recorded.xy_m.T, **recorded, label=_RECORDED, linewidth=1.6)
+    axes.plot(*found.recorded.xy_m.T, **MEASURED, label=_RECORDED, linewidth=1.6)
     pieces = [*found.predict_pieces()]
     for piece in pieces:
-        axes.plot(*piece.T, **simulated, label=_SIMULATED)
+        axes.plot(*piece.T, **MODELLED, label=_SIMULATED)
     starts = np.array([piece[0] for piece in pieces])
-    axes.plot(*starts.T, ".", color=simulated["color"], label="begins at the recorded pose")
+    axes.plot(*starts.T, ".", color=MODELLED["color"], label="begins at the recorded pose")
     axes.set(xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal", adjustable="datalim")
 
 
 def _draw_growth(axes: Axes, growth: ErrorGrowth) -> None:
-    recorded, simulated = choose_lines(2)
     unit, factor = SHOWN_UNITS[growth.quantity]
     low, median, high = factor * growth.recorded.T
     if growth.simulated is not None:
         least, middle, most = factor * growth.simulated.T
-        axes.fill_between(growth.since_s, least, most, color=simulated["color"], **_BAND)
-        axes.plot(growth.since_s, middle, **simulated, label=_SIMULATED)
-    axes.plot(growth.since_s, median, **recorded, label=_RECORDED)
+        axes.fill_between(growth.since_s, least, most, color=MODELLED["color"], **_BAND)
+        axes.plot(growth.since_s, middle, **MODELLED, label=_SIMULATED)
+    axes.plot(growth.since_s, median, **MEASURED, label=_RECORDED)
     for edge in (low, high):
         axes.plot(
             growth.since_s,
             edge,
-            color=recorded["color"],
+            color=MEASURED["color"],
             linewidth=0.6,
             label="central 95 % of recorded errors",
         )
@@ -107,12 +105,11 @@ def _draw_growth(axes: Axes, growth: ErrorGrowth) -> None:
 
 
 def _draw_rates(axes: Axes, traces: AxisTraces, start_s: float) -> None:
-    recorded, simulated = choose_lines(2)
     time_s = traces.time_s - start_s
     axes.plot(time_s, traces.commanded, **REFERENCE, label="command")
     for values, looks, label in (
-        (traces.measured, recorded, _RECORDED),
-        (traces.modelled, simulated, _SIMULATED),
+        (traces.measured, MEASURED, _RECORDED),
+        (traces.modelled, MODELLED, _SIMULATED),
     ):
         draw_thinned(axes, time_s, values, values, **looks, label=label)
     axes.set_ylabel(f"{COMMAND_WORDS[traces.axis]} [{COMMAND_UNITS[traces.axis]}]")

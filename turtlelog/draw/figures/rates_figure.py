@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.command_changes import CommandChange, find_changes
 from turtlelog.charts.curves import Curve, read_applied, read_command
-from turtlelog.charts.palette import MEASURED
 from turtlelog.charts.robot_curves import read_measured
 from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.draw.figures.page import REFERENCE, choose_lines, label_runs
+from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, label_runs
 from turtlelog.errors import ShowError
 from turtlelog.identify import (
     AxisModel,
@@ -54,11 +53,6 @@ _SHOWN_MS: Final = 2.0
 """Width of an interval from which it is drawn [ms]: a narrower one is a stroke."""
 
 _REASON_LETTERS: Final = 58
-
-_MOTION: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": tuple(part / 255.0 for part in MEASURED), "linestyle": "-"}
-)
-"""What the robot did of the command."""
 
 _COMMAND: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.3", "linewidth": 0.9})
 _EACH: Final[Mapping[str, Any]] = MappingProxyType(
@@ -180,15 +174,14 @@ def _read_axis(axis: AxisModel, model: RobotModel, run: Run) -> DrawnAxis | None
 
 
 def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
-    _, modelled = choose_lines(2)
     axes.axhline(0.0, color="0.8", linewidth=0.5)
     draw_curve(axes, _hold_to_end(one.command, run), **_COMMAND, label="command")
     if one.measured is not None:
         time_s, values = one.measured
-        draw_thinned(axes, time_s, values, values, **_MOTION, label="motion")
+        draw_thinned(axes, time_s, values, values, **MEASURED, label="motion")
     if one.traces is not None:
         time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.modelled
-        draw_thinned(axes, time_s, values, values, **modelled, label="model")
+        draw_thinned(axes, time_s, values, values, **MODELLED, label="model")
     axes.set_ylabel(f"{COMMAND_WORDS[one.model.axis]} [{COMMAND_UNITS[one.model.axis]}]")
     axes.margins(x=0.01)
     if one.traces is not None:
@@ -218,7 +211,7 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
         return
     axes.axhline(0.0, **REFERENCE)
     time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.residual
-    draw_thinned(axes, time_s, values, values, **_MOTION)
+    draw_thinned(axes, time_s, values, values, **MEASURED)
     if len(one.outliers_s):
         # An outlier is told at the pose after its step, traces at middles of one step or several.
         near = np.searchsorted(time_s, one.outliers_s)[:, None] + np.arange(-2, 2)
@@ -241,7 +234,6 @@ def _name_outliers(axes: Axes, time_s: Values, values: Values, unit: str) -> Non
 
 def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
     """Draw all large changes of the command over each other, and how robot and model follow."""
-    _, modelled = choose_lines(2)
     dead_s, lag_s = _read(one.model.dead_time_s), _read(one.model.lag_s)
     longest_s = 0.0 if one.model.dead_time_s is None else max(one.model.dead_time_s.high, 0.0)
     after_s = max(_LENGTHS * (dead_s + lag_s), _LEAST_AFTER_S)
@@ -262,7 +254,7 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
         if one.traces is not None:
             fine_s = np.linspace(change.begin_s, until_s, _FINE)
             _, rate = predict_axis(one.model, run, fine_s + run.start_ns / 1e9)
-            looks = {**modelled, "linewidth": 0.9, "zorder": 2.4}
+            looks = {**MODELLED, "linewidth": 0.9, "zorder": 2.4}
             _draw_followed(axes, change, fine_s, rate, until_s, **looks)
     axes.set(xlim=(-_BEFORE_S, after_s), ylim=(-0.35, 1.45))
     axes.set_title(tell_model(one.model, len(changes)), fontsize=7.0)

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from turtlelog.charts.looks import LOOP_DASHES
 from turtlelog.charts.many_runs import MANY
 from turtlelog.draw.figures.figure_curves import (
     Pole,
@@ -25,8 +26,8 @@ from turtlelog.draw.figures.figure_curves import (
 )
 from turtlelog.draw.figures.legend import name_some
 from turtlelog.draw.figures.page import (
-    DASHES,
     REFERENCE,
+    STROKES,
     choose_lines,
     label_runs,
 )
@@ -75,13 +76,17 @@ _LARGER: Final = 2.2
 
 _MOST_TOLD: Final = 6
 
+_PLANE_INCH: Final = 2.0
+"""Least width of a plane of poles with the words beside it: three stand in a row of a page."""
+_LINE_SHARE: Final = 0.5
+"""Height of the line of ideal poles, over that of a plane."""
+_ROOM_INCH: Final = 0.35
+"""For the words above and below a plane."""
+
 _MIRRORED: Final[Mapping[str, Any]] = MappingProxyType({"linewidth": 0.5, "linestyle": ":"})
 
 _MOST_SAMPLES: Final = 20_000
 """Of a step response: more than a page resolves."""
-
-_MOST_MARKED: Final = 120
-"""Samples that are marked one by one: of more the marks touch on a column."""
 
 _UNSTABLE_LENGTH: Final = 40.0
 """Over the dead time and a sample: as long as an unstable response is drawn."""
@@ -97,7 +102,7 @@ class _LoopCurve:
         layer: Number of the loop in its law: 0 lies on top.
         model: What theory knows of it.
         found: What it does.
-        color: Of its run.
+        run_looks: Colour and marker of its run.
     """
 
     run: str
@@ -105,18 +110,24 @@ class _LoopCurve:
     layer: int
     model: LoopModel
     found: PidLoop
-    color: Any
+    run_looks: Mapping[str, Any]
+
+    @property
+    def color(self) -> Any:
+        """Of its run."""
+        return self.run_looks["color"]
 
     @property
     def looks(self) -> dict[str, Any]:
-        """Colour of the run, dashes and width of the loop."""
+        """Colour and marker of the run, dashes and width of the loop."""
         width = (0.8 if self.is_many else 1.1) + _WIDER * self.layer
         order = 2.6 - 0.3 * self.layer
-        dashes = DASHES[self.layer % len(DASHES)]
-        if self.layer % len(DASHES):
+        dashes = STROKES[LOOP_DASHES[self.layer % len(LOOP_DASHES)]]
+        if self.layer % len(LOOP_DASHES):
             # matplotlib scales dashes by the width of the line: two must fit into a legend.
             dashes = (0, tuple(_DASH_POINTS / width * part for part in dashes[1]))
-        return {"color": self.color, "linestyle": dashes, "linewidth": width, "zorder": order}
+        own = {"linestyle": dashes, "linewidth": width, "zorder": order}
+        return {**self.run_looks, **own}
 
     @property
     def mark(self) -> dict[str, Any]:
@@ -202,7 +213,9 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
     axes.plot([], [], color="0.35", **_MIRRORED, label="frequencies below 0")
     _name_margins(axes)
     axes.set(xlabel="real part", ylabel="imaginary part", aspect="equal")
-    axes.set(xlim=(-_FAR, 0.6 * _FAR), ylim=(-0.8 * _FAR, 0.8 * _FAR))
+    crossings = [curve.found.margins.gain_margin for curve in curves if curve.found.margins]
+    left = min(-1.0, *(-1.0 / margin for margin in crossings if margin is not None), -1.0)
+    axes.set(xlim=(max(1.25 * left, -_FAR), 1.2), ylim=(-1.3, 1.3))
 
 
 def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
@@ -220,12 +233,26 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
         note = f"the first {_MOST_LOCI} of {len(draw)} loci, by dead time"
         figure.supxlabel(note, fontsize=7.0, color="0.4")
         draw = draw[:_MOST_LOCI]
-    columns = min(len(draw), 2)
-    grid = figure.subplots(-(-len(draw) // columns), columns, squeeze=False)
-    for axes in grid.flat[len(draw) :]:
-        axes.remove()
-    for axes, draw_panel in zip(grid.flat, draw, strict=False):
-        draw_panel(axes)
+    planes = draw[bool(ideal) :]
+    columns = min(len(planes), int(figure.get_figwidth() / _PLANE_INCH)) or 1
+    rows = -(-len(planes) // columns)
+    heights = [_LINE_SHARE] * bool(ideal) + [1.0] * rows
+    _set_height(figure, sum(heights), columns)
+    grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
+    if ideal:
+        draw[0](figure.add_subplot(grid[0, :]))
+    for number, draw_plane in enumerate(planes):
+        axes = figure.add_subplot(grid[number // columns + bool(ideal), number % columns])
+        draw_plane(axes)
+        if number % columns:
+            axes.set_ylabel("")
+
+
+def _set_height(figure: Figure, rows: float, columns: int) -> None:
+    """Give a figure room for planes that are as high as they are wide."""
+    width = float(figure.get_figwidth())
+    plane_inch = min(width / columns, 0.5 * width)
+    figure.set_size_inches(width, plane_inch * rows + _ROOM_INCH * (rows + 0.5))
 
 
 def find_ideal_gains(runs: Sequence[Run]) -> tuple[float, ...]:
@@ -240,7 +267,7 @@ def _list_ideal_poles(runs: Sequence[Run], names: Mapping[str, str]) -> list[Pol
         return list_paper_poles()
     styled = zip(runs, names.values(), choose_lines(len(runs)), strict=True)
     return [
-        Pole(values=np.array([-kp]), color=looks["color"], label=name)
+        Pole(values=np.array([-kp]), looks=looks, label=name)
         for run, name, looks in styled
         for kp in find_ideal_gains([run])
     ]
@@ -271,8 +298,7 @@ def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
         count = min(math.ceil(last_s / curve.found.period_s) + 2, _MOST_SAMPLES)
         values = _cut_where_far(compute_pid_step_response(gains, count, **settings))
         time_s = np.arange(count) * curve.found.period_s
-        marker: dict[str, Any] = {"marker": ".", "ms": 2.5} if count <= _MOST_MARKED else {}
-        axes.plot(time_s, values, label=label, **marker, **curve.looks)
+        axes.plot(time_s, values, label=label, **curve.looks)
         highest = max(highest, min(float(np.nanmax(values)), 1.0 + _FAR))
         lowest = min(lowest, max(float(np.nanmin(values)), 1.0 - _FAR))
     axes.set(xlim=(0.0, last_s), ylim=(lowest - 0.05, highest + 0.1))
@@ -291,7 +317,7 @@ def _style_loops(runs: Sequence[Run]) -> list[_LoopCurve]:
             layer=layers[model.loop.name],
             model=model,
             found=model.analyse(),
-            color=looks["color"],
+            run_looks=looks,
         )
         for name, models, looks in zip(
             _name_styled(runs), known, choose_lines(len(runs)), strict=True
@@ -374,7 +400,7 @@ def _every(step: float) -> Any:
 def _draw_ends(axes: Axes, frequencies: Sequence[float]) -> None:
     """Draw where the frequencies of sampled loops end."""
     for frequency in frequencies:
-        looks = {**REFERENCE, "linestyle": ":"}
+        looks = {**REFERENCE, "linestyle": STROKES["dotted"]}
         axes.axvline(frequency, **looks, label="π / T, the highest frequency", zorder=1.2)
 
 
@@ -440,13 +466,14 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
         at = poles[np.abs(np.abs(poles) - 1.0) < 1e-6]
         axes.plot(at.real, at.imag, "s", ms=4.0, mfc="none", color="black", label="limit of Kp")
     marked = [
-        Pole(values=curve.found.poles, color=curve.color, label=names[curve.run]) for curve in group
+        Pole(values=curve.found.poles, looks=curve.run_looks, label=names[curve.run])
+        for curve in group
     ]
     draw_poles(axes, marked)
     dead_time = f"{1e3 * first.found.dead_time_s:.4g} ms"
     axes.set_title(f"{SIGNAL_WORDS[first.model.loop.signal]}\ndead time {dead_time}")
     axes.set(xlabel="real part of z", ylabel="imaginary part of z", aspect="equal")
-    axes.set(xlim=(-1.35, 1.35), ylim=(-1.35, 1.35))
+    axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
 
 
 def _cut_where_far(values: NDArray[np.float64]) -> NDArray[np.float64]:

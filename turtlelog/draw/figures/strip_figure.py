@@ -19,7 +19,7 @@ from turtlelog.draw.figures.metric_panels import (
     measure_for_figure,
     set_value_scale,
 )
-from turtlelog.draw.figures.page import choose_lines
+from turtlelog.draw.figures.page import choose_colors
 from turtlelog.errors import ShowError
 from turtlelog.run import Parameter, Run
 
@@ -202,12 +202,11 @@ def _tell_sizes(groups: RunGroups) -> str:
 def _draw_strip(axes: Axes, groups: RunGroups, found: MetricValues, room_mm: float) -> None:
     set_value_scale(axes, found)
     is_boxed = any(np.isfinite(found.values[list(rows)]).sum() >= _BOX_FROM for rows in groups.rows)
-    for place, (rows, looks) in enumerate(
-        zip(groups.rows, choose_lines(len(groups.rows)), strict=True)
-    ):
+    colors = choose_colors(len(groups.rows))
+    for place, (rows, color) in enumerate(zip(groups.rows, colors, strict=True)):
         values = found.values[list(rows)]
         known = values[np.isfinite(values)]
-        _draw_group(axes, place, known, looks["color"], is_boxed=is_boxed)
+        _draw_group(axes, place, known, color, is_boxed=is_boxed)
         if len(known) < len(values):
             count = f"{len(values) - len(known)} without"
             text = axes.text(place, 0.99, count, fontsize=6.0, color=_NONE, ha="center", va="top")

@@ -18,7 +18,7 @@ from turtlelog.charts.map_values import (
 )
 from turtlelog.charts.palette import choose_run_colors
 from turtlelog.draw.figures.map_figure import LIMITS, mark_places, name_limit
-from turtlelog.draw.figures.page import choose_lines
+from turtlelog.draw.figures.page import choose_colors, to_rgb
 from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
 from turtlelog.sweep.swept_results import SweptAxis, SweptMetric, format_value
 from turtlelog.sweep.swept_views import SweptView, fill_cells
@@ -117,11 +117,11 @@ def draw_curves(
 def _color_series(series: SweptAxis | None, count: int) -> list[tuple[float, ...]]:
     """Return a colour for each line: of numbers from the ramp, in their order."""
     if series is None or not series.is_number or count == 1:
-        return [looks["color"] for looks in choose_lines(count)]
+        return choose_colors(count)
     # The ramp is that of more runs than have hues; its ends are the least and the greatest.
     ramp = choose_run_colors(_RAMP_COLORS)
     rows = np.linspace(0, _RAMP_COLORS - 1, count).round().astype(int)
-    return [tuple(part / 255.0 for part in ramp[row]) for row in rows]
+    return [to_rgb(ramp[row]) for row in rows]
 
 
 def _name_value(series: SweptAxis, place: int) -> str:
@@ -185,14 +185,14 @@ def _draw_sample(
     axes: Axes, view: SweptView, metric: SweptMetric, along: SweptAxis
 ) -> dict[str, Any]:
     """Draw a dot for each row: of those that were drawn no two share a value of another key."""
-    (looks,) = choose_lines(1)
+    (color,) = choose_colors(1)
     numbers = along.numbers[along.places[view.rows]]
     values = scale_values(metric, metric.values[view.rows])
     known = np.isfinite(values)
     size = 2.6 if len(values) <= _MOST_DOTS else 1.2
-    axes.plot(numbers[known], values[known], "o", color=looks["color"], markersize=size, mew=0.0)
+    axes.plot(numbers[known], values[known], "o", color=color, markersize=size, mew=0.0)
     _set_axes(axes, along, metric, values)
-    return {} if known.all() else _mark_valueless(axes, numbers[~known], looks["color"])
+    return {} if known.all() else _mark_valueless(axes, numbers[~known], color)
 
 
 def _draw_limits(

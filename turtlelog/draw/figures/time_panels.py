@@ -11,7 +11,7 @@ from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts.curves import Curve, find_disturbance
 from turtlelog.charts.far_origin import find_origin, label_coordinate, move_near
-from turtlelog.charts.looks import choose_curve_color
+from turtlelog.charts.looks import LIMIT_DASH, choose_curve_color, choose_dash
 from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import FEW, Color, choose_run_colors
 from turtlelog.charts.plotted_curves import (
@@ -35,32 +35,34 @@ from turtlelog.draw.figures.page import (
     IDEAL_ENDS,
     PUSHED,
     REFERENCE,
+    STROKES,
     choose_lines,
     label_runs,
     style_runs,
+    to_rgb,
 )
 from turtlelog.draw.figures.panels import finish
 from turtlelog.run import Run
 
 _LOOKS: Final[Mapping[CurveKind, Mapping[str, Any]]] = MappingProxyType(
     {
-        "beside": {"linewidth": 0.9, "linestyle": "-", "zorder": 1.9},
-        "measured": {"linewidth": 0.8, "linestyle": "-", "zorder": 1.9},
-        "applied": {"linewidth": 0.8, "linestyle": "-", "zorder": 2.1},
-        "shaped": {"linewidth": 0.9, "linestyle": (0, (3, 1.2, 1, 1.2)), "zorder": 1.9},
-        "ideal": {"linewidth": 0.7, "linestyle": (0, (1, 1.5)), "zorder": 1.8},
-        "aim": {"linewidth": 0.8, "linestyle": (0, (4, 1.2, 1, 1.2, 1, 1.2)), "zorder": 1.9},
+        "beside": {"linewidth": 0.9, "zorder": 1.9},
+        "measured": {"linewidth": 0.8, "zorder": 1.9},
+        "applied": {"linewidth": 0.8, "zorder": 2.1},
+        "shaped": {"linewidth": 0.9, "zorder": 1.9},
+        "ideal": {"linewidth": 0.7, "zorder": 1.8},
+        "aim": {"linewidth": 0.8, "zorder": 1.9},
         "sensed": {"marker": ".", "markersize": 2.4, "markeredgewidth": 0.0, "zorder": 1.7},
     }
 )
-"""Width, dash and order of each kind of curve; its colour is that of `charts.looks`."""
+"""Width and order of each kind of curve; its colour and its dash are those of `charts.looks`."""
 
 _LEVELS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
         "target": REFERENCE,
         "zero": {**REFERENCE, "label": None},
-        "limit": {**REFERENCE, "linestyle": (0, (5, 2))},
-        "tolerance": {**REFERENCE, "linestyle": (0, (5, 2))},
+        "limit": {**REFERENCE, "linestyle": STROKES[LIMIT_DASH]},
+        "tolerance": {**REFERENCE, "linestyle": STROKES[LIMIT_DASH]},
     }
 )
 
@@ -68,7 +70,7 @@ _GRID: Final = {"color": "0.8", "linewidth": 0.5}
 """Zero in a panel of commands or states."""
 
 _COMMANDED: Final[Mapping[str, Any]] = MappingProxyType(
-    {"linestyle": (0, (1, 1.5)), "linewidth": 0.8, "zorder": 1.8, "label": "commanded"}
+    {"linewidth": 0.5, "zorder": 1.8, "marker": "", "label": "commanded"}
 )
 """Commands beside measured rates of the same run, in its colour."""
 
@@ -111,7 +113,7 @@ def draw_time_plot(
     Beside it stands what the plot's signal aims at. Runs that never settle are dimmed where others
     do, and do not set the axes.
     """
-    plot = find_plot(name)
+    plot = find_plot(name, runs)
     scale = scale or plot.scale
     origin_m = 0.0
     if plot.pair == "position":
@@ -145,11 +147,10 @@ def draw_states(axes: Axes, runs: Sequence[Run], *, names: Sequence[str], label:
     """Draw states of a law: one of every run, or several of one run."""
     if len(names) == 1:
         draw_time_plot(axes, runs, name=names[0])
-        axes.set_ylabel(label)
         return
     draw_level(axes, [0.0], **_GRID)
     for name, looks in zip(names, choose_lines(len(names)), strict=True):
-        for found in list_plotted(runs[0], find_plot(name)):
+        for found in list_plotted(runs[0], find_plot(name, runs)):
             draw_curve(axes, found.curve, **looks, label=name)
     finish(axes, runs, label)
 
@@ -205,9 +206,12 @@ def _draw_curves(
 def _choose_looks(
     found: PlottedCurve, looks: Mapping[str, Any], color: Color, *, is_alone: bool
 ) -> dict[str, Any]:
-    """Return how a curve looks: in its colour, in dashes of its run or of its kind."""
-    hue = tuple(part / 255.0 for part in choose_curve_color(found.kind, color, is_alone=is_alone))
-    own = {**looks, "color": hue, **_LOOKS.get(found.kind, {})}
+    """Return how a curve looks: what a run did has its marker."""
+    hue = to_rgb(choose_curve_color(found.kind, color, is_alone=is_alone))
+    own = {**looks, "color": hue, "linestyle": STROKES[choose_dash(found.kind)]}
+    if found.kind not in ("run", "measured"):
+        own["marker"] = ""
+    own |= _LOOKS.get(found.kind, {})
     if found.kind in ("ideal", "aim") or (is_alone and found.entry.name):
         own["label"] = found.label
     if found.kind in POINTS:
@@ -279,7 +283,7 @@ def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
                 continue
             hue = choose_curve_color("outlier", color, is_alone=len(runs) == 1)
             at_s, edge = found.curve.time_s, axes.get_xaxis_transform()
-            looks = {**_OUTLIER, "color": tuple(part / 255.0 for part in hue)}
+            looks = {**_OUTLIER, "color": to_rgb(hue)}
             axes.plot(at_s, np.zeros(len(at_s)), transform=edge, **looks)
             lines.append(found.label if len(runs) == 1 else f"{name}: {found.label}")
     if lines:

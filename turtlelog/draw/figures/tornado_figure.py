@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from turtlelog.charts.map_values import label_metric, scale_values
-from turtlelog.draw.figures.page import REFERENCE, choose_lines
+from turtlelog.draw.figures.page import REFERENCE, choose_colors
 from turtlelog.sweep.sensitivities import Sensitivities, Sensitivity
 
 _MOST_KEYS: Final = 12
@@ -51,13 +51,13 @@ def _name(one: Sensitivity) -> str:
 
 
 def _draw_ranges(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) -> None:
-    (looks,) = choose_lines(1)
+    (color,) = choose_colors(1)
     ends = [] if found.center is None else [_scale(found, found.center)]
     for number, one in enumerate(keys):
         if one.least is None or one.most is None:
             continue
         low, high = _scale(found, one.least), _scale(found, one.most)
-        axes.barh(number, high - low, _HEIGHT, left=low, color=looks["color"], alpha=0.8)
+        axes.barh(number, high - low, _HEIGHT, left=low, color=color, alpha=0.8)
         if one.left_out:
             # What has no value, such as a loop that never settles, may be the largest effect.
             told = f" {one.left_out} of {len(one.axis)} values: no value"
@@ -78,12 +78,12 @@ def _scale(found: Sensitivities, value: float) -> float:
 
 
 def _draw_correlations(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) -> None:
-    positive, negative = choose_lines(2)
+    positive, negative = choose_colors(2)
     if found.chance is not None:
         axes.axvspan(-found.chance, found.chance, color="0.92", linewidth=0.0, zorder=0.5)
     for number, one in enumerate(keys):
         value = one.correlation or 0.0
-        color = (positive if value >= 0.0 else negative)["color"]
+        color = positive if value >= 0.0 else negative
         axes.barh(number, value, _HEIGHT, color=color, zorder=2.0)
         ha = "left" if value >= 0.0 else "right"
         axes.text(value, number, f" {value:.2f} ", fontsize=6.2, ha=ha, va="center", color="0.25")

@@ -52,10 +52,10 @@ def draw_ways_to_reference(axes: Axes, runs: Sequence[Run]) -> None:
     axes.plot(*lines.T, **_WAY, label=f"to the reference, every {step_s:g} s")
 
 
-def draw_worst_place(axes: Axes, worst: WorstPlace, looks: Mapping[str, Any]) -> None:
+def draw_worst_place(axes: Axes, worst: WorstPlace, color: Any) -> None:
     """Draw how far from the path the run is that is furthest off, in its colour."""
     ends = np.array([worst.path_xy_m, worst.xy_m])
-    axes.plot(*ends.T, color=looks["color"], linewidth=0.8, marker=".", markersize=4.0, zorder=3)
+    axes.plot(*ends.T, color=color, linewidth=0.8, marker=".", markersize=4.0, zorder=3)
 
 
 def _choose_step(duration_s: float) -> float:

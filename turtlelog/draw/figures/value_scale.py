@@ -10,6 +10,7 @@ from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize
 
 from turtlelog.charts.map_values import Values, find_value_range
 from turtlelog.charts.palette import choose_shades
+from turtlelog.draw.figures.page import to_rgb
 from turtlelog.sweep.swept_results import SweptMetric
 
 _SHADES: Final = 256
@@ -37,7 +38,7 @@ class ColorScale:
 
 def build_scale(values: Values) -> ColorScale:
     """Return the scale of values, of which those that are NaN are left out."""
-    ramp = [tuple(part / 255.0 for part in color) for color in choose_shades(_SHADES)]
+    ramp = [*map(to_rgb, choose_shades(_SHADES))]
     found = find_value_range(values)
     return ColorScale(
         norm=(LogNorm if found.is_logarithmic else Normalize)(found.low, found.high),

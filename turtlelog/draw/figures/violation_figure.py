@@ -10,11 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from turtlelog.charts.looks import LIMIT_DASH
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number
 from turtlelog.draw.figures.direct_labels import WordSpace, place_words
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.draw.figures.page import choose_lines, label_runs
+from turtlelog.draw.figures.page import STROKES, choose_lines, label_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
@@ -41,7 +42,7 @@ _BAND: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.5", "alpha": 0.14, "linewidth": 0.0, "zorder": 0.6, "label": "asked for"}
 )
 _LIMIT: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.4", "linewidth": 0.9, "linestyle": (0, (5, 2)), "zorder": 1.6}
+    {"color": "0.4", "linewidth": 0.9, "linestyle": STROKES[LIMIT_DASH], "zorder": 1.6}
 )
 _REFERENCE: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.5", "linewidth": 0.7, "zorder": 1.5, "label": "reference"}

@@ -34,7 +34,7 @@ from turtlelog.charts.plotted_curves import (
 )
 from turtlelog.charts.ranges import find_range
 from turtlelog.charts.robot_curves import part_path
-from turtlelog.charts.time_plots import find_plot, list_controlled
+from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
 from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.figures.page import LOOKS, choose_lines, use_looks
 from turtlelog.draw.movie.encoding import Picture
@@ -235,14 +235,14 @@ def _choose_plots(runs: Sequence[Run]) -> list[str]:
     """Return what two plots show: what loops control, in declared order."""
     controlled = [plot for run in runs for plot in list_controlled(run)]
     found = dict.fromkeys([*controlled, *_USUAL])
-    return [name for name in found if any(has_own(run, find_plot(name)) for run in runs)][:2]
+    return [name for name in found if any(has_own(run, TIME_PLOTS[name]) for run in runs)][:2]
 
 
 def _set_curve(
     stage: _Stage, axes: Axes, runs: Sequence[Run], looks: Sequence[Look], name: str
 ) -> None:
     """Draw a plot over time: what each run did grows, what was asked for stands."""
-    plot = find_plot(name)
+    plot = TIME_PLOTS[name]
     for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
         for found in list_plotted(run, plot, COMPARED):
             time_s, values = _thin(found.curve, zero_ns)

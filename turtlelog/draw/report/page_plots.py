@@ -10,7 +10,7 @@ import numpy as np
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.curves import Values
-from turtlelog.charts.looks import choose_curve_color
+from turtlelog.charts.looks import SUPPOSED_DASH, Dash, choose_curve_color, choose_dash
 from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.plotted_curves import (
     COMPARED,
@@ -66,17 +66,14 @@ _GHOST: Final[frozenset[CurveKind]] = frozenset({"run"})
 _DIMMED: Final = 0.3
 """Opacity of a run that never settles, below those that do."""
 
-_STYLES: Final[Mapping[CurveKind, tuple[str, float]]] = MappingProxyType(
-    {
-        "ideal": ("dotted", 1.2),
-        "aim": ("dashed", 1.2),
-        "applied": ("solid", 1.2),
-        "measured": ("solid", 1.2),
-        "beside": ("solid", 1.2),
-        "shaped": ("dotdash", 1.2),
-    }
+_WIDTH: Final = 1.8
+_THIN: Final = 1.2
+"""Of all but what the run did."""
+
+_STROKES: Final[Mapping[Dash, str]] = MappingProxyType(
+    {"solid": "solid", "dashed": "dashed", "dotted": "dotted", "dash-dot": "dotdash"}
 )
-"""Dash and width of each kind of curve; what the run did is solid and broader."""
+"""Dashes as Bokeh has them."""
 
 _RARE: Final = 1e-3
 """Share of rows that may be left out of view at either end: faults of a sensor are single ones."""
@@ -172,7 +169,8 @@ def _is_due(runs: Sequence[Run], plot: TimePlot) -> bool:
 
 def _moves(runs: Sequence[Run], state: str) -> bool:
     """Whether a state of a law is ever anything but 0."""
-    return any(curve.values.any() for run in runs for curve in list_own(run, find_plot(state)))
+    plot = find_plot(state, runs)
+    return any(curve.values.any() for run in runs for curve in list_own(run, plot))
 
 
 def _draw_plot(
@@ -183,8 +181,8 @@ def _draw_plot(
     marked: tuple[Sequence[Sequence[Characteristic]], Sequence[Violation]],
 ) -> None:
     models = load_library("bokeh.models")
-    plot = find_plot(name)
-    label = plot.label if name in TIME_PLOTS else f"state {name}"
+    plot = find_plot(name, [one.run for one in drawn])
+    label = plot.label if name in TIME_PLOTS else f"state {plot.label}"
     without = describe_restless([one.run for one in drawn if not one.is_ghost])
     if without and leaves_out(len(drawn), plot):
         label += f", without {without}"
@@ -274,7 +272,6 @@ def _list_curves(
         one, curve = drawn[number], found.curve
         is_main = found.kind in ("run", "measured")
         time_s, values = thin(plots, [curve.time_s, curve.values], curve.values)
-        dash, width = _STYLES.get(found.kind, ("solid", 1.8))
         color = choose_curve_color(found.kind, one.color, is_alone=is_alone)
         told = found.label if is_alone else f"{one.name}: {found.label}"
         row = {
@@ -282,8 +279,8 @@ def _list_curves(
             "ys": values,
             "color": to_hex(color),
             "name": one.name if is_main and not is_alone else told,
-            "dash": "dashed" if one.is_ghost else dash,
-            "width": 1.2 if one.is_ghost else width,
+            "dash": _STROKES[SUPPOSED_DASH if one.is_ghost else choose_dash(found.kind)],
+            "width": _THIN if one.is_ghost or found.kind != "run" else _WIDTH,
             "alpha": _DIMMED if number in restless else 1.0,
         }
         for key, value in row.items():

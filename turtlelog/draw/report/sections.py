@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Final
 
-from turtlelog.charts.attribution_steps import list_attribution_steps
+from turtlelog.charts.attribution_steps import draw_up_attribution
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.compare import Table, format_cell
 from turtlelog.compare.run_names import list_differing
@@ -78,26 +78,25 @@ def write_table(table: Table) -> str:
 
 def write_attribution(name: str, found: Attribution) -> str:
     """Return the steps from the logged value to what is left, and what they rest on."""
-    steps = list_attribution_steps(found)
+    waterfall = draw_up_attribution(found)
     sentences = "".join(f"<li>{show(text)}</li>" for text in write_sentences(found))
     bars = ""
-    if steps:
-        values = [value for step in steps for value in (step.start, step.end)]
-        low, high = min(0.0, *values), max(0.0, *values)
+    if waterfall.steps:
+        low, high = waterfall.span
         span = (high - low) or 1.0
         parts = []
-        for step in steps:
+        for step in waterfall.steps:
             first, last = sorted((step.start, step.end))
             left = 100.0 * (first - low) / span
             width = max(100.0 * (last - first) / span, _LEAST_PERCENT)
             style = f"left:{left:.3f}%;width:{width:.3f}%;background:{to_hex(step.color)}"
-            sign = "without " if step.cause else ""
             parts.append(
-                f'<div class="step"><span class="what">{sign}{show(step.name)}</span>'
+                f'<div class="step"><span class="what">{show(step.name)}</span>'
                 f'<span class="bar"><i style="{style}"></i></span>'
                 f'<span class="size">{show(step.text)}</span></div>'
             )
-        bars = f'<div class="steps">{"".join(parts)}</div>'
+        notes = "".join(f'<p class="note">{show(note)}</p>' for note in waterfall.notes)
+        bars = f'<div class="steps">{"".join(parts)}</div>{notes}'
     head = f"<h2>What caused {show(found.metric)} of {show(name)}</h2>"
     return f'<section id="cause">{head}{bars}<ul>{sentences}</ul></section>'
 

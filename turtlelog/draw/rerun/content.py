@@ -10,7 +10,7 @@ from turtlelog.charts.close_up import CloseUp, find_close_up
 from turtlelog.charts.curves import find_end_of_turn
 from turtlelog.charts.phase_timelines import TIMELINE, WALL_TIMELINE, name_phase_timeline
 from turtlelog.charts.ranges import find_range
-from turtlelog.charts.state_groups import StateGroup, are_comparable, group_states
+from turtlelog.charts.state_groups import StateGroup, group_states
 from turtlelog.charts.time_plots import list_controlled
 from turtlelog.charts.tracked_path import WorstPlace, find_worst_place
 from turtlelog.display import describe_count
@@ -249,9 +249,10 @@ def _find_idle(series: Sequence[Sequence[Series]]) -> frozenset[str]:
 
 def _are_overlaid(group: StateGroup, series: Sequence[Sequence[Series]]) -> bool:
     """Whether the states of a group share a plot: those of one run, if none would look like 0."""
-    plots = {f"{entities.STATE}/{name}" for name in group.names}
-    found = [curves.values[:, 0] for run in series for curves in run if curves.plot in plots]
-    return len(series) == 1 and len(group.names) > 1 and are_comparable(found)
+    plots = {f"{entities.STATE}/{name}": name for name in group.names}
+    found = [curves for run in series for curves in run if curves.plot in plots]
+    names, columns = [plots[one.plot] for one in found], [one.values[:, 0] for one in found]
+    return len(series) == 1 and len(group.names) > 1 and group.can_share(names, columns)
 
 
 def find_ranges(

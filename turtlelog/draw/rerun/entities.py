@@ -7,7 +7,7 @@ from typing import Final
 from rerun import escape_entity_path_part
 
 from turtlelog.charts.plotted_curves import TimePlot
-from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
+from turtlelog.charts.time_plots import TIME_PLOTS
 
 APPLICATION_ID: Final = "turtlelog"
 TICKS: Final = "tick"
@@ -89,7 +89,7 @@ VIOLATED: Final = "violated"
 
 def name_plot(name: str) -> str:
     """Return the entity of a plot over time: of a pair its own, with the unit of angles."""
-    plot = find_plot(name)
+    plot = TIME_PLOTS[name]
     return plot.pair or (f"{name}_deg" if plot.unit == "deg" else name)
 
 
@@ -123,7 +123,7 @@ def title_plot(entity: str) -> str:
     for name, plots in GROUPS.items():
         if entity == name_logarithm(name):
             return f"log₁₀ {plots[0].label}"
-    return _TITLES.get(entity) or f"State {entity.partition('/')[2]}"
+    return _TITLES[entity]
 
 
 _TITLES: Final[Mapping[str, str]] = MappingProxyType(

@@ -11,7 +11,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import (
     choose_acting_contributions,
     choose_step_scale,
-    list_attribution_steps,
+    draw_up_attribution,
 )
 from turtlelog.charts.close_up import Lettering, name_ends
 from turtlelog.charts.luck import build_luck_picture
@@ -131,9 +131,9 @@ def write_explanation_rrd(
         if found.withheld:
             draw_reason(stream, write_sentences(found))
         else:
-            steps, scale = list_attribution_steps(found), choose_step_scale(found)
+            waterfall = draw_up_attribution(found)
             ghosts = dict(zip(what_ifs, metrics[1:], strict=False))
-            draw_waterfall(stream, steps, scale, _explain_bars(found, ghosts))
+            draw_waterfall(stream, waterfall, _tell_ghosts(found, ghosts))
         if picture is not None:
             draw_luck_picture(stream, picture)
             draw_luck_ends(stream, picture, content.goal)
@@ -305,14 +305,12 @@ def _name_steps(found: Attribution) -> str:
     if value is None:
         return f"Why {found.metric} has no value"
     if found.withheld:
-        return f"Why there are no shares of {found.metric}"
+        return f"Why there are no contributions to {found.metric}"
     return f"Why {found.metric} is {choose_step_scale(found).format_value(value)}"
 
 
-def _explain_bars(
-    found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]]
-) -> tuple[str, ...]:
-    """Return why a bar is not what a ghost lacks, where several causes act together.
+def _tell_ghosts(found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]]) -> tuple[str, ...]:
+    """Return the values of ghosts, which no bar shows where several causes act together.
 
     Args:
         found: The attribution.
@@ -321,7 +319,7 @@ def _explain_bars(
     acting = [share.cause for share in choose_acting_contributions(found)]
     if len(acting) < 2:
         return ()
-    lines, scale = ["Bars: averages over the orders of removal"], choose_step_scale(found)
+    scale = choose_step_scale(found)
     ends = {name: ghosts[name][found.metric].value for name in acting if name in ghosts}
     told = [
         f"{scale.format_value(value)} without {name}"
@@ -330,7 +328,7 @@ def _explain_bars(
     ]
     if len(told) > _MOST_TOLD:
         told = ["each thin one is without one cause"]
-    return (*lines, f"Ghosts: {', '.join(told)}") if told else tuple(lines)
+    return (f"Ghosts: {', '.join(told)}",) if told else ()
 
 
 def _describe_contributions(found: Attribution) -> str:

@@ -307,7 +307,8 @@ def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Containe
     plots = content.list_states(group)
     if group not in content.overlaid or not plots:
         has_tabs = group.command is not None and len(plots) > 1
-        names = [plot.partition("/")[2] if has_tabs else "" for plot in plots]
+        states = [group.label_state(plot.partition("/")[2]) for plot in plots]
+        names = [state if has_tabs else f"State {state}" for state in states]
         pairs = zip(plots, names, strict=True)
         views = [view_plot(content, plot, None, name) for plot, name in pairs]
         return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else next(iter(views), None)
@@ -317,7 +318,7 @@ def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Containe
     return rrb.TimeSeriesView(
         origin="/",
         contents=[path for plot in plots for path in content.list_curves(plot)],
-        name=group.title,
+        name=group.label,
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=None if axis is None else rrb.ScalarAxis(range=axis),
         plot_legend=rrb.PlotLegend(rrb.Corner2D[corner]),

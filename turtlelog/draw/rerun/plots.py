@@ -275,7 +275,7 @@ def _find_width(found: PlottedCurve, plot: TimePlot) -> float:
 
 def _list_state(run: Run, name: str) -> Iterator[Series]:
     hues = dict(hue for group in group_states(run.declaration) for hue in _color_states(group))
-    for series in _list_group(run, f"{entities.STATE}/{name}", [find_plot(name)]):
+    for series in _list_group(run, f"{entities.STATE}/{name}", [find_plot(name, [run])]):
         yield replace(series, colors=(hues[name],))
 
 

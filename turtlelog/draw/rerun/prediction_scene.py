@@ -78,7 +78,7 @@ def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
     # The recorded path lies below, and shows on both sides.
     for name, strips, color, pixels in (
         ("recorded", [_flip(found.recorded.xy_m)], palette.MEASURED, 2.0 * _PATH_PIXELS),
-        ("simulated", pieces, palette.MAIN, _PATH_PIXELS),
+        ("simulated", pieces, palette.MODEL, _PATH_PIXELS),
     ):
         strip = rr.LineStrips2D(
             strips,
@@ -91,7 +91,7 @@ def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
         stream.log(f"{_PLANE}/{name}", strip, static=True)
     starts = rr.Points2D(
         [piece[0] for piece in pieces],
-        colors=palette.pack_colors([palette.MAIN]),
+        colors=palette.pack_colors([palette.MODEL]),
         radii=rr.Radius.ui_points(4.0 * _PATH_PIXELS),
     )
     stream.log(f"{_PLANE}/begins", starts, static=True)

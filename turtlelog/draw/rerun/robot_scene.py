@@ -23,7 +23,7 @@ _RESIDUAL: Final = "residual"
 _CURVES: Final[tuple[tuple[str, Color, float], ...]] = (
     ("commanded", palette.REFERENCE, 1.5),
     ("measured", palette.MEASURED, 1.0),
-    ("modelled", palette.MAIN, 2.5),
+    ("modelled", palette.MODEL, 2.5),
     (_RESIDUAL, palette.ERROR, 1.0),
 )
 """Of each axis, in the order of drawing, with widths [points]: noise must not hide the model."""

@@ -9,7 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from turtlelog.charts import palette
-from turtlelog.charts.attribution_steps import AttributionStep, StepScale
+from turtlelog.charts.attribution_steps import AttributionStep, StepScale, Waterfall
 from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
@@ -43,21 +43,18 @@ LETTERS: Final = 100
 
 
 def draw_waterfall(
-    stream: rr.RecordingStream,
-    steps: Sequence[AttributionStep],
-    scale: StepScale,
-    notes: Sequence[str] = (),
+    stream: rr.RecordingStream, waterfall: Waterfall, more: Sequence[str] = ()
 ) -> None:
-    """Draw the steps from top to bottom, each bar where the one above it ends, over an axis.
+    """Draw the bars from top to bottom over an axis.
 
     Args:
         stream: The recording.
-        steps: The bars.
-        scale: The unit of the axis.
-        notes: Lines below the axis.
+        waterfall: What it consists of.
+        more: Lines below its notes.
     """
+    steps, scale, notes = waterfall.steps, waterfall.scale, (*waterfall.notes, *more)
     names_end = max(measure_words(step.name) for step in steps)
-    low, width = min(0.0, *_list_ends(steps)), _find_scale(steps, names_end)
+    (low, high), width = waterfall.span, _find_scale(waterfall, names_end)
 
     def place(value: float) -> float:
         return names_end + _GAP + (value - low) * width
@@ -73,11 +70,10 @@ def draw_waterfall(
         _draw_bar(stream, number, (left, y - half), (right, y + half), step.color)
         words.append((names_end - measure_words(step.name) / 2.0, y, step.name, palette.GOAL))
         words.append((_place_words(step, names_end, right), y, step.text, palette.GOAL))
-        if number + 1 < len(steps):
-            x = place(step.end)
-            joints.append([(x, y + half), (x, float(middles[number + 1]) - half)])
-    ticks = choose_ticks(_list_ends(steps), scale)
-    joints.append([(place(min(low, *ticks)), axis_y), (place(max(_list_ends(steps))), axis_y)])
+    for x, above, below in zip(map(place, waterfall.joints), middles, middles[1:], strict=False):
+        joints.append([(x, float(above) + half), (x, float(below) - half)])
+    ticks = choose_ticks([low, high], scale)
+    joints.append([(place(min(low, *ticks)), axis_y), (place(high), axis_y)])
     joints += [[(place(tick), axis_y), (place(tick), axis_y + _TICK)] for tick in ticks]
     for tick in ticks:
         words.append((place(tick), axis_y + 0.5 * pitch, write_tick(tick, scale), palette.START))
@@ -149,20 +145,16 @@ def _place_words(step: AttributionStep, names_end: float, bar_end: float) -> flo
     return max(bar_end + _GAP + half, min(clear, WIDTH - half))
 
 
-def _list_ends(steps: Sequence[AttributionStep]) -> list[float]:
-    return [value for step in steps for value in (step.start, step.end)]
-
-
-def _find_scale(steps: Sequence[AttributionStep], names_end: float) -> float:
+def _find_scale(waterfall: Waterfall, names_end: float) -> float:
     """Return the width of a unit, so that the words behind each bar have room."""
-    low = min(0.0, *_list_ends(steps))
-    span = max(_list_ends(steps)) - low
+    low, high = waterfall.span
+    span = high - low
     if not span > 0.0:
         return 1.0
     room = WIDTH - names_end - 2.0 * _GAP
     scales = [
         (room - measure_words(step.text)) / (max(step.start, step.end) - low)
-        for step in steps
+        for step in waterfall.steps
         if max(step.start, step.end) > low
     ]
     return max(min([room / span, *scales]), _LEAST_SCALE / span)
