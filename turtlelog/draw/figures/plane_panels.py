@@ -162,7 +162,13 @@ def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
         outline = np.append(group.outline_xy_m, group.outline_xy_m[:1], axis=0)
         label = "90 % of the ends of a gain"
         axes.plot(*outline.T, color=color, linewidth=0.8, label=label, zorder=2.96)
-        look = {"color": color, "mec": "white", "mew": 0.7, "ms": 5.5, "label": "median end"}
+        look: dict[str, Any] = {
+            "color": color,
+            "mec": "white",
+            "mew": 0.7,
+            "ms": 5.5,
+            "label": "median end",
+        }
         axes.plot(*group.median_xy_m, "D", **look, zorder=2.97)
 
 
