@@ -28,6 +28,7 @@ from turtlelog.explain.explained_difference import (
 from turtlelog.explain.game import SEEDS, Play, Work, iterate_outcomes
 from turtlelog.explain.hypothesis import LONGEST_S, check_recorded_scenario, require_trust
 from turtlelog.explain.identify import identify_run
+from turtlelog.explain.robot_difference import explain_robots, is_robot_log
 from turtlelog.explain.run_changes import ChangeGame, find_changes, set_values
 from turtlelog.explain.sampled_orders import ORDERS, sample_game
 from turtlelog.explain.starts import (
@@ -117,6 +118,9 @@ def explain_difference(
     depth = depth or Depth()
     metric = metric or choose_common_metric(first, second)
     require_common_metric(first, second, metric)
+    unit = list_metrics(second.declaration)[metric].unit
+    if is_robot_log(first) or is_robot_log(second):
+        return explain_robots(first, second, metric, unit, work)
     for run in (first, second):
         require_trust(run, trust_law=trust_law)
     found = [_stand_for(run, metric, trust_law=trust_law, depth=depth) for run in (first, second)]
@@ -124,7 +128,6 @@ def explain_difference(
     if first.name == second.name:
         sides = [replace(s, name=n) for s, n in zip(sides, _NAMES, strict=True)]
     scenarios = [scenario for _, scenario in found]
-    unit = list_metrics(second.declaration)[metric].unit
     answer = ExplainedDifference(
         metric=metric,
         unit=unit,
@@ -135,6 +138,10 @@ def explain_difference(
     one, other = scenarios
     if one is None or other is None:
         is_same = _hold_same_settings(first, second)
+        if not (is_same or first.declaration.loops or second.declaration.loops):
+            robots = explain_robots(first, second, metric, unit, work)
+            if robots.contributions:
+                return robots
         return replace(
             answer,
             withheld=_describe_unknown(sides),
