@@ -7,6 +7,7 @@ commit of its own, which says what changed and why.
 
 import hashlib
 import math
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -38,6 +39,9 @@ PARTS: Final = ("poses", "samples", "commands", "events", "metrics")
 
 _OWN_LAWS: Final = ("examples/laws/p.py:P", "examples/laws/pid.py:Pid")
 _ENDS: Final = ("ticks", "samples", "commands", "x_m", "y_m", "heading_rad")
+
+_UNITS: Final = re.compile(r"state_units=mappingproxy\(\{[^}]*\}\), ")
+"""The units of states, which say how they are shown: no run is another one for them."""
 
 Simulate = Callable[[Scenario, Plant], Run]
 
@@ -87,6 +91,7 @@ def digest_run(number: int, simulate: Simulate = simulate_run) -> tuple[list[int
         return [_digest(type(err).__name__)] * len(PARTS), [math.nan] * len(_ENDS)
     values = list_values(run)
     values["parameters"] = sorted(values["parameters"].items())  # their order says nothing
+    values["declaration"] = _Written(_UNITS.sub("", repr(values["declaration"])))
     columns: dict[str, dict[str, Any]] = {name: {} for name in PARTS}
     for key, value in values.items():
         part = key.partition(".")[0]
@@ -96,6 +101,13 @@ def digest_run(number: int, simulate: Simulate = simulate_run) -> tuple[list[int
     end = len(run.poses), len(run.samples), len(run.commands)
     pose = *run.poses.xy_m[-1], run.poses.heading_rad[-1]
     return [_digest(columns[name]) for name in PARTS], [*map(float, (*end, *pose))]
+
+
+class _Written(str):
+    """A text that stands without quotation marks where it is written."""
+
+    __slots__ = ()
+    __repr__ = str.__str__
 
 
 def _digest(values: object) -> int:
