@@ -26,7 +26,7 @@ def list_words(axes: Axes) -> list[str]:
 
 
 def list_dots(axes: Axes) -> list[tuple[float, float]]:
-    lines = [line for line in axes.get_lines() if line.get_marker() == "o"]
+    lines = [line for line in axes.get_lines() if line.get_marker() in {"o", "s", "x"}]
     return [tuple(np.asarray(line.get_xydata())[0].tolist()) for line in lines]
 
 
@@ -36,7 +36,7 @@ def test_a_heading_has_its_characteristics_with_their_values() -> None:
         "dead time 64 ms",
         "rise 1.79 s",
         "settled 2.21 s",
-        "peak 129.8 deg\novershoot 1.01 %",
+        "peak 129.8 deg\novershoot 1 %",
         "pause 0.528 s",
     ]
 
