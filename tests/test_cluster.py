@@ -167,7 +167,7 @@ def test_an_address_that_is_none_is_one_line_without_its_password(
     assert "PW" not in err
 
 
-@pytest.mark.everyday("SIGKILL")
+@pytest.mark.thorough
 @pytest.mark.parametrize("end", ["SIGTERM", "SIGKILL"])
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows ends processes in other ways")
 def test_a_scheduler_that_ends_is_one_line_and_the_sweep_goes_on(end: str, tmp_path: Path) -> None:

@@ -123,10 +123,10 @@ def test_public_value_is_one_line_that_says_what_it_is(name: str) -> None:
         ("law", ["770 compared, no difference."]),
         ("metrics", ["<td", "final.position_error", "0.10673", "the goal asks for no heading"]),
         ("summary", ["rotate.overshoot", "1.0076"]),
-        ("table", ["<th", "Kp [1/s]", "paper-kp10"]),
+        ("table", ['<th style="text-align:right">Kp [1/s]</th>', 'left">run</th>', "paper-kp10"]),
         ("comparison", ["largest difference", "cross_track"]),
         ("identification", ["loop.start_backlog", "reproduces all 770 samples"]),
-        ("attribution", ["queue", "0.051", "queue +0.05108 m"]),
+        ("attribution", ["<strong>final.position_error is 0.1067 m: queue +0.05108 m, pause"]),
     ],
 )
 def test_value_is_a_table_in_a_notebook(name: str, texts: list[str]) -> None:

@@ -32,7 +32,7 @@ def run_main(code: str, *words: str, folder: Path) -> subprocess.CompletedProces
     )
 
 
-@pytest.mark.everyday("check", "run", "metrics", "replay", "convert", "info", "theory", "compare")
+@pytest.mark.everyday("check", "run")
 @pytest.mark.parametrize(
     "words",
     [
@@ -65,6 +65,7 @@ def test_slim_installation_gives_the_same_output(words: tuple[str, ...], tmp_pat
     assert outputs[1][0] == 0, outputs[1]
 
 
+@pytest.mark.everyday("plot-matplotlib")
 @pytest.mark.parametrize(
     ("words", "package"),
     [
@@ -84,6 +85,7 @@ def test_command_that_needs_more_says_what_in_one_line(
     assert done.stderr.endswith(f"and not installed; `pip install {package}`\n")
 
 
+@pytest.mark.everyday("sweep-pyarrow", "run-rerun-sdk")
 @pytest.mark.parametrize(
     ("words", "package"),
     [

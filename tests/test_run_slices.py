@@ -9,6 +9,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.errors import RunError
+from turtlelog.run.path_picture import format_path_svg
 
 RUN = tl.read_recording("recordings/paper/kp10.mcap")
 
@@ -139,6 +140,13 @@ def test_run_has_a_picture_of_its_path_in_a_notebook() -> None:
     assert across / way_m[0] == pytest.approx(-down / way_m[1], rel=1e-3)
     assert points.min() >= 0.0
     assert points.max() <= 220.0
+
+
+@pytest.mark.parametrize(("way_m", "is_drawn"), [(0.0203, False), (0.0205, True), (0.0, False)])
+def test_a_way_that_the_marks_would_cover_has_no_picture(way_m: float, *, is_drawn: bool) -> None:
+    path_m = np.array([[1.0, 2.0], [1.0 + way_m, 2.0]])
+    assert bool(format_path_svg(path_m, None)) == is_drawn
+    assert format_path_svg(path_m, (5.0, 2.0))
 
 
 @pytest.mark.parametrize(

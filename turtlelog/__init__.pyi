@@ -27,7 +27,6 @@ from . import (
     tune as tune,
 )
 from .check import (
-    CheckResult as CheckResult,
     PartialLogError as PartialLogError,
     Recording as Recording,
     Spec as Spec,
@@ -47,6 +46,7 @@ from .draw import (
     draw_figure as draw_figure,
     draw_map as draw_map,
     open_viewer as open_viewer,
+    show_run as show_run,
     write_comparison_rrd as write_comparison_rrd,
     write_figures as write_figures,
     write_run_rrd as write_run_rrd,

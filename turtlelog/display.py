@@ -87,19 +87,21 @@ def _round(first: float, second: float, digits: int) -> tuple[str, str]:
 def format_html(
     rows: Iterable[Sequence[object]], *, heads: Sequence[str] = (), title: str = ""
 ) -> str:
-    """Return a table as HTML, every text escaped; numbers stand on the right.
+    """Return a table as HTML, every text escaped; numbers stand on the right, with their title.
 
     Args:
         rows: Cells; None is an empty one.
         heads: Titles of the columns, none where empty.
         title: Caption, none where empty.
     """
+    rows = [*rows]
     lines = ['<table class="turtlelog">']
     if title:
         lines.append(f'<caption style="text-align:left">{_escape(title)}</caption>')
     if heads:
-        cells = "".join(f"<th>{_escape(head)}</th>" for head in heads)
-        lines.append(f"<thead><tr>{cells}</tr></thead>")
+        columns = zip(*rows, strict=True) if rows else [()] * len(heads)
+        titles = "".join(map(_format_head, heads, columns))
+        lines.append(f"<thead><tr>{titles}</tr></thead>")
     lines.append("<tbody>")
     lines += [f"<tr>{''.join(map(_format_cell, row))}</tr>" for row in rows]
     return "\n".join([*lines, "</tbody>", "</table>"])
@@ -156,8 +158,17 @@ _CURVE_COLOUR: Final = "#0082cc"
 """Told apart from white and from the black of dark notebooks."""
 
 
+def _format_head(head: str, cells: Sequence[object]) -> str:
+    side = "right" if any(map(_is_number, cells)) else "left"
+    return f'<th style="text-align:{side}">{_escape(head)}</th>'
+
+
+def _is_number(cell: object) -> bool:
+    return isinstance(cell, int | float) and not isinstance(cell, bool)
+
+
 def _format_cell(cell: object) -> str:
-    if isinstance(cell, int | float) and not isinstance(cell, bool):
+    if isinstance(cell, int | float) and _is_number(cell):
         text = format_number(cell) if isinstance(cell, float) else str(cell)
         return f'<td style="text-align:right">{text}</td>'
     return f'<td style="text-align:left">{"" if cell is None else _escape(str(cell))}</td>'

@@ -49,6 +49,7 @@ def test_the_steps_lead_from_the_logged_value_to_what_the_tolerances_leave() -> 
     assert len({step.color for step in steps}) == 4
 
 
+@pytest.mark.everyday("translate.overshoot")
 @pytest.mark.parametrize("metric", ["final.position_error", "run.duration", "translate.overshoot"])
 def test_each_bar_begins_where_the_one_before_ends(metric: str) -> None:
     total, *shares, left = list_attribution_steps(attribute_kp10(metric))

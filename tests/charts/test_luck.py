@@ -39,6 +39,7 @@ def test_the_sentences_tell_the_values_and_whether_luck_decides(kp10: LuckPictur
     assert known(kp10.plane).note == "without queue and pause:\nall 65 within 5.7 mm"
 
 
+@pytest.mark.everyday("steady")
 @pytest.mark.parametrize(
     ("preset", "metric", "sentences"),
     [

@@ -37,6 +37,7 @@ def list_failed(run: tl.Run, limit: float, alignment: str = "first_sample") -> s
     return {name.removeprefix("signals.") for name in failed}
 
 
+@pytest.mark.everyday("sample-x", "first_sample-heading", "recorded-wanted_speed")
 @pytest.mark.parametrize("signal", OWN)
 @pytest.mark.parametrize("alignment", ["first_sample", "recorded", "sample"])
 @given(row=st.integers(6, 680), by=st.floats(1.0001e-3, 0.1), sign=st.sampled_from([-1, 1]))
@@ -87,7 +88,9 @@ def test_a_signal_that_is_not_there_fails(lacks: str) -> None:
     assert result.reason == "poor does not hold it"
 
 
-def judge_metric(reference: tl.Run, run: tl.Run, name: str, **limits: float) -> tl.CheckResult:
+def judge_metric(
+    reference: tl.Run, run: tl.Run, name: str, **limits: float
+) -> tl.check.CheckResult:
     tolerances = tl.Tolerances(metrics={name: tl.Tolerance(reason="", **limits)})
     (result,) = tl.check.match_run(run, reference, tolerances)
     return result

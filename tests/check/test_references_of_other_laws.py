@@ -15,7 +15,7 @@ PAPER = tl.simulate_run(tl.load_scenario("paper-kp4"))
 CLOSE = tl.Tolerance(abs=0.1, reason="as close as that")
 
 
-def judge(reference: Run, run: Run, **names: str) -> tl.CheckResult:
+def judge(reference: Run, run: Run, **names: str) -> tl.check.CheckResult:
     ((kind, name),) = names.items()
     tolerance = dataclasses.replace(CLOSE, abs=0.0) if name == "phase" else CLOSE
     tolerances = tl.Tolerances(**{f"{kind}s": {name: tolerance}})

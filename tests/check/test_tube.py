@@ -33,7 +33,7 @@ def draw_signal(data: st.DataObject) -> tuple[Values, Values]:
     return time_s, np.array(values)
 
 
-def judge(reference: tl.Run, run: tl.Run, signal: str, **limits: float) -> tl.CheckResult:
+def judge(reference: tl.Run, run: tl.Run, signal: str, **limits: float) -> tl.check.CheckResult:
     tolerance = tl.Tolerance(reason="", **limits)
     tolerances = tl.Tolerances(signals={signal: tolerance})
     (result,) = tl.check.match_run(run, reference, tolerances, alignment="recorded")
@@ -72,7 +72,7 @@ def list_on_line(time_s: Values, values: Values, start: float, end: float) -> Va
     return np.array([*ends, *values[(time_s >= start) & (time_s <= end)]])
 
 
-def check_result(result: tl.CheckResult, at: Values, margins: Values) -> None:
+def check_result(result: tl.check.CheckResult, at: Values, margins: Values) -> None:
     """Compare, but for rows whose margin is nothing but rounding."""
     assert result.margin == pytest.approx(margins.min(), abs=1e-9)
     if (np.abs(margins) > 1e-9).all():
@@ -97,6 +97,7 @@ def test_a_held_signal_is_judged_as_the_definition_says(
     check_result(judge(runs[0], runs[1], "speed", **limits), at, margins)
 
 
+@pytest.mark.thorough
 @given(data=st.data(), limits=LIMITS)
 @settings(max_examples=200, deadline=None)
 def test_a_line_is_judged_as_the_definition_says(

@@ -30,6 +30,7 @@ def test_help_groups_the_commands(call: Call) -> None:
     assert [*found] == [*GROUPS]
 
 
+@pytest.mark.everyday("run", "check")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_of_a_command_is_the_same_both_ways(call: Call, command: str) -> None:
     answer = call(command, "--help")
@@ -37,6 +38,7 @@ def test_help_of_a_command_is_the_same_both_ways(call: Call, command: str) -> No
     assert call("help", command) == answer
 
 
+@pytest.mark.everyday("plot-80", "run-80", "check-200", "tune-100")
 @pytest.mark.parametrize("columns", [80, 100, 200])
 @pytest.mark.parametrize("command", [*COMMANDS, "help"])
 def test_help_fits_and_wraps_each_paragraph_once(
@@ -82,6 +84,7 @@ def test_help_says_that_several_files_are_taken(call: Call) -> None:
         assert re.search(r"│ \*  FILE\.\.\. ", text)
 
 
+@pytest.mark.everyday("run", "plot", "check", "tune")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> None:
     text = call(command, "--help-all").out

@@ -201,16 +201,6 @@ def test_without_files_and_with_none_that_can_be_read_it_says_so(call: Call) -> 
     assert "nothing.mcap" in answer.err
 
 
-def test_a_value_prints_as_many_digits_as_its_interval_tells() -> None:
-    from turtlelog.cli.identify_answer import format_value
-
-    wide = Estimate(value=0.0804, low=0.0751, high=0.0857)
-    narrow = Estimate(value=0.0804, low=0.0801, high=0.0807)
-    assert format_value(wide, "dead_time_s") == "80 (75 to 86)"
-    assert format_value(narrow, "dead_time_s") == "80.4 (80.1 to 80.7)"
-    assert format_value(None, "gain") == "-"
-
-
 def test_what_times_poses_is_told_beside_delays_alone(call: Call, bag: Path) -> None:
     said = "Poses are timed by their stamps"
     assert said in call("identify", find_shared("robots", "tb3")).out

@@ -183,6 +183,7 @@ def test_without_recordings_a_file_shows_theory(
     assert "plot: the figure step-responses" in err
 
 
+@pytest.mark.thorough
 def test_a_folder_gets_each_figure_once_and_table_1_after_the_final_errors(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

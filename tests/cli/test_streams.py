@@ -21,6 +21,7 @@ needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such thing")
 
 
+@pytest.mark.everyday("fine")
 @needs_full
 @pytest.mark.parametrize(
     ("words", "code"),
@@ -44,6 +45,7 @@ def test_a_full_stderr_changes_no_exit_code(tmp_path: Path, words: list[str], co
     assert done.returncode == code
 
 
+@pytest.mark.everyday(">&- 2>&-")
 @needs_posix
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
 def test_closed_streams_are_no_error(kp4: Path, closed: str) -> None:
@@ -67,6 +69,7 @@ main(["run", "textbook", "-o", "a.mcap"])
 """
 
 
+@pytest.mark.everyday("SIGTERM")
 @needs_posix
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_command_that_is_told_to_end_leaves_nothing_half_done(tmp_path: Path, name: str) -> None:
@@ -152,6 +155,7 @@ def test_a_bag_is_refused_a_name_that_its_description_cannot_hold(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.everyday("check {spec} {kp10}-1")
 @needs_posix
 @pytest.mark.parametrize(
     ("words", "code"),

@@ -50,12 +50,62 @@ def test_the_first_line_names_what_the_recommended_gains_leave_out(
     assert text.startswith(f"Recommended without command {left_out} P with Kp = ")
 
 
+@pytest.mark.parametrize(
+    ("kp", "first", "kept"),
+    [
+        ("3.66", "Recommended without command limits: P with Kp = 4.95 1/s for 5 %", None),
+        ("3.68", "Kp = 3.68 1/s needs no change, without command limits: no overshoot", 3.68),
+        ("4.95", "Kp = 4.95 1/s needs no change, without command limits: overshoots by 5", 4.95),
+        ("5", "Recommended without command limits: P with Kp = 4.95 1/s for 5 %", None),
+    ],
+)
+def test_gains_are_kept_that_overshoot_no_more_and_settle_no_later_than_recommended_ones(
+    kp: str, first: str, kept: float | None, call: Call
+) -> None:
+    words = ("theory", "--dead-time", "6", "--kp", kp)
+    assert call(*words).out.startswith(first)
+    assert call(*words, "--json").json["kept_kp"] == kept
+
+
+def test_recommended_gains_say_what_they_cost(call: Call) -> None:
+    text = " ".join(call("theory", "--dead-time", "5", "--kp", "4").out.split())
+    better = "Better than Kp = 4 1/s in settling time (0.528 s, not 0.624 s); worse in overshoot"
+    assert f"{better} (5 %, not 0 %), gain margin and phase margin." in text
+    assert "Kp = 16 1/s is unstable." in call("theory", "--dead-time", "6", "--kp", "16").out
+
+
+def test_a_scenario_keeps_the_gains_of_one_loop_and_changes_those_of_the_other(
+    call: Call, kp4: Path
+) -> None:
+    answer = call("theory", kp4)
+    text = " ".join(answer.out.split())
+    assert "Kp = 5.85 1/s (rotate); no change is needed of Kp = 4 1/s (translate)." in text
+    assert "--set law.kp_angular=5.85 Poles" in text.replace(str(kp4), "kp4.mcap")
+    loops = call("theory", kp4, "--json").json["loops"]
+    assert [loop["kept_kp"] for loop in loops] == [None, 4.0]
+
+
+def test_gains_to_try_are_of_one_controller(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "pid.toml"
+    path.write_text('[law]\nkind = "sequential-pid"\nkp_linear = 0.5\nki_linear = 0.3\n')
+    keys = ("law.ki_angular=0.1", "law.kd_angular=0.1")
+    answer = call("theory", path, *(word for key in keys for word in ("--set", key)))
+    assert re.search(
+        r"--set law.kp_angular=\S+ --set law.ki_angular=0 --set law.kd_angular=0"
+        r" --set law.kp_linear=\S+ --set law.ki_linear=[1-9.]",
+        " ".join(answer.out.split()),
+    )
+
+
 def test_theory_reads_well_in_a_terminal(call: Call) -> None:
     answer = call("theory", "--dead-time", "6", "--kp", "1,2,4,10,16")
     assert (answer.code, answer.err) == (0, "")
     lines = answer.out.splitlines()
-    assert lines[:4] == [
-        "Recommended without command limits: P with Kp = 4.95 1/s for 5 % overshoot.",
+    assert lines[:7] == [
+        "Kp = 4 1/s needs no change, without command limits: overshoots by 0.29 %,",
+        "settles in 0.512 s.",
+        "Kp = 4.95 1/s for 5 % overshoot is no better: overshoots by 5.00 %, settles in",
+        "0.624 s.",
         "Overshoot begins above Kp = 3.541 1/s, instability at 15.07 1/s.",
         "Kp = 1, 2: no overshoot. Kp = 4, 10: overshoots, and settles. Kp = 16: unstable.",
         "Sampling period 16 ms, dead time 6 ticks (96 ms).",
@@ -152,9 +202,12 @@ def test_an_integral_and_a_lag_have_their_range_and_margins(call: Call) -> None:
     lines = text.splitlines()
     first = "Recommended without command limits: PI with Kp = 1.58 1/s and Ki = 0.139 1/s^2"
     assert lines[:2] == [first, "for 5 % overshoot."]
-    assert lines[2] == "Stable for Kp from 0.233 to 10.8 1/s."
-    assert lines[3].startswith("Kp = 2: stable, overshoots by 22.43 %, settles in ")
-    assert lines[4] == "Kp = 30: unstable."
+    assert lines[2].startswith(
+        "Better than Kp = 2 1/s and Ki = 1 1/s^2 in overshoot (5 %, not 22.4 "
+    )
+    assert "Stable for Kp from 0.233 to 10.8 1/s." in lines
+    assert any(line.startswith("Kp = 2: stable, overshoots by 22.43 %, settles") for line in lines)
+    assert "Kp = 30: unstable." in lines
 
 
 def test_neutral_options_answer_as_p_on_an_integrator(call: Call) -> None:
@@ -188,9 +241,10 @@ def test_a_recording_gives_its_own_dead_times_and_says_where_they_are_from(
     assert rotate["sources"]["gains"] == "from the scenario"
     lines = call("theory", kp10).out.splitlines()
     words = " ".join(lines)
-    first = "kp10.mcap: recommended Kp for 5 % overshoot, without command limits: 7.14 1/s"
-    assert words.startswith(f"{first} (rotate), 4.95 1/s (translate).")
-    assert "translate: Kp = 10 1/s: stable, overshoots by 54.24 %, settles in 1.34 s;" in words
+    first = "kp10.mcap: recommended for 5 % overshoot, without command limits: Kp = 7.14 1/s"
+    assert words.startswith(f"{first} (rotate), Kp = 4.95 1/s (translate).")
+    assert "rotate: better than Kp = 10 1/s in overshoot (5 %, not 22.6 %), settling" in words
+    assert "gain margin and phase margin; stable for Kp below 15.1 1/s." in words
     assert "--set law.kp_angular=7.14 --set law.kp_linear=4.95" in words
     assert len(lines) <= 40
     assert max(map(len, [line for line in lines if str(kp10) not in line])) <= 80
@@ -312,7 +366,7 @@ def test_gains_that_do_not_exist_are_null_with_their_reason(call: Call) -> None:
     found = [one for one in answer["recommended"] if one["rule"] == "phase-margin"]
     assert [(one["kp"], one["ki"], one["kd"]) for one in found] == [(None, None, None)] * 3
     assert found[0]["reason"].startswith("the integrator alone lags by 90 deg")
-    words = ("theory", "--dead-time", "6", "--phase-margin", "90")
+    words = ("theory", "--dead-time", "6", "--phase-margin", "90", "--kp", "1")
     first = "Recommended without command limits: P with Kp = 4.81 1/s for the rule of SIMC."
     assert call(*words).out.startswith(f"{first}\n")
     text = " ".join(call(*words, "--details").out.split())

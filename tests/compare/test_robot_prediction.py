@@ -96,6 +96,7 @@ def test_sensed_noise_of_an_independent_simulator_is_held() -> None:
     assert {verdict for one in found for verdict in list_verdicts(one)} == {"as simulated"}
 
 
+@pytest.mark.everyday("speed_gain-0.9-position", "turn_dead_time_s-0.2-heading")
 @pytest.mark.parametrize(
     ("key", "value", "quantity"),
     [

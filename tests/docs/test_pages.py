@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any, Final
 
 import pytest
 
@@ -20,11 +21,23 @@ PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
 ALL_PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 Command = Callable[..., str]
 
+LONG_PAGES: Final = {
+    *("classroom", "derivative-noise", "figures", "gallery", "jitter", "map", "paper", "push"),
+    *("ramps", "report", "rerun", "sampling", "theory", "tracking"),
+}
+"""Pages whose blocks simulate or draw for seconds what others show once: they are thorough."""
+
 
 def find_pages(language: str) -> list[object]:
     """Return the blocks of each page that has some of a language, and its files."""
     pages = [(page, list_blocks(page, language)) for page in PAGES]
-    return [pytest.param(found, find_files(page), id=page.stem) for page, found in pages if found]
+    return [make_case(page, found) for page, found in pages if found]
+
+
+def make_case(page: Path, found: list[Any]) -> object:
+    """Return what a page shows, and its files, as parameters of a test."""
+    marks = [pytest.mark.thorough] if page.stem in LONG_PAGES else []
+    return pytest.param(found, find_files(page), id=page.stem, marks=marks)
 
 
 def list_blocks(page: Path, language: str) -> list[str]:
@@ -51,17 +64,8 @@ def list_console(page: Path) -> list[tuple[str, str]]:
 
 def find_consoles() -> list[object]:
     """Return the commands of each page, and its files; those of README run in test_everyday.py."""
-    pages = [page for page in PAGES if page != README and list_console(page)]
-    return [
-        pytest.param(
-            list_console(page),
-            find_files(page),
-            id=page.stem,
-            # Every picture is drawn by a test of its own.
-            marks=[pytest.mark.thorough] if page.stem == "gallery" else [],
-        )
-        for page in pages
-    ]
+    pages = [(page, list_console(page)) for page in PAGES if page != README]
+    return [make_case(page, found) for page, found in pages if found]
 
 
 def run_python(*words: str, folder: Path) -> str:

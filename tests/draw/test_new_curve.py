@@ -84,6 +84,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_a_new_curve_and_a_new_plot_are_in_every_picture(copy: Path) -> None:
     """A process draws a figure, a view, a report and a movie."""
     done = subprocess.run(

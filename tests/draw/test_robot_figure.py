@@ -42,6 +42,7 @@ def test_what_is_drawn_is_what_was_driven(run: tl.Run, model: tl.RobotModel) -> 
     assert late > np.corrcoef(found.commanded, found.measured)[0, 1] + 0.1
 
 
+@pytest.mark.thorough
 def test_only_known_axes_are_drawn(run: tl.Run, tmp_path: Path) -> None:
     still = replace(run.commands, speed_m_s=0.0 * run.commands.speed_m_s)
     turning = replace(run, commands=still)

@@ -64,7 +64,7 @@ def test_of_few_changes_those_that_change_no_digit_are_not_named(
 def test_a_notebook_shows_the_answer_and_the_contributions() -> None:
     shown = make(1.0, -0.2)._repr_html_()
     assert "<strong>final.position_error rose from 1.000 m to 1.800 m: the a adds" in shown
-    assert "<th>contribution [m]</th>" in shown
+    assert ">contribution [m]</th>" in shown
     assert shown.count("<tr>") == 3
     assert "nobody&lt;b&gt;" in replace(make(1.0), metric="nobody<b>")._repr_html_()
 

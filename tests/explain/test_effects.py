@@ -104,9 +104,7 @@ def half_of_the_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("turtlelog.explain.game.SEEDS", SEEDS[:16])
 
 
-@pytest.mark.everyday(
-    "outlier", "disturbance, noise", "queue", "wrap", "pause", "delay", "quantum", "bias"
-)
+@pytest.mark.everyday("queue", "outlier")
 @pytest.mark.usefixtures("half_of_the_seeds")
 @pytest.mark.parametrize("case", EFFECTS)
 def test_an_effect_alone_gets_all_of_what_effects_add(case: str) -> None:
@@ -126,6 +124,7 @@ def test_an_effect_alone_gets_all_of_what_effects_add(case: str) -> None:
     assert (found.seeds is not None) == draws_random(change(**values))
 
 
+@pytest.mark.everyday("saturation", "tolerance", "sampling")
 @pytest.mark.parametrize("case", PROPERTIES)
 def test_a_property_is_named_beside_with_its_direction(case: str) -> None:
     metric, way, values = PROPERTIES[case]

@@ -105,6 +105,7 @@ def test_the_pause_holds_a_stale_command() -> None:
     assert (round(held, 4), round(np.degrees(turned), 3), burst) == (-0.03, -1.093, 10)
 
 
+@pytest.mark.everyday("kp4_210.json")
 @pytest.mark.parametrize("file", ["kp1_210.json", "kp4_210.json"])
 def test_noise_leaves_gains_within_two_percent(file: str) -> None:
     clean = import_log(find_shared("paper", file))
@@ -136,6 +137,7 @@ def test_a_fit_that_the_clock_contradicts_does_not_stop_the_search() -> None:
     assert 11 in found.findings["loop.start_backlog"].candidates
 
 
+@pytest.mark.everyday("12")
 @pytest.mark.parametrize("depth", [1, 2, 12])
 def test_an_unusual_pose_queue_is_found(depth: int) -> None:
     changes = {"loop__pose_queue": depth, "loop__start_backlog": 12}

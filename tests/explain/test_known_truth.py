@@ -23,7 +23,7 @@ def identify(log: Log) -> Identification:
     return identify_run(log.to_run())
 
 
-@pytest.mark.everyday("clean-4", "depths-2", "gap-2", "quantum-1", "sensed 1e-4-1")
+@pytest.mark.everyday("sensed 1e-4-1", "quantum-1")
 @pytest.mark.parametrize(
     ("family", "amount"),
     [
@@ -101,6 +101,7 @@ def test_a_run_past_the_usual_timeout_is_reproduced_to_its_end() -> None:
     assert (found.resimulation.is_exact, found.resimulation.samples) == (True, len(log.rows))
 
 
+@pytest.mark.everyday("changes1-settled-law.settled_for_s-2.0")
 @pytest.mark.parametrize(
     ("changes", "reason", "key", "value"),
     [

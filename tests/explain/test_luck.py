@@ -29,6 +29,7 @@ def kp10() -> Luck:
     return measure_lucky("paper-kp10")
 
 
+@pytest.mark.thorough
 def test_every_fourth_start_is_one_of_the_range_that_explain_prints(kp10: Luck) -> None:
     starts = known(attribute_lucky("paper-kp10").starts)
     assert len(kp10.starts_rad) == 65
@@ -68,9 +69,7 @@ def test_the_error_is_how_far_the_ends_are_from_the_goal(kp10: Luck) -> None:
 
 
 @pytest.mark.everyday(
-    "paper-kp4-final.position_error-steady",
-    "paper-kp10-final.position_error-wide",
-    "paper-kp2-rotate.rms_error-follows",
+    "paper-kp10-final.position_error-wide", "paper-kp4-final.position_error-steady"
 )
 @pytest.mark.parametrize(
     ("preset", "metric", "dependence"),
@@ -90,6 +89,7 @@ def test_only_what_ranges_as_the_effects_do_depends_on_samples(
     assert measure_lucky(preset, (), metric).dependence == dependence
 
 
+@pytest.mark.thorough
 def test_a_start_without_a_value_has_the_reason() -> None:
     """Take two to three seconds: a run is explained, and 65 starts of it are simulated."""
     whole, *_, rest = measure_lucky("paper-kp10", (), "rotate.settling_time").curves
@@ -100,6 +100,7 @@ def test_a_start_without_a_value_has_the_reason() -> None:
     assert np.isfinite(whole.ends_xy_m).all()
 
 
+@pytest.mark.thorough
 def test_an_effect_that_acts_from_other_starts_alone_has_a_curve() -> None:
     """Take two to three seconds: a run is explained, and 65 starts of it are simulated."""
     assert attribute_lucky("paper-kp10", NEAR_HALF_A_TURN).acting == ("queue", "pause")

@@ -162,19 +162,7 @@ TELL_BOTH_GAINS = {"noise", "sensing_delay", "transport_delay", "dead_zone"}
 
 
 # The others are looked at for half a minute.
-@pytest.mark.everyday(
-    "late",
-    "transport_jitter",
-    "timer",
-    "dead_zone",
-    "transport_delay",
-    "dropout",
-    "acceleration",
-    "jerk",
-    "command_quantum",
-    "sensing_delay",
-    "low_pass",
-)
+@pytest.mark.everyday("late", "dead_zone")
 @pytest.mark.parametrize("name", [name for name in EFFECTS if name not in SLOW])
 def test_of_a_log_without_scenario_nothing_false_is_claimed(name: str) -> None:
     scenario = override_scenario(get_preset("textbook"), {**NEAR, **EFFECTS[name]})

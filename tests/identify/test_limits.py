@@ -40,6 +40,7 @@ def identify(kind: str) -> tuple[Run, tl.RobotModel]:
     return run, tl.identify_robot(run)
 
 
+@pytest.mark.everyday("within", "bound")
 @pytest.mark.parametrize(
     "truth",
     [
@@ -70,6 +71,9 @@ def test_the_robots_turn_as_small_steps_in_time_do(truth: Limited) -> None:
     np.testing.assert_allclose(found, np.array(headings)[rows], atol=5e-4)
 
 
+@pytest.mark.everyday(
+    "both-bound-0.8", "both-rate_limit-2.5", "direction-reverse_gain-0.76", "friction-friction-0.2"
+)
 @pytest.mark.parametrize(
     ("kind", "field", "value"),
     [

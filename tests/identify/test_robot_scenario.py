@@ -88,6 +88,7 @@ def list_noise(scenario: tl.Scenario) -> tuple[float, float, float, float]:
     )
 
 
+@pytest.mark.everyday("1.0")
 @pytest.mark.parametrize("level", [0.1, 1.0, 10.0])
 def test_the_noise_of_rates_is_right_to_a_third(level: float) -> None:
     rates = 3e-3 * level, 1e-2 * level
@@ -98,6 +99,7 @@ def test_the_noise_of_rates_is_right_to_a_third(level: float) -> None:
         assert sensing == [0.0, 0.0]
 
 
+@pytest.mark.everyday("1.0")
 @pytest.mark.parametrize("level", [0.1, 1.0, 10.0])
 def test_the_noise_of_poses_is_right_to_a_third(level: float) -> None:
     sensing = 5e-4 * level, 1e-3 * level

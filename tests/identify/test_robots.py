@@ -18,6 +18,7 @@ TB3 = {
 """Dead time and lag with their intervals of 95 % [ms], by another fit: a grid and soft L1."""
 
 
+@pytest.mark.everyday("log-speed", "stamp-turn_rate")
 @pytest.mark.parametrize(("clock", "axis"), TB3)
 def test_a_real_turtlebot_has_the_delays_that_another_fit_found(clock: str, axis: str) -> None:
     run = tl.read_run(find_shared("robots", "tb3"), time=clock)  # type: ignore[arg-type]

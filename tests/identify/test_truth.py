@@ -95,6 +95,7 @@ def test_robots_of_first_order_get_no_second() -> None:
     assert score_all().of_second_order <= 0.01 * score_all().axes
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_intervals_hold_where_there_is_no_dead_time_or_no_lag(name: str) -> None:
     """The first of these tests identifies all robots at the borders."""
@@ -201,6 +202,7 @@ def test_a_robot_that_does_not_follow_has_no_value() -> None:
     assert [axis.status for axis in model.axes] == ["not_identifiable"] * 2
 
 
+@pytest.mark.everyday("log0")
 @pytest.mark.parametrize("log", [SHORT, replace(SHORT, noise_rad=5e-3, poses_hz=12.0)])
 def test_a_robot_that_turns_the_wrong_way_round_is_told_so(log: Log) -> None:
     swapped = Truth(gain=-0.9, dead_time_s=0.12, lag_s=0.2)

@@ -70,6 +70,14 @@ def list_texts(kind: str, size: int) -> Iterator[str]:
             yield place.format(fill * (size // len(fill)))
 
 
+@pytest.mark.everyday(
+    "idl-4000000",
+    "specification-100000",
+    "csv-4000000",
+    "json-4000000",
+    "yaml-4000000",
+    "ros2msg-4000000",
+)
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("kind", PLACES)
 def test_a_long_line_takes_little_time_and_one_line_says_what_is_wrong(

@@ -88,7 +88,7 @@ ALL_PADDINGS = {name: (padding, FIXED) for name, padding in PADDINGS.items()}
 ALL_PADDINGS["no-chunk"] = b"\1\2\3", FIXED | {Opcode.CHUNK}
 
 
-@pytest.mark.everyday("forty", "message", "zeros", "private")
+@pytest.mark.everyday("forty")
 @pytest.mark.parametrize("kind", ALL_PADDINGS)
 def test_padded_files_of_the_suite_are_read_as_their_twins(suite: Suite, kind: str) -> None:
     padding, fixed = ALL_PADDINGS[kind]
@@ -103,6 +103,9 @@ def test_padded_files_of_the_suite_are_read_as_their_twins(suite: Suite, kind: s
     assert differing == []
 
 
+@pytest.mark.everyday(
+    "zstd-message-index", "lz4-zeros", "none-forty", "alone-message", "zstd-counting", "lz4-private"
+)
 @pytest.mark.parametrize("padding", PADDINGS.values(), ids=PADDINGS)
 @pytest.mark.parametrize("kind", [*COMPRESSIONS, "alone"])
 def test_padded_recordings_are_read_as_their_twins(

@@ -50,6 +50,7 @@ def read_error(copy: Path) -> float:
     return value
 
 
+@pytest.mark.thorough
 def test_a_new_metric_is_measured_listed_and_checked(copy: Path) -> None:
     """Commands run in processes."""
     error_deg = read_error(copy)

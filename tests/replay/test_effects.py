@@ -24,6 +24,7 @@ def build(*effects: str) -> Scenario:
     return build_case(*effects, preset="paper", max_duration_s=0.6)
 
 
+@pytest.mark.everyday("dropout", "sensing_jitter", "transport_delay", "low_pass", "lagged")
 @pytest.mark.parametrize("first", EFFECTS)
 def test_any_two_effects_are_replayed(first: str) -> None:
     for other in [*EFFECTS][[*EFFECTS].index(first) :]:

@@ -192,6 +192,7 @@ def draw_numbers(seed: int) -> np.ndarray[Any, Any]:
     return draw.normal(size=200_000) * 10.0 ** draw.integers(-6, 3, size=200_000)
 
 
+@pytest.mark.everyday("sin", "expm1", "rint")
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_compiled_function_is_that_of_python(name: str) -> None:
     values = draw_numbers(1).clip(-700.0, 700.0)

@@ -216,6 +216,7 @@ def test_new_parts_run_and_are_recorded_and_replayed(copy: Path) -> None:
     assert ask(copy, "replay", "run.mcap")["first_difference"] is None
 
 
+@pytest.mark.thorough
 def test_new_parts_are_explained_and_listed(copy: Path) -> None:
     """Five commands are started, each in its own process."""
     run(copy, "-m", "turtlelog", "run", "textbook", *SCENARIO, "-o", "explained.mcap")

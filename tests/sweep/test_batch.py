@@ -70,7 +70,7 @@ def require_reason(failed: str | None, reason: str) -> None:
     assert failed.endswith(reason)
 
 
-@pytest.mark.everyday("0", "1", "2")
+@pytest.mark.everyday("0")
 @pytest.mark.parametrize("block", range(10))
 def test_batch_measures_what_a_single_run_measures(block: int) -> None:
     for seed in range(1000 + block * 20, 1020 + block * 20):
@@ -95,6 +95,7 @@ def test_a_law_with_one_phase_and_two_loops_is_measured_as_in_a_single_run() -> 
             require_row(rows, row, changed, metrics)
 
 
+@pytest.mark.everyday("sensing_jitter", "transport_delay", "noise", "quantum", "lagged", "timer")
 @pytest.mark.parametrize("effect", DRAWN_EFFECTS)
 def test_batch_has_every_effect_and_falls_back_nowhere(effect: str) -> None:
     base = override_scenario(PAPER, {"max_duration_s": 8.0, **EFFECTS[effect]})

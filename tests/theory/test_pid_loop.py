@@ -141,6 +141,7 @@ def test_the_poles_multiply_to_the_polynomial(
     assert product == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.everyday("0.0-4.0-40000-20", "0.2-1.0-40000-3", "0.2-4.0-40000-0")
 @pytest.mark.parametrize("dead_time_ticks", [0, 3, 20])
 @pytest.mark.parametrize(("ki", "samples"), [(0.01, 400_000), (1.0, 40_000), (4.0, 40_000)])
 @pytest.mark.parametrize("kd", [0.0, 0.2])

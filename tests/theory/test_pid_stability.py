@@ -100,19 +100,7 @@ def test_verdicts_are_those_of_a_companion_matrix_where_it_is_sure(
         assert any(inside) == (largest < 1.0)
 
 
-@pytest.mark.everyday(
-    "0-gains0",
-    "0-gains1",
-    "0-gains2",
-    "1-gains0",
-    "1-gains1",
-    "1-gains2",
-    "6-gains0",
-    "6-gains1",
-    "6-gains2",
-    "100-gains1",
-    "1000-gains0",
-)
+@pytest.mark.everyday("0-gains0", "1-gains1", "6-gains2")
 @pytest.mark.parametrize("gains", [PI, PD, PID])
 @pytest.mark.parametrize("dead_time_ticks", [0, 1, 6, 100, 300, 1000])
 def test_both_ends_of_the_stable_gains_divide_stable_from_unstable(

@@ -14,8 +14,8 @@ from turtlelog.display import format_number, format_short, show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
-    from turtlelog import CheckResult, Spec
-    from turtlelog.check import Verdict
+    from turtlelog import Spec
+    from turtlelog.check import CheckResult, Verdict
     from turtlelog.compare import Table
     from turtlelog.compare.table import Cell
 

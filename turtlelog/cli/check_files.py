@@ -27,8 +27,8 @@ from turtlelog.processes import map_in_processes
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from turtlelog import CheckResult, Run, Spec
-    from turtlelog.check import ArtifactWriter
+    from turtlelog import Run, Spec
+    from turtlelog.check import ArtifactWriter, CheckResult
     from turtlelog.check.junit import CheckedFile
     from turtlelog.log import ReadChoice
     from turtlelog.sweep import FoundRecording

@@ -213,11 +213,9 @@ def format_answer(answer: ExplainAnswer, found: "Identification") -> str:
     if attribution is None:
         return _fill([f"{name}: {_write_unknown(answer.metric)}", *_write_known(answer, found)])
     named = tl.explain.choose_named(attribution)
-    if not named:
-        lines = [f"{name}: {tl.explain.write_value(attribution)}"]
-    else:
-        lines = [f"{name}: {_write_size(attribution)}: {tl.explain.write_main(attribution)}", ""]
-        lines += [f"{tl.explain.write_cause_head(attribution)}:"]
+    lines = [f"{name}: {tl.explain.write_headline(attribution)}"]
+    if named:
+        lines += ["", f"{tl.explain.write_cause_head(attribution)}:"]
     sizes = [tl.explain.format_contribution(attribution, one) for one in named]
     widths = [max(map(len, column), default=0) for column in ([one.cause for one in named], sizes)]
     for one, size in zip(named, sizes, strict=True):
@@ -230,15 +228,6 @@ def format_answer(answer: ExplainAnswer, found: "Identification") -> str:
 
 def _fill(lines: list[str]) -> str:
     return "\n".join(line if line.startswith("  ") else fill_lines([line]) for line in lines)
-
-
-def _write_size(found: "Attribution") -> str:
-    """Return the value of the log, and the re-simulation's where it is another."""
-    if found.as_logged is None:
-        return f"{found.metric} is {tl.explain.format_value(found, found.resimulated)}"
-    sizes = [tl.explain.format_value(found, one) for one in (found.as_logged, found.resimulated)]
-    again = "" if sizes[0] == sizes[1] else f" ({sizes[1]} re-simulated)"
-    return f"{found.metric} is {sizes[0]}{again}"
 
 
 def _write_unknown(metric: Mapping[str, Any]) -> str:

@@ -15,18 +15,13 @@ if TYPE_CHECKING:
     from turtlelog import RobotModel
     from turtlelog.identify import AxisModel, Estimate, RobotScenario
 
-_NAMES: Final = {"speed": "speed", "turn_rate": "turn rate"}
 _DOES: Final = {"speed": "drives at {} speed", "turn_rate": "turns at {} rate"}
 _NAV2: Final = {"speed": "model_delay_vx", "turn_rate": "model_delay_wz"}
 """What Nav2's MPPI controller calls the delay of each axis [s]."""
 
-_VALUES: Final = ("gain", "dead_time_s", "lag_s")
 _MOST_EVENTS: Final = 5
 _RARE: Final = 0.01
 """Share of the steps; where more are off, it is not by single faults, such as a jump."""
-
-_WHOLE_MS: Final = 10.0
-"""Width of an interval above which tenths of a millisecond tell nothing [ms]."""
 
 _CURVE: Final = 0.5
 """Whiteness below which the residual is a curve: neighbours share half of what they are off."""
@@ -59,7 +54,7 @@ def format_robot(
         shows_details: Give a second opinion on delays, and where the scenario's numbers come from.
     """
     known = [axis for axis in model.axes if axis.is_known]
-    parts = [fill_lines([_describe_delays(model, files)])]
+    parts = [fill_lines([tl.identify.write_headline(model.axes, _name_robot(files))])]
     if known:
         brackets = "intervals of 95 %" if model.tick_delays is None else "the least and the largest"
         if any(axis.doubts for axis in known):
@@ -83,61 +78,20 @@ def _describe_scenario(robot: "RobotScenario", path: Path | None, *, shows_notes
     return f"The scenario {path}:\n{fill_lines(notes, indent=2)}"
 
 
-def _describe_delays(model: "RobotModel", files: Sequence[Path]) -> str:
-    """Return with what gain and how late each axis follows its commands."""
-    one = tl.compare.name_file(files[0]) if files else "no file"
-    name = one if len(files) == 1 else f"{len(files)} runs of one robot"
-    said = [
-        f"{_NAMES[axis.axis]} {{}}{_show_gain(axis.gain)}total delay"
-        f" {_show_delay(axis.total_delay_s)}"
-        for axis in model.axes
-        if axis.total_delay_s is not None
-    ]
-    unknown = [_NAMES[axis.axis] for axis in model.axes if not axis.is_known]
-    if not said:
-        return f"{name}: no axis could be identified."
-    rest = f" The {unknown[0]} could not be identified." if unknown else ""
-    words = ", ".join(
-        [said[0].format("follows its commands with "), *(one.format("with ") for one in said[1:])]
-    )
-    return f"{name}: {words}.{rest}"
-
-
-def _show_gain(found: "Estimate | None") -> str:
-    return "" if found is None else f"gain {format_value(found, 'gain').partition(' ')[0]} and "
-
-
-def _show_delay(found: "Estimate") -> str:
-    value, _, interval = format_value(found, "total_delay_s").partition(" ")
-    return f"{value} ms {interval}"
+def _name_robot(files: Sequence[Path]) -> str:
+    if len(files) == 1:
+        return tl.compare.name_file(files[0])
+    return f"{len(files)} runs of one robot"
 
 
 def _format_values(known: "Sequence[AxisModel]") -> str:
     """Return gain, dead time and time constant of each axis."""
-    heads = ("axis", "gain [1]", "dead time [ms]", "time constant [ms]")
     table = tl.compare.Table(
         title="",
-        columns=tuple(tl.compare.Column(title=title) for title in heads),
-        rows=tuple(
-            (
-                _NAMES[axis.axis],
-                *(format_value(getattr(axis, name), name) for name in _VALUES),
-            )
-            for axis in known
-        ),
+        columns=tuple(tl.compare.Column(title=title) for title in tl.identify.HEADS),
+        rows=tuple(map(tl.identify.list_values, known)),
     )
     return "\n" + tl.draw.format_table(table, width=find_width()).strip("\n")
-
-
-def format_value(found: "Estimate | None", name: str) -> str:
-    """Return a value with its interval, delays in ms; `-` for none."""
-    if found is None:
-        return "-"
-    if name == "gain":
-        return f"{found.value:.3f} ({found.low:.3f} to {found.high:.3f})"
-    value, low, high = (1e3 * number for number in (found.value, found.low, found.high))
-    digits = 0 if high - low > _WHOLE_MS else 1
-    return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
 def _describe_motion(known: "Sequence[AxisModel]") -> str:
@@ -190,7 +144,7 @@ def _list_trust(model: "RobotModel") -> Iterator[str]:
 def _describe_axis(axis: "AxisModel") -> Iterator[str]:
     if not axis.is_known or axis.explained is None:
         return
-    name = _NAMES[axis.axis].capitalize()
+    name = tl.identify.NAMES[axis.axis].capitalize()
     yield (
         f"{name}: the model explains {100.0 * axis.explained:.0f} % of the variance of"
         f" {axis.steps} steps between poses.{_describe_residual(axis)}"
@@ -207,7 +161,8 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
     if axis.friction is not None:
         yield f"{name}: friction takes {_show_limit(axis.friction)} off each command."
     if axis.reverse_gain is not None:
-        yield f"{name}: commands below 0 have a gain of {format_value(axis.reverse_gain, 'gain')}."
+        gain = tl.identify.format_gain(axis.reverse_gain)
+        yield f"{name}: commands below 0 have a gain of {gain}."
 
 
 def _show_limit(found: "Estimate") -> str:
@@ -225,7 +180,7 @@ def _describe_residual(axis: "AxisModel") -> str:
 
 def _describe_second_order(axis: "AxisModel") -> Iterator[str]:
     """Yield what a second order is like: two lags, or an oscillation where it surely is one."""
-    product, lag, name = axis.lag_product_s2, axis.lag_s, _NAMES[axis.axis].capitalize()
+    product, lag, name = axis.lag_product_s2, axis.lag_s, tl.identify.NAMES[axis.axis].capitalize()
     if product is None or lag is None:
         return
     equal = 0.25 * lag.value**2
@@ -247,14 +202,14 @@ def _list_unknown(model: "RobotModel") -> Iterator[str]:
     for axis in model.axes:
         if not axis.is_known:
             end = "" if axis.reason.endswith("?") else "."
-            name = _NAMES[axis.axis].capitalize()
+            name = tl.identify.NAMES[axis.axis].capitalize()
             yield f"{name}: not identifiable: {axis.reason}{end} To know it, {axis.advice}."
 
 
 def _list_details(model: "RobotModel") -> Iterator[str]:
     """Yield a second opinion on delays: where commands and motion correlate best."""
     for axis in model.axes:
-        name, delay = _NAMES[axis.axis].capitalize(), axis.correlation_delay_s
+        name, delay = tl.identify.NAMES[axis.axis].capitalize(), axis.correlation_delay_s
         if not axis.is_known or axis.explained is None:
             continue
         if delay is None:
@@ -272,8 +227,9 @@ def _list_events(model: "RobotModel") -> list[str]:
         if len(found) > _RARE * axis.steps:
             often.append(axis.axis)
             worst = max(found, key=lambda event: abs(event.size))
+            name = tl.identify.NAMES[axis.axis].capitalize()
             said.append(
-                f"{_NAMES[axis.axis].capitalize()}: {len(found)} of {axis.steps} steps are off by"
+                f"{name}: {len(found)} of {axis.steps} steps are off by"
                 f" far more than is usual and do not count; the largest: {worst.text}."
             )
     rare = [event for event in model.events if event.axis not in often]

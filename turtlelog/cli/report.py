@@ -34,8 +34,9 @@ from turtlelog.display import format_number
 from turtlelog.errors import ExplainError, TurtlelogError
 
 if TYPE_CHECKING:
-    from turtlelog import CheckResult, Run
+    from turtlelog import Run
     from turtlelog.charts.violated_signal import ViolatedSignal
+    from turtlelog.check import CheckResult
     from turtlelog.draw.report import CheckLine, Explanation
 
 

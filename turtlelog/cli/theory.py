@@ -13,11 +13,11 @@ from turtlelog.cli.output import print_json, print_text
 from turtlelog.cli.scenario_options import LawOptions, is_recording, load_changed_scenario
 from turtlelog.cli.theory_answer import format_file, format_integrator, format_terms
 from turtlelog.cli.theory_gains import (
-    Recommended,
     RecommendedGains,
     Wishes,
     WishOptions,
     build_recommended,
+    find_kept,
 )
 from turtlelog.cli.theory_loops import (
     DeclaredLoopAnswer,
@@ -34,7 +34,7 @@ from turtlelog.remote.urls import make_path
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from turtlelog.theory import LoopModel, Process
+    from turtlelog.theory import LoopModel, PidGains, Process
 
 _MOST_GAINS: Final = 100
 _GAINS: Final = "1,2,4,10"
@@ -68,6 +68,12 @@ class TermOptions:
         """Return the options that are given."""
         given = [one.name for one in fields(self) if getattr(self, one.name) is not None]
         return [f"--{name.replace('_', '-')}" for name in given]
+
+    def build_gains(self, kp: float) -> "PidGains":
+        """Return the gains of the controller."""
+        return tl.theory.PidGains(
+            kp=kp, ki=self.ki or 0.0, kd=self.kd or 0.0, filter_s=self.filter or 0.0
+        )
 
     def build_process(self) -> "Process":
         """Return what the command passes."""
@@ -208,9 +214,11 @@ def _answer_loop(
         for gain in gains
     ]
     late = tl.theory.Process(dead_time_s=(dead_time or 0) * period_s)
-    recommended = Recommended(wanted.recommend(late, period_s))
+    given = [tl.theory.PidGains(kp=gain) for gain in gains]
+    recommended = wanted.recommend(late, period_s, given=given).choose_given()
     if form.is_json:
-        print_json(build_integrator(loops, build_recommended(recommended)))
+        gains_json = build_recommended(recommended)
+        print_json(build_integrator(loops, gains_json, find_kept(recommended)))
         return
     print_text(format_integrator(loops, recommended, wanted, shows_all=form.shows_all))
 
@@ -233,26 +241,17 @@ def _answer_terms(
     process = terms.build_process()
     period_s, dead_time = timing
     late = replace(process, dead_time_s=process.dead_time_s + dead_time * period_s)
-    recommended = Recommended(wanted.recommend(late, period_s, terms.filter or 0.0))
+    given = [terms.build_gains(kp) for kp in gains]
+    recommended = wanted.recommend(late, period_s, terms.filter or 0.0, given=given).choose_given()
     found = [
         tl.theory.analyse_pid_loop(
-            tl.theory.PidGains(
-                kp=kp, ki=terms.ki or 0.0, kd=terms.kd or 0.0, filter_s=terms.filter or 0.0
-            ),
-            period_s=period_s,
-            dead_time_ticks=dead_time,
-            process=process,
+            one, period_s=period_s, dead_time_ticks=dead_time, process=process
         )
-        for kp in gains
+        for one in given
     ]
     if not form.is_json:
         answers = [LoopAnswer(title=f"Kp = {loop.gains.kp:g}", found=loop) for loop in found]
-        controller = f"P{'I' if terms.ki else ''}{'D' if terms.kd else ''}"
-        print_text(
-            format_terms(
-                answers, recommended, wanted, controller=controller, shows_all=form.shows_all
-            )
-        )
+        print_text(format_terms(answers, recommended, wanted, shows_all=form.shows_all))
         return
     ranges = found[0].stable_gains
     print_json(
@@ -264,6 +263,7 @@ def _answer_terms(
             stability_gain=ranges[-1][1] if ranges else None,
             gains=[build_pid_loop(loop) for loop in found],
             recommended=build_recommended(recommended),
+            kept_kp=find_kept(recommended),
         )
     )
 
@@ -280,6 +280,7 @@ class _TermsAnswer:
     stability_gain: float | None
     gains: list[PidAnswer]
     recommended: list[RecommendedGains]
+    kept_kp: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -306,9 +307,13 @@ def _answer_file(
     answers = answer_models(models)
     groups = wanted.recommend_for(models)
     if form.is_json:
-        recommended = {loop: build_recommended(one) for one in groups for loop in one.loops}
+        recommended = {
+            loop: (build_recommended(one), find_kept(one, loop))
+            for one in groups
+            for loop in one.loops
+        }
         loops = [
-            build_declared_loop(one.model, one.found, recommended.get(one.title, []))
+            build_declared_loop(one.model, one.found, *recommended.get(one.title, ([], None)))
             for one in answers
             if one.model is not None
         ]

@@ -2,18 +2,25 @@
 
 import shlex
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, find_width
-from turtlelog.cli.theory_gains import Recommended, Wishes, tabulate_recommended
+from turtlelog.cli.theory_gains import (
+    Recommended,
+    Wishes,
+    compare_gains,
+    show_gains,
+    tabulate_recommended,
+    tell_gains,
+)
 from turtlelog.cli.theory_loops import LoopAnswer, list_sources, tabulate_answers, tell_motion
 from turtlelog.cli.theory_tables import describe_sampling, summarise_gains, tabulate_theory
 from turtlelog.display import format_short, join_words
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
-    from turtlelog.theory import PidGains, Recommendation, SampledLoop
+    from turtlelog.theory import Recommendation, SampledLoop
 
 _MOST_COLUMNS: Final = 3
 """Loops beside each other: a line has no room for more."""
@@ -37,8 +44,7 @@ def format_integrator(
     """
     head = [
         *_list_recommended(
-            recommended.found,
-            "P",
+            recommended,
             wishes,
             ideal=_IDEAL if loops[0].dead_time_ticks else f"{_IDEAL} or dead time",
         ),
@@ -57,7 +63,6 @@ def format_terms(
     recommended: Recommended,
     wishes: Wishes,
     *,
-    controller: str,
     shows_all: bool,
 ) -> str:
     """Return the answer for a loop with more than P on 1/s, at each Kp.
@@ -66,11 +71,10 @@ def format_terms(
         answers: At each Kp.
         recommended: Gains for that plant and dead time.
         wishes: What they shall give.
-        controller: That of the loop: P, PI, PD or PID.
         shows_all: Show published rules, and why rules give no gains.
     """
     head = [
-        *_list_recommended(recommended.found, controller, wishes),
+        *_list_recommended(recommended, wishes),
         *_list_stable(answers),
         *_list_motions(answers),
     ]
@@ -106,16 +110,15 @@ def format_file(
         robot = "turtlelog identify BAG --scenario robot.toml, turtlelog theory robot.toml"
         hint = [] if answers else [f"Gains for a robot: {robot}"]
         return fill_lines([f"{name}: {why}.", *list_sources(answers), *hint])
-    found = {
-        loop: best
+    advice = [
+        _Advice(loop, one.find_best(given.controller), given, is_kept=one.keeps(given))
         for one in groups
-        for loop in one.loops
-        if (best := find_best(one.found, "P")) is not None
-    }
+        for loop, given in zip(one.loops, one.given, strict=True)
+    ]
     rest = [
         *list_sources(answers, shows_all=shows_all),
         _UNLIMITED,
-        *_list_run(word, answers, found),
+        *_list_run(word, answers, advice),
         *(
             []
             if shows_all
@@ -124,27 +127,54 @@ def format_file(
     ]
     tables = [tabulate_recommended(one, wishes, shows_all=shows_all) for one in groups]
     tables += [tabulate_answers(f"The loops of {name}", answers)] if shows_all else []
-    return _join([_conclude(name, found, wishes), *map(_describe_loop, known)], tables, rest)
+    head = [_conclude(name, advice, wishes), *(_describe_loop(one, advice) for one in known)]
+    return _join(head, tables, rest)
 
 
-def _conclude(name: str, found: "dict[str, Recommendation]", wishes: Wishes) -> str:
-    """Return the recommended gain of each loop."""
-    if not found:
+class _Advice(NamedTuple):
+    """Recommended gains of a loop beside its own, and whether its own need no change."""
+
+    loop: str
+    best: "Recommendation | None"
+    given: "Recommendation"
+    is_kept: bool
+
+
+def _conclude(name: str, advice: Sequence[_Advice], wishes: Wishes) -> str:
+    """Return the recommended gains of each loop, and which need no change."""
+    changed = _list_gains([(one.loop, one.best) for one in advice if not one.is_kept])
+    kept = _list_gains([(one.loop, one.given) for one in advice if one.is_kept])
+    rule = next((one.best.rule for one in advice if one.best), None)
+    if rule is None:
         return f"{name}: theory has no recommended gains."
-    gains = [
-        f"{format_short(best.gains.kp)} 1/s ({loop})" for loop, best in found.items() if best.gains
-    ]
-    wish = wishes.describe(next(iter(found.values())).rule)
-    return f"{name}: recommended Kp for {wish}, {_IDEAL}: {', '.join(gains)}."
+    wish = f"for {wishes.describe(rule)}, {_IDEAL}"
+    if not changed:
+        return f"{name}: no change is needed {wish}: {kept}."
+    text = f"{name}: recommended {wish}: {changed}"
+    return f"{text}; no change is needed of {kept}." if kept else f"{text}."
 
 
-def _describe_loop(answer: LoopAnswer) -> str:
-    """Return how a known loop answers at its own gain, and where it is stable."""
+def _list_gains(loops: "Sequence[tuple[str, Recommendation | None]]") -> str:
+    """Return gains with the loops that they are of: `Kp = 4 1/s (rotate and translate)`."""
+    found: dict[str, list[str]] = {}
+    for loop, one in loops:
+        if one and one.gains:
+            found.setdefault(show_gains(one.gains), []).append(loop)
+    return ", ".join(f"{gains} ({join_words(names)})" for gains, names in found.items())
+
+
+def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
+    """Return what recommended gains change, or how a loop answers, and where it is stable."""
     loop = answer.found
     if loop is None:
         return ""
-    kp = f"Kp = {format_short(loop.gains.kp)} 1/s"
-    return f"{answer.title}: {kp}: {tell_motion(loop)}; stable for Kp {_show_range(answer)}."
+    own = next((one for one in advice if one.loop == answer.title), None)
+    compared = compare_gains(own.best, own.given) if own and own.best and not own.is_kept else ""
+    motion = tell_gains(own.given) if own and own.is_kept else tell_motion(loop)
+    said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {motion}"
+    grows = answer.model is not None and answer.model.most_dead_time_s is not None
+    place = " at the least dead time" if grows else ""
+    return f"{answer.title}: {said}; stable for Kp {_show_range(answer)}{place}."
 
 
 def _join(head: Sequence[str], tables: "Sequence[Table]", rest: Sequence[str]) -> str:
@@ -159,31 +189,30 @@ def _narrow(table: "Table") -> "Table":
     return tl.compare.narrow_table(table, find_width(), ranks)
 
 
-def find_best(found: "Sequence[Recommendation]", controller: str) -> "Recommendation | None":
-    """Return the first gains of a controller for what is wanted; None without such gains."""
-    return next((one for one in found if one.gains and one.controller == controller), None)
-
-
 def _list_recommended(
-    found: "Sequence[Recommendation]", controller: str, wishes: Wishes, *, ideal: str = _IDEAL
+    recommended: Recommended, wishes: Wishes, *, ideal: str = _IDEAL
 ) -> Iterator[str]:
-    """Yield the recommended gains of a controller, or of P; else why there are none."""
-    best = find_best(found, controller) or find_best(found, "P")
+    """Yield whether given gains need a change, and the recommended ones; else why there are none.
+
+    Args:
+        recommended: Gains for a plant.
+        wishes: What they shall give.
+        ideal: What they hold for.
+    """
+    (given,) = recommended.given
+    best = recommended.find_best(given.controller)
     if best is None or best.gains is None:
-        reasons = dict.fromkeys(one.reason for one in found if one.reason)
+        reasons = dict.fromkeys(one.reason for one in recommended.found if one.reason)
         yield f"No gains are recommended: {next(iter(reasons), 'no rule gives any')}."
         return
-    yield (
-        f"Recommended {ideal}: {best.controller} with {_show_gains(best.gains)} for"
-        f" {wishes.describe(best.rule)}."
-    )
-
-
-def _show_gains(gains: "PidGains") -> str:
-    said = [f"Kp = {format_short(gains.kp)} 1/s"]
-    said += [f"Ki = {format_short(gains.ki)} 1/s^2"] if gains.ki else []
-    said += [f"Kd = {format_short(gains.kd)}"] if gains.kd else []
-    return join_words(said)
+    wish = wishes.describe(best.rule)
+    if given.gains and recommended.keeps(given):
+        yield f"{show_gains(given.gains)} needs no change, {ideal}: {tell_gains(given)}."
+        yield f"{show_gains(best.gains)} for {wish} is no better: {tell_gains(best)}."
+        return
+    yield f"Recommended {ideal}: {best.controller} with {show_gains(best.gains)} for {wish}."
+    compared = compare_gains(best, given)
+    yield f"{compared[:1].upper()}{compared[1:]}"
 
 
 def _list_stable(answers: Sequence[LoopAnswer]) -> Iterator[str]:
@@ -224,15 +253,19 @@ def _show_range(answer: LoopAnswer) -> str:
     )
 
 
-def _list_run(
-    word: str, answers: Sequence[LoopAnswer], found: "dict[str, Recommendation]"
-) -> Iterator[str]:
+def _list_run(word: str, answers: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> Iterator[str]:
     """Yield the command that tries the recommended gains."""
-    keys = {one.title: one.model.loop.gain for one in answers if one.model}
-    words = [
-        f"--set {keys[loop]}={best.gains.kp:.3g}"
-        for loop, best in found.items()
-        if best.gains and keys[loop]
-    ]
+    loops = {one.title: one.model.loop for one in answers if one.model}
+    words = []
+    for one in advice:
+        if one.best is None or one.best.gains is None or one.given.gains is None or one.is_kept:
+            continue
+        loop, new, old = loops[one.loop], one.best.gains, one.given.gains
+        terms = [
+            (loop.gain, new.kp, old.kp),
+            (loop.integral_gain, new.ki, old.ki),
+            (loop.derivative_gain, new.kd, old.kd),
+        ]
+        words += [f"--set {key}={new:.3g}" for key, new, old in terms if key and (new or old)]
     if words:
         yield f"Try them: turtlelog run {shlex.quote(word)} {' '.join(words)}"

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.display import join_words
+from turtlelog.display import format_short, join_words
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog.compare import Cell, Table
-    from turtlelog.theory import LoopModel, Process, Recommendation
+    from turtlelog.theory import LoopModel, PidGains, Process, Recommendation
 
 
 @Parameter(name="*")
@@ -65,23 +65,30 @@ class Wishes:
     phase_margin_rad: float | None
 
     def recommend(
-        self, process: "Process", period_s: float, filter_s: float = 0.0
-    ) -> "tuple[Recommendation, ...]":
-        """Return gains for a process with all dead time in it, and its period."""
-        return tl.theory.recommend_gains(
+        self,
+        process: "Process",
+        period_s: float,
+        filter_s: float = 0.0,
+        *,
+        given: "Sequence[PidGains]" = (),
+    ) -> "Recommended":
+        """Return gains for a process with all dead time in it, and what given gains do."""
+        found = tl.theory.recommend_gains(
             process,
             period_s=period_s,
             filter_s=filter_s,
             overshoot_percent=self.overshoot_percent,
             phase_margin_rad=self.phase_margin_rad,
         )
+        measured = [tl.theory.measure_gains(one, process, period_s=period_s) for one in given]
+        return Recommended(found, tuple(measured))
 
     def recommend_for(self, models: "Sequence[LoopModel]") -> "list[Recommended]":
         """Return gains for the declared loops that theory knows, alike loops together.
 
         They are for the most dead time that a loop may have.
         """
-        groups: dict[tuple[Process, float, float], list[str]] = {}
+        groups: dict[tuple[Process, float, float], dict[str, PidGains]] = {}
         longest_s: dict[str, float] = {}
         for model in tl.theory.list_known(models):
             gains, settings = model.require()
@@ -90,14 +97,18 @@ class Wishes:
                 process = replace(process, dead_time_s=model.most_dead_time_s)
                 longest_s[model.loop.name] = model.most_dead_time_s
             key = process, settings["period_s"], gains.filter_s
-            groups.setdefault(key, []).append(model.loop.name)
+            groups.setdefault(key, {})[model.loop.name] = gains
         return [
-            Recommended(self.recommend(*key), loops, longest_s.get(loops[0]))
+            self.recommend(*key, given=tuple(loops.values()))._replace(
+                loops=tuple(loops), most_dead_time_s=longest_s.get(next(iter(loops)))
+            )
             for key, loops in groups.items()
         ]
 
     def tell(self, one: "Recommendation") -> str:
         """Return controller and rule in words, for a table."""
+        if one.rule == "given":
+            return f"{one.controller} as given"
         if one.rule in _RULES:
             return f"{one.controller} for {self.describe(one.rule)}".replace("phase ", "")
         return f"{one.controller} by {_RULE_NAMES[one.rule]}"
@@ -112,11 +123,122 @@ class Wishes:
 
 
 class Recommended(NamedTuple):
-    """Gains, the names of the loops that they are for, and the most dead time where it may grow."""
+    """Recommended gains beside given ones.
+
+    Attributes:
+        found: The recommended gains.
+        given: What given gains do, of loops in their order.
+        loops: The names of the loops that they are for.
+        most_dead_time_s: The most dead time, if it may grow [s].
+    """
 
     found: "tuple[Recommendation, ...]"
+    given: "tuple[Recommendation, ...]" = ()
     loops: Sequence[str] = ()
     most_dead_time_s: float | None = None
+
+    def find_best(self, controller: str) -> "Recommendation | None":
+        """Return the first gains of a controller, or of P, for what is wanted; None without any."""
+        known = {one.controller: one for one in reversed(self.found) if one.gains}
+        return known.get(controller) or known.get("P")
+
+    def keeps(self, given: "Recommendation") -> bool:
+        """Return whether given gains need no change."""
+        best = self.find_best(given.controller)
+        return best is not None and tl.theory.is_no_worse(given, best)
+
+    def choose_given(self) -> "Recommended":
+        """Keep, of several given gains, those that the recommended ones are compared with."""
+        return self._replace(given=tuple(sorted(self.given, key=self._rank)[:1]))
+
+    def _rank(self, given: "Recommendation") -> tuple[bool, float, float]:
+        """Return what puts kept gains first, then those that overshoot least beyond the wish."""
+        if given.motion is None:
+            return True, math.inf, math.inf
+        best = self.find_best(given.controller)
+        wished = 0.0 if best is None or best.motion is None else best.motion.overshoot_percent
+        settles_s = given.motion.settling_time_s
+        excess = max(given.motion.overshoot_percent - wished, 0.0)
+        return not self.keeps(given), excess, math.inf if settles_s is None else settles_s
+
+
+def show_gains(gains: "PidGains") -> str:
+    """Return gains with their units: `Kp = 4 1/s and Ki = 0.5 1/s^2`."""
+    said = [f"Kp = {format_short(gains.kp)} 1/s"]
+    said += [f"Ki = {format_short(gains.ki)} 1/s^2"] if gains.ki else []
+    said += [f"Kd = {format_short(gains.kd)}"] if gains.kd else []
+    return join_words(said)
+
+
+def tell_step(overshoot_percent: float | None, settling_time_s: float | None) -> str:
+    """Return how far a stable loop overshoots after a step, and when it settles."""
+    said = []
+    if overshoot_percent is not None:
+        is_none = overshoot_percent < NO_OVERSHOOT
+        said.append("no overshoot" if is_none else f"overshoots by {overshoot_percent:.2f} %")
+    if settling_time_s is not None:
+        said.append(f"settles in {settling_time_s:.3g} s")
+    return ", ".join(said)
+
+
+NO_OVERSHOOT: Final = 0.005
+"""In %: less is none in the digits that are shown."""
+
+
+def tell_gains(one: "Recommendation") -> str:
+    """Return how far a loop with these gains overshoots after a step, and when it settles."""
+    motion = one.motion
+    return "" if motion is None else tell_step(motion.overshoot_percent, motion.settling_time_s)
+
+
+def compare_gains(best: "Recommendation", given: "Recommendation") -> str:
+    """Return in which figures recommended gains are better than given ones, and in which worse."""
+    name = show_gains(given.gains) if given.gains else ""
+    if given.margins is None:
+        return f"{name} is unstable."
+    better: list[str] = []
+    worse: list[str] = []
+    for new, old in zip(_list_figures(best), _list_figures(given), strict=True):
+        if new.value is None or old.value is None or new.tell() == old.tell():
+            continue
+        found = better if (new.value > old.value) == new.more_is_better else worse
+        values = f" ({new.tell()}, not {old.tell()})" if new.unit else ""
+        found.append(f"{new.noun}{values}")
+    if not better:
+        return ""
+    said = [f"better than {name} in {join_words(better)}"]
+    said += [f"worse in {join_words(worse)}"] if worse else []
+    return f"{'; '.join(said)}."
+
+
+class _Figure(NamedTuple):
+    """A figure of gains: what it is, its value, None if unknown, and whether more is better.
+
+    A margin has no unit: its value is left to the table.
+    """
+
+    noun: str
+    unit: str
+    value: float | None
+    more_is_better: bool
+
+    def tell(self) -> str:
+        return "" if self.value is None else format_short(self.value, self.unit)
+
+
+def _list_figures(one: "Recommendation") -> list[_Figure]:
+    motion, margins = one.motion, one.margins
+    overshoot = None if motion is None else max(motion.overshoot_percent, 0.0)
+    settles_s = None if motion is None else motion.settling_time_s
+    factor = None if margins is None else margins.gain_margin
+    phase_rad = None if margins is None else margins.phase_margin_rad
+    phase_deg = None if phase_rad is None else math.degrees(phase_rad)
+    return [
+        _Figure("overshoot", "%", overshoot, more_is_better=False),
+        _Figure("settling time", "s", settles_s, more_is_better=False),
+        _Figure("gain margin", "", factor, more_is_better=True),
+        _Figure("phase margin", "", phase_deg, more_is_better=True),
+    ]
 
 
 _RULES: Final = ("overshoot", "phase-margin")
@@ -141,6 +263,12 @@ class RecommendedGains:
     gain_margin: float | None
     phase_margin_rad: float | None
     reason: str | None
+
+
+def find_kept(recommended: Recommended, loop: str = "") -> float | None:
+    """Return the given Kp [1/s] that needs no change, of a loop if there are several; else None."""
+    given = recommended.given[recommended.loops.index(loop) if loop else 0]
+    return given.gains.kp if given.gains and recommended.keeps(given) else None
 
 
 def build_recommended(recommended: Recommended) -> list[RecommendedGains]:
@@ -175,7 +303,8 @@ def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all:
         shows_all: With published rules, and why rules give no gains.
     """
     of = f" of {join_words(recommended.loops)}" if recommended.loops else ""
-    found = [one for one in recommended.found if shows_all or one.rule in _RULES]
+    found = [*dict.fromkeys(recommended.given)]
+    found += [one for one in recommended.found if shows_all or one.rule in _RULES]
     return tl.compare.Table(
         title=f"Recommended gains{of}",
         columns=(
@@ -196,20 +325,10 @@ def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all:
 
 
 def _list_cells(one: "Recommendation", name: str) -> "tuple[Cell, ...]":
-    gains, motion, margins = one.gains, one.motion, one.margins
-    if gains is None:
+    if one.gains is None:
         return (name,)
-    phase_rad = None if margins is None else margins.phase_margin_rad
-    return (
-        name,
-        gains.kp,
-        gains.ki or None,
-        gains.kd or None,
-        None if motion is None else max(motion.overshoot_percent, 0.0),
-        None if motion is None else motion.settling_time_s,
-        None if margins is None else margins.gain_margin,
-        None if phase_rad is None else math.degrees(phase_rad),
-    )
+    gains = one.gains.kp, one.gains.ki or None, one.gains.kd or None
+    return (name, *gains, *(figure.value for figure in _list_figures(one)))
 
 
 def _list_notes(recommended: Recommended, wishes: Wishes, *, shows_all: bool) -> Iterator[str]:

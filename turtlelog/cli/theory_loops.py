@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 import turtlelog as tl
-from turtlelog.cli.theory_gains import RecommendedGains
+from turtlelog.cli.theory_gains import NO_OVERSHOOT, RecommendedGains, tell_step
 from turtlelog.cli.theory_tables import Pole, build_poles, tell_pole
 from turtlelog.display import join_words
 from turtlelog.loops import SIGNAL_WORDS
@@ -14,9 +14,6 @@ from turtlelog.loops import SIGNAL_WORDS
 if TYPE_CHECKING:
     from turtlelog.compare import Table
     from turtlelog.theory import LoopModel, Margins, PidLoop, Process
-
-_NO_OVERSHOOT: Final = 0.005
-"""In %: less is none in the digits that are shown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,6 +112,7 @@ class DeclaredLoopAnswer:
         most_dead_time_s: The dead time that queues may let it grow to [s].
         sampled: The sampled loop; None if it is unknown.
         recommended: Gains.
+        kept_kp: The Kp in use if it needs no change [1/s].
     """
 
     loop: str
@@ -127,10 +125,14 @@ class DeclaredLoopAnswer:
     most_dead_time_s: float | None
     sampled: PidAnswer | None
     recommended: list[RecommendedGains]
+    kept_kp: float | None
 
 
 def build_declared_loop(
-    model: "LoopModel", found: "PidLoop | None", recommended: list[RecommendedGains]
+    model: "LoopModel",
+    found: "PidLoop | None",
+    recommended: list[RecommendedGains],
+    kept_kp: float | None,
 ) -> DeclaredLoopAnswer:
     """Return a declared loop for JSON: where values come from, and they, where it is known."""
     return DeclaredLoopAnswer(
@@ -144,6 +146,7 @@ def build_declared_loop(
         most_dead_time_s=model.most_dead_time_s,
         sampled=None if found is None else build_pid_loop(found),
         recommended=recommended,
+        kept_kp=kept_kp,
     )
 
 
@@ -197,12 +200,8 @@ def tell_motion(loop: "PidLoop") -> str:
     """Return whether a loop is stable, how far it overshoots and when it settles."""
     if not loop.stable:
         return "unstable"
-    said = ["stable"]
-    if loop.overshoot_percent is not None:
-        said.append(f"overshoots {_tell_overshoot(loop)}" if _overshoots(loop) else "no overshoot")
-    if loop.settling_time_s is not None:
-        said.append(f"settles in {loop.settling_time_s:.3g} s")
-    return ", ".join(said)
+    step = tell_step(loop.overshoot_percent, loop.settling_time_s)
+    return f"stable, {step}" if step else "stable"
 
 
 def _tell_sources(model: "LoopModel") -> str:
@@ -222,7 +221,7 @@ _NAMES: Final = {
 
 
 def _overshoots(loop: "PidLoop") -> bool:
-    return loop.overshoot_percent is not None and loop.overshoot_percent >= _NO_OVERSHOOT
+    return loop.overshoot_percent is not None and loop.overshoot_percent >= NO_OVERSHOOT
 
 
 def _find_delay_margin(loop: "PidLoop") -> float | None:

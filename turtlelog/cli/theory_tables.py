@@ -94,10 +94,11 @@ class IntegratorAnswer:
     gains: list[GainAnswer]
     limits: list[GainLimits]
     recommended: list[RecommendedGains]
+    kept_kp: float | None
 
 
 def build_integrator(
-    loops: "list[SampledLoop]", recommended: list[RecommendedGains]
+    loops: "list[SampledLoop]", recommended: list[RecommendedGains], kept_kp: float | None
 ) -> IntegratorAnswer:
     """Return the answer for P on 1/s."""
     first = loops[0]
@@ -115,6 +116,7 @@ def build_integrator(
             for ticks, (overshoot, stability) in limits.items()
         ],
         recommended=recommended,
+        kept_kp=kept_kp,
     )
 
 

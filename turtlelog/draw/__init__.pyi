@@ -38,4 +38,5 @@ from .rerun.snapshot import (
 from .rerun.viewer import open_viewer as open_viewer
 from .rerun.violation_scene import write_violation_rrd as write_violation_rrd
 from .rerun.web import serve_recordings as serve_recordings
+from .shown_run import show_run as show_run
 from .table_formats import TABLE_FORMATS as TABLE_FORMATS, format_table as format_table

@@ -68,6 +68,7 @@ from .report import (
     format_contribution as format_contribution,
     format_value as format_value,
     write_cause_head as write_cause_head,
+    write_headline as write_headline,
     write_main as write_main,
     write_reasons as write_reasons,
     write_sentences as write_sentences,

@@ -348,6 +348,8 @@ class Attribution:
         return fit_line(f"<Attribution of {self.metric}: {size}: {cause}>")
 
     def _repr_html_(self) -> str:
+        from turtlelog.explain.report import write_headline
+
         unit = self.unit
         heads = ["cause", f"contribution [{unit}]", f"without it alone [{unit}]", "means"]
         rows: list[list[object]] = [
@@ -363,8 +365,7 @@ class Attribution:
                 rows.insert(sum(one.contribution is not None for one in self.changing), row)
         table = format_html(rows, heads=heads)
         rest = [f"<p>{escape(text)}</p>" for text in self.sentences[1:]]
-        answer = self.sentences[0] if self.sentences else f"What caused {self.metric}"
-        return format_answer(answer, table, *rest)
+        return format_answer(write_headline(self), table, *rest)
 
 
 def choose_metric(declaration: Declaration) -> str:

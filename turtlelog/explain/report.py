@@ -39,6 +39,19 @@ def write_sentences(found: Attribution) -> tuple[str, ...]:
     return (write_value(found), *causes, *write_reasons(found))
 
 
+def write_headline(found: Attribution) -> str:
+    """Return the value and the largest contributions; the value in a sentence where none is named.
+
+    The re-simulation's value stands in brackets if it is another one than the log's.
+    """
+    if not choose_named(found):
+        return write_value(found)
+    known = [one for one in (found.as_logged, found.resimulated) if one is not None]
+    sizes = [*dict.fromkeys(format_value(found, one) for one in known)]
+    again = f" ({sizes[1]} re-simulated)" if len(sizes) > 1 else ""
+    return f"{found.metric} is {sizes[0]}{again}: {write_main(found)}"
+
+
 def write_value(found: Attribution) -> str:
     """Return the value of the log and that of the re-simulation, where they differ."""
     logged, built = found.as_logged, found.resimulated

@@ -1,3 +1,4 @@
+from .axis_motion import NAMES as NAMES
 from .motion_prediction import (
     AxisTraces as AxisTraces,
     predict_axis as predict_axis,
@@ -15,4 +16,11 @@ from .robot_scenario import (
     RobotScenario as RobotScenario,
     build_robot_scenario as build_robot_scenario,
     read_doubts as read_doubts,
+)
+from .robot_words import (
+    HEADS as HEADS,
+    format_delay as format_delay,
+    format_gain as format_gain,
+    list_values as list_values,
+    write_headline as write_headline,
 )

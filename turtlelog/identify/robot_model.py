@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from html import escape
 from typing import Any, Literal, SupportsFloat
 
 from turtlelog.display import fit_line, format_answer, format_html
@@ -281,11 +282,9 @@ class RobotModel:
         )
 
     def _repr_html_(self) -> str:
-        rows = [
-            (axis.axis, axis.gain, axis.dead_time_s, axis.lag_s, axis.total_delay_s, axis.reason)
-            for axis in self.axes
-        ]
-        heads = ("", "gain", "dead time", "time constant", "total delay", "")
-        known = [f"{axis.axis} with gain {axis.gain.value:.4g}" for axis in self.axes if axis.gain]
-        answer = f"{', '.join(self.files)}: {' and '.join(known) or 'no axis is known'}."
-        return format_answer(answer, format_html(rows, heads=heads))
+        from turtlelog.identify.robot_words import HEADS, list_values, write_headline
+
+        rows = [(*list_values(axis), axis.reason) for axis in self.axes]
+        answer = write_headline(self.axes, ", ".join(self.files))
+        doubts = [f"<p>{escape(doubt)}</p>" for axis in self.axes for doubt in axis.doubts]
+        return format_answer(answer, format_html(rows, heads=(*HEADS, "")), *doubts)

@@ -15,13 +15,22 @@ _MOST_POINTS: Final = 400
 _LEAST_M: Final = 0.5
 """Side of what is shown at least: of less, the noise of poses would look like a way."""
 
+_MARK: Final = 8.0
+"""Width of the marks in pixels: a way that they cover is none to be seen."""
+
 
 def format_path_svg(xy_m: NDArray[np.float64], goal_xy_m: tuple[float, float] | None) -> str:
-    """Return the path as SVG: a square at its start, a dot at its end, a cross at the goal."""
+    """Return the path as SVG: a square at its start, a dot at its end, a cross at the goal.
+
+    It is empty where there is no way to be seen, neither driven nor to the goal.
+    """
     rows = np.unique(np.linspace(0, len(xy_m) - 1, _MOST_POINTS).round().astype(int))
     shown = xy_m if goal_xy_m is None else np.vstack([xy_m, goal_xy_m])
+    extent_m = float(np.ptp(shown, axis=0).max())
     middle = (shown.min(axis=0) + shown.max(axis=0)) / 2.0
-    scale = (_SIDE - 2.0 * _ROOM) / max(float(np.ptp(shown, axis=0).max()), _LEAST_M)
+    scale = (_SIDE - 2.0 * _ROOM) / max(extent_m, _LEAST_M)
+    if not extent_m * scale >= _MARK:
+        return ""
 
     def place(points_m: NDArray[np.float64]) -> list[tuple[float, float]]:
         # The y of a picture points downward.
@@ -30,7 +39,8 @@ def format_path_svg(xy_m: NDArray[np.float64], goal_xy_m: tuple[float, float] | 
 
     way = place(xy_m[rows])
     (left, top), (right, bottom) = way[0], way[-1]
-    marks = f'<rect x="{left - 4}" y="{top - 4}" width="8" height="8" fill="currentColor"/>'
+    square = f'width="{_MARK:g}" height="{_MARK:g}" fill="currentColor"'
+    marks = f'<rect x="{left - _MARK / 2}" y="{top - _MARK / 2}" {square}/>'
     marks += f'<circle cx="{right}" cy="{bottom}" r="4" fill="#0082cc"/>'
     if goal_xy_m is not None:
         ((x, y),) = place(np.array([goal_xy_m]))

@@ -352,11 +352,12 @@ class Run:
             f"{span.phase} {(span.end_ns - span.start_ns) / 1e9:.3g} s"
             for span in self.find_phase_spans()
         )
+        counts = [describe_count(len(getattr(self, name)), name[:-1]) for name in TABLES]
         rows = [
             ("source", self.source),
             ("goal", goal or "not recorded"),
             ("phases", spans or "none"),
-            ("rows", ", ".join(f"{len(getattr(self, name))} {name}" for name in TABLES)),
+            ("rows", ", ".join(counts)),
             ("not recorded", ", ".join(self.absent) or "nothing"),
         ]
         picture = format_path_svg(self.poses.xy_m, self.goal_xy_m) if len(self.poses) else ""

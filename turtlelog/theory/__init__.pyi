@@ -59,6 +59,8 @@ from .recommended_gains import (
     OVERSHOOT_PERCENT as OVERSHOOT_PERCENT,
     PHASE_MARGIN_RAD as PHASE_MARGIN_RAD,
     Recommendation as Recommendation,
+    is_no_worse as is_no_worse,
+    measure_gains as measure_gains,
     recommend_gains as recommend_gains,
 )
 from .sampled_loop import (

@@ -32,8 +32,8 @@ class Recommendation:
     """Gains by one rule, or why it gives none.
 
     Attributes:
-        rule: `overshoot`, `phase-margin`, `simc` or `ziegler-nichols`.
-        controller: `P`, `PI` or `PD`.
+        rule: `overshoot`, `phase-margin`, `simc`, `ziegler-nichols`, or `given`: gains in use.
+        controller: `P`, `PI`, `PD`, or of given gains `PID`.
         source: Where the rule is from.
         gains: None where there are none.
         reason: Why; empty where there are gains.
@@ -100,6 +100,70 @@ def recommend_gains(
         ]
     rules += [(*names, partial(compute, design)) for names, compute in RULES]
     return tuple(_judge(design, *rule) for rule in rules)
+
+
+def measure_gains(
+    gains: PidGains, process: Process = INTEGRATOR, *, period_s: float
+) -> Recommendation:
+    """Return what given gains do, in the same figures as recommended ones.
+
+    Args:
+        gains: Of the controller.
+        process: What the command passes, with all dead time; an integrator unless given.
+        period_s: Sampling period T [s].
+
+    Raises:
+        TheoryError: If a number is not finite or outside its range.
+    """
+    design = LoopDesign(process=process, period_s=require_period(period_s))
+    controller = f"P{'I' if gains.ki else ''}{'D' if gains.kd else ''}"
+    return _judge(design, "given", controller, "given", lambda: gains)
+
+
+def is_no_worse(given: Recommendation, best: Recommendation) -> bool:
+    """Return whether given gains need no change.
+
+    They have at most the overshoot, or at least the phase margin, of the recommended gains, and
+    settle no later. Recommended gains rounded to three digits need none either.
+
+    Args:
+        given: Gains in use.
+        best: Gains for an overshoot or a phase margin.
+    """
+    if given.margins is None or given.motion is None or best.motion is None:
+        return False
+    if _are_same(given.gains, best.gains):
+        return True
+    settles_s, best_settles_s = given.motion.settling_time_s, best.motion.settling_time_s
+    if settles_s is None or (best_settles_s is not None and settles_s > best_settles_s + _EQUAL_S):
+        return False
+    if best.rule == "overshoot":
+        most_percent = best.motion.overshoot_percent + _EQUAL_PERCENT
+        return given.motion.overshoot_percent <= most_percent
+    margin_rad = given.margins.phase_margin_rad
+    least_rad = None if best.margins is None else best.margins.phase_margin_rad
+    return margin_rad is None or (least_rad is not None and margin_rad >= least_rad - _EQUAL_RAD)
+
+
+_EQUAL_S: Final = 1e-9
+"""Rounding of a settling time, which is a whole number of periods [s]."""
+
+_EQUAL_PERCENT: Final = 0.005
+"""In % of the step: half of the last digit that is printed of an overshoot."""
+
+_EQUAL_RAD: Final = math.radians(0.05)
+"""Half of the last digit that is printed of a phase margin."""
+
+_SAME_GAIN: Final = 0.005
+"""Of a gain: what rounding to three digits changes at most."""
+
+
+def _are_same(given: PidGains | None, best: PidGains | None) -> bool:
+    """Return whether gains are the same in three digits."""
+    if given is None or best is None:
+        return False
+    pairs = [(given.kp, best.kp), (given.ki, best.ki), (given.kd, best.kd)]
+    return all(math.isclose(one, other, rel_tol=_SAME_GAIN) for one, other in pairs)
 
 
 def _judge(

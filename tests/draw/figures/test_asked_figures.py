@@ -352,6 +352,7 @@ def robot() -> tl.Run:
     return make_run(Log(duration_s=12.0, noise_m=0.0, noise_rad=0.0, jitter_s=0.0), 1)
 
 
+@pytest.mark.thorough
 def test_rates_name_what_identification_found(robot: tl.Run) -> None:
     figure, model = make_figure(), identify_robot([robot])
     draw_rates(figure, [robot])

@@ -166,6 +166,7 @@ def test_runs_stand_in_the_order_of_their_gains() -> None:
     assert list_legend(figure)[:4] == ["paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10"]
 
 
+@pytest.mark.everyday("panel-4", "heading-1")
 @pytest.mark.parametrize(
     ("name", "runs"), [("heading", 1), ("panel", 4), ("plane", 20), ("root-locus", 20)]
 )
@@ -196,7 +197,7 @@ OF_ONE = ("attribution", "luck", "rates")
 """Figures of one run."""
 
 
-@pytest.mark.everyday("panel", "plane", "rates", "step-responses", "states")
+@pytest.mark.everyday("panel", "plane")
 @pytest.mark.parametrize("name", [name for name in tl.draw.FIGURES if name != "violation"])
 def test_no_lettering_is_cut_off_on_the_narrowest_page(name: str) -> None:
     """A figure is drawn as a whole."""

@@ -40,6 +40,7 @@ def list_names(axes: Axes) -> list[Text]:
     return [text for text in axes.texts if text.get_text().startswith("with")]
 
 
+@pytest.mark.everyday("four-curves-slide", "five-curves-narrow")
 @pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
 @pytest.mark.parametrize("start", [(), NEAR_HALF_A_TURN], ids=["four-curves", "five-curves"])
 def test_words_lie_within_the_page_and_none_covers_another(

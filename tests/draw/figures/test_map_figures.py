@@ -165,6 +165,7 @@ def test_a_gain_has_the_unit_that_its_law_declares(tmp_path: Path) -> None:
     assert axes.get_ylabel() == f"{KP} [1/s]"
 
 
+@pytest.mark.everyday("page0-map", "page1-curves", "page2-tornado")
 @pytest.mark.parametrize("kind", ["map", "curves", "tornado"])
 @pytest.mark.parametrize("page", [Page(), Page(kind="page"), Page(text_width_mm=120.0)])
 def test_all_words_lie_within_the_page(tmp_path: Path, kind: MapKind, page: Page) -> None:

@@ -67,6 +67,7 @@ def test_without_marks_nothing_is_marked() -> None:
     assert (list_words(axes), list_dots(axes)) == ([], [])
 
 
+@pytest.mark.everyday("heading-slide", "along-track-column")
 @pytest.mark.parametrize("kind", ["column", "page", "slide"])
 @pytest.mark.parametrize("name", ["heading", "along-track"])
 def test_words_cover_neither_each_other_nor_dots_nor_leave_the_panel(

@@ -56,7 +56,7 @@ def test_a_run_drawn_while_it_grows_has_the_rows_of_its_file(tmp_path: Path) -> 
     assert list_entities(grown) == list_entities(once)
 
 
-@pytest.mark.everyday("strange", "OpenLoop")
+@pytest.mark.everyday("OpenLoop")
 @pytest.mark.parametrize("kind", ["strange", "Follower", "EightPhases", "OpenLoop", *TRACKERS])
 def test_a_run_of_any_law_drawn_while_it_grows_is_its_file(kind: str, tmp_path: Path) -> None:
     """All rows of two files are compared, of a path with many references."""

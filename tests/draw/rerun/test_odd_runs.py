@@ -101,6 +101,7 @@ def test_a_run_that_never_reaches_its_goal_works(tmp_path: Path) -> None:
     assert "the run has no phase translate" in text
 
 
+@pytest.mark.everyday("size0")
 @pytest.mark.parametrize("size", [(999, 700), (1000, 699)])
 def test_in_a_small_window_curves_have_the_room_of_legends_phases_and_tables(
     size: tuple[int, int], tmp_path: Path

@@ -52,6 +52,7 @@ def read_curve(path: Path, entity: str) -> NDArray[np.float64]:
     return np.array(read_rows(path, entity, "Scalars:scalars"), dtype=np.float64)
 
 
+@pytest.mark.everyday("strange", "OpenLoop")
 @pytest.mark.parametrize("kind", KINDS)
 def test_runs_of_every_law_make_sound_recordings(kind: str) -> None:
     verify(write(kind))

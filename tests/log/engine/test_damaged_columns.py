@@ -76,6 +76,7 @@ def damage(data: bytes, random: Random) -> bytes:
     return bytes(damaged)
 
 
+@pytest.mark.everyday("lz4", "no index")
 @pytest.mark.parametrize("kind", OPTIONS)
 def test_damage_is_found_or_does_no_harm(kind: str, tmp_path: Path) -> None:
     """Hundreds of flips are read, each in a file of its own."""

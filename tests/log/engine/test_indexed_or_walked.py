@@ -91,6 +91,7 @@ def list_bits(columns: TopicColumns) -> list[Any]:
     ]
 
 
+@pytest.mark.everyday("0", "1", "4", "7", "13")
 @pytest.mark.parametrize("seed", range(24))
 def test_columns_are_the_same_with_an_index_and_without(seed: int, tmp_path: Path) -> None:
     """The same messages are written and read as six files, some in hundreds of chunks."""

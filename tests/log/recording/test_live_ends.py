@@ -87,6 +87,7 @@ with Recorder(sys.argv[1], scenario) as recorder:
 """
 
 
+@pytest.mark.everyday("15", "2")
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows ends processes in other ways")
 @pytest.mark.parametrize("number", STOPS)
 def test_a_signal_to_a_loop_of_ones_own_finishes_the_file(

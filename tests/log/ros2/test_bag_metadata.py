@@ -138,6 +138,7 @@ def test_what_is_wrong_is_named_with_its_key(old: str, new: str, line: str) -> N
     assert len(str(caught.value)) < 160
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("more", [0, 1])
 def test_a_description_has_up_to_a_million_lines(more: int) -> None:
     """A million lines take 2 s."""

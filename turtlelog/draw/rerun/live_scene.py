@@ -11,7 +11,6 @@ import rerun.blueprint as rrb
 from turtlelog.charts import palette
 from turtlelog.charts.phase_timelines import TIMELINE
 from turtlelog.charts.ranges import HEADROOM
-from turtlelog.draw.documents import describe_run
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.content import Content, describe_content
 from turtlelog.draw.rerun.entities import APPLICATION_ID, join_path
@@ -27,12 +26,11 @@ from turtlelog.draw.rerun.plots import (
 )
 from turtlelog.draw.rerun.rrd_file import (
     abandon_stream,
-    draw_documents,
     require_enabled,
     strict_mode,
 )
-from turtlelog.draw.rerun.run_scene import build_single, draw_single
-from turtlelog.draw.rerun.timelines import RunStream, add_thinning, build_run_timelines, read_span
+from turtlelog.draw.rerun.run_scene import build_run_scene
+from turtlelog.draw.rerun.timelines import RunStream, build_run_timelines, read_span
 from turtlelog.draw.rerun.turtles import Look, draw_turtle
 from turtlelog.draw.rerun.world import draw_world
 from turtlelog.errors import ShowError
@@ -154,14 +152,11 @@ class LiveScene:
         Raises:
             ConnectionError: Where the viewer takes no more.
         """
-        single = build_single(run)
-        documents = add_thinning(describe_run(run, metrics=single.metrics), [run])
-        content = single.describe(documents)
+        scene = build_run_scene(run)
         with strict_mode():
             self._stream.begin_round(len(run.poses), is_last=True)
-            self._arrange(run, content)
-            draw_single(self._stream, single, content)
-            draw_documents(self._stream, documents)
+            self._arrange(run, scene.content)
+            scene.draw(self._stream)
             _flush(self._stream)
 
     def _draw(self, run: Run) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import rerun as rr
 
@@ -69,14 +69,36 @@ def write_run_rrd(
     Raises:
         ShowError: Where the file cannot be written.
     """
+    scene = build_run_scene(run, documents, size)
+    with open_recording(path, name=run.name, layout=build_run_layout(scene.content)) as stream:
+        scene.draw(stream)
+
+
+class RunScene(NamedTuple):
+    """A run with what a recording of it holds, and its documents by title."""
+
+    single: "Single"
+    content: Content
+    documents: Mapping[str, str]
+
+    def draw(self, stream: rr.RecordingStream) -> None:
+        """Draw all of it."""
+        draw_single(stream, self.single, self.content)
+        draw_documents(stream, self.documents)
+
+
+def build_run_scene(
+    run: Run,
+    documents: Mapping[str, str] | None = None,
+    size: tuple[int, int] | None = None,
+) -> RunScene:
+    """Return what is drawn of a run; documents and size are those of `write_run_rrd`."""
     single = build_single(run)
     if documents is None:
         documents = describe_run(run, metrics=single.metrics)
     documents = add_thinning(documents, [run])
     content = replace(single.describe(documents), is_small=is_small(size))
-    with open_recording(path, name=run.name, layout=build_run_layout(content)) as stream:
-        draw_single(stream, single, content)
-        draw_documents(stream, documents)
+    return RunScene(single, content, documents)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,0 +1,35 @@
+"""How a robot follows its commands in words, the same on the command line and in a notebook."""
+
+import turtlelog as tl
+from turtlelog.identify import AxisModel, Estimate, format_delay, format_gain
+
+DRIVEN = AxisModel(
+    axis="speed",
+    status="ok",
+    gain=Estimate(value=0.9, low=0.88, high=0.92, unit="1"),
+    dead_time_s=Estimate(value=0.08, low=0.07, high=0.09),
+    lag_s=Estimate(value=0.12, low=0.11, high=0.13),
+    total_delay_s=Estimate(value=0.2, low=0.19, high=0.21),
+    doubts=("the log does not tell a & b apart",),
+)
+UNKNOWN = AxisModel(axis="turn_rate", status="not_identifiable", reason="it never turns")
+
+
+def test_a_value_prints_as_many_digits_as_its_interval_tells() -> None:
+    assert format_delay(Estimate(value=0.0804, low=0.0751, high=0.0857)) == "80 (75 to 86)"
+    assert format_delay(Estimate(value=0.0804, low=0.0801, high=0.0807)) == "80.4 (80.1 to 80.7)"
+    assert (format_delay(None), format_gain(None)) == ("-", "-")
+
+
+def test_a_notebook_shows_the_answer_the_values_and_the_doubts() -> None:
+    html = tl.RobotModel(files=("bag",), speed=DRIVEN, turn_rate=UNKNOWN)._repr_html_()
+    answer = "bag: speed follows its commands with gain 0.900 and total delay 200 ms (190 to 210)."
+    assert f"<strong>{answer} The turn rate could not be identified.</strong>" in html
+    for text in ("dead time [ms]", "0.900 (0.880 to 0.920)", "80 (70 to 90)", "it never turns"):
+        assert text in html
+    assert "does not tell a &amp; b apart" in html
+
+
+def test_without_a_known_axis_the_answer_says_so() -> None:
+    model = tl.RobotModel(files=("bag",), speed=UNKNOWN, turn_rate=UNKNOWN)
+    assert "<strong>bag: no axis could be identified.</strong>" in model._repr_html_()

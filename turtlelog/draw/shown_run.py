@@ -1,0 +1,36 @@
+"""A run as a notebook shows it."""
+
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+from turtlelog.errors import ShowError
+from turtlelog.run import Run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rerun.notebook import Viewer
+
+
+def show_run(run: Run, *, width: int = 960, height: int = 640) -> "Viewer | Figure":
+    """Return a run in Rerun's viewer, as a widget; without the extra `notebook` its figure `panel`.
+
+    Either one shows itself as the last line of a cell.
+
+    Args:
+        run: What to show.
+        width: Of the widget [pixels].
+        height: Of the widget [pixels].
+
+    Raises:
+        ShowError: Where width or height is below 1, or the environment switches Rerun off.
+    """
+    for name, value in (("width", width), ("height", height)):
+        if value < 1:
+            raise ShowError(f"{name}: must be at least 1 pixel, not {value}")
+    if any(find_spec(module) is None for module in ("rerun", "rerun_notebook")):
+        from turtlelog.draw.figures import draw_figure  # not needed beside the widget
+
+        return draw_figure("panel", run)
+    from turtlelog.draw.rerun.run_widget import build_run_widget
+
+    return build_run_widget(run, (width, height))
