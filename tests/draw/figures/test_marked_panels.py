@@ -86,6 +86,22 @@ def test_words_cover_neither_each_other_nor_dots_nor_leave_the_panel(
     assert all(panel.y0 <= box.y0 and box.y1 <= panel.y1 for box in boxes)
 
 
+def test_words_without_room_are_left_out_and_their_dots_stay() -> None:
+    panels = {
+        kind: draw_figure("panel", [RUN], page=Page(kind=kind, has_marks=True)).axes
+        for kind in ("page", "slide")
+    }
+    for name in ("heading", "heading_error"):
+        (on_page, on_slide) = (
+            next(axes for axes in found if str(axes.get_label()).strip("|") == name)
+            for found in panels.values()
+        )
+        assert {*list_words(on_slide)} < {*list_words(on_page)}
+        assert list_dots(on_slide) == list_dots(on_page)
+        boxes = [text.get_window_extent() for text in on_slide.texts]
+        assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+
+
 @pytest.mark.thorough
 def test_several_runs_have_a_table_in_their_colours_that_covers_no_curve() -> None:
     for kind in get_args(PageKind):
