@@ -6,7 +6,14 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.charts.close_up import CloseUp, format_length
+from turtlelog.charts.looks import choose_turtle_size
 from turtlelog.charts.robot_curves import find_break_rows, is_turtlesim, part_path
+from turtlelog.charts.run_ends import (
+    MEDIAN_LABEL,
+    OUTLINE_LABEL,
+    find_gain_ends,
+    has_grey_paths,
+)
 from turtlelog.charts.text_alternatives import describe_plane
 from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin, to_hex
@@ -37,6 +44,8 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
             poses_of[key].append(values)
     poses_of["color"] = [to_hex(one.color) for one in drawn]
     poses_of["dash"] = ["dashed" if one.is_ghost else "solid" for one in drawn]
+    is_grey = has_grey_paths([one.run for one in drawn])
+    poses_of["way"] = [RING] * len(drawn) if is_grey else poses_of["color"]
     ways = models.ColumnDataSource(data=poses_of)
     plots.config["ways"] = ways.id
     trails = models.ColumnDataSource(data={"xs": [], "ys": [], "color": [], "alpha": []})
@@ -52,7 +61,7 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
         figure.toolbar.active_scroll = None
         still = _draw_still(figure, drawn, shown)
         lines = figure.multi_line(
-            "x", "y", source=ways, color="color", line_dash="dash", alpha=0.35, line_width=1.2
+            "x", "y", source=ways, color="way", line_dash="dash", alpha=0.35, line_width=1.2
         )
         still += [] if shown else [lines]
         figure.multi_line("xs", "ys", source=trails, color="color", alpha="alpha", line_width=2.5)
@@ -63,8 +72,12 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
         )  # fmt: skip
         if shown is not None:
             _draw_ends(figure, drawn, shown)
+        if is_grey:
+            _draw_many_ends(figure, drawn)
+            figure.legend.update(visible=shown is None, location="bottom_left")
         figure.x_range.renderers = figure.y_range.renderers = still
         size_m = 0.07 * shown.half_m if shown else 0.045 * _measure_size(drawn)
+        size_m *= choose_turtle_size(len(drawn))
         plots.config["planes"].append({"turtles": turtles.id, "size": size_m})
     plots.config["trails"] = trails.id
 
@@ -122,6 +135,20 @@ def _draw_rings(figure: Any, shown: CloseUp) -> None:
         figure.text(
             [x], [y + ring_m], text=[format_length(ring_m)], text_color=RING,
             text_font_size="11px", text_align="center", text_baseline="bottom",
+        )  # fmt: skip
+
+
+def _draw_many_ends(figure: Any, drawn: Sequence[Drawn]) -> None:
+    """Draw where runs end, and of each gain the median and what holds nine tenths of its ends."""
+    colors = [to_hex(one.color) for one in drawn]
+    x_m, y_m = np.array([one.run.poses.xy_m[-1] for one in drawn]).T
+    figure.scatter(x_m, y_m, size=5, color=colors)
+    for group in find_gain_ends([one.run for one in drawn]):
+        color = colors[group.middle_run]
+        figure.line(*group.around_xy_m.T, color=color, line_width=1.5, legend_label=OUTLINE_LABEL)
+        figure.scatter(
+            *group.median_xy_m.reshape(2, 1), marker="diamond", size=13, line_color="white",
+            fill_color=color, legend_label=MEDIAN_LABEL,
         )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from turtlelog.charts.close_up import (
 )
 from turtlelog.charts.palette import Color
 from turtlelog.charts.robot_curves import is_turtlesim
+from turtlelog.charts.run_ends import MEDIAN_LABEL, OUTLINE_LABEL, find_gain_ends
 from turtlelog.charts.tracked_path import WorstPlace, label_worst_place, list_paths, outline_path
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
@@ -47,6 +48,10 @@ _ABOVE: Final = 0.6
 """The viewer writes words below their point: so far, in lines."""
 
 _END_RADIUS: Final = 4.0  # [points]
+_ENDS_RADIUS: Final = 2.0
+_OUTLINE_RADIUS: Final = 0.75
+_MEDIAN_RADIUS: Final = 4.5
+_ABOVE_ENDS: Final = 31.0  # points have 30
 _RING_RADIUS: Final = 0.5
 _WORST_RADIUS: Final = 1.0
 _TRACKED_RADIUS: Final = 2.5
@@ -159,6 +164,37 @@ def draw_close_up(
         colors=[_RING],
     )
     stream.log(join_path(entities.RINGS), strips, static=True)
+
+
+def draw_ends(stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[Color]) -> None:
+    """Draw where many runs end, and of each gain the median and what holds nine tenths of them."""
+    dots = rr.Points2D(
+        [run.poses.xy_m[-1] for run in runs], radii=rr.Radius.ui_points(_ENDS_RADIUS), colors=colors
+    )
+    stream.log(join_path(entities.ENDS), dots, static=True)
+    groups = find_gain_ends(runs)
+    if not groups:
+        return
+    hues = [colors[group.middle_run] for group in groups]
+    names = [f"Kp {group.gain:.3g}: " for group in groups]
+    outlines = rr.LineStrips2D(
+        [group.around_xy_m for group in groups],
+        radii=rr.Radius.ui_points(_OUTLINE_RADIUS),
+        colors=hues,
+        labels=[f"{name}{OUTLINE_LABEL}" for name in names],
+        show_labels=False,
+        draw_order=_ABOVE_ENDS,
+    )
+    stream.log(join_path(entities.OUTLINES), outlines, static=True)
+    medians = rr.Points2D(
+        [group.median_xy_m for group in groups],
+        radii=rr.Radius.ui_points(_MEDIAN_RADIUS),
+        colors=hues,
+        labels=[f"{name}{MEDIAN_LABEL}" for name in names],
+        show_labels=False,
+        draw_order=_ABOVE_ENDS,
+    )
+    stream.log(join_path(entities.MEDIANS), medians, static=True)
 
 
 def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: Color) -> None:
