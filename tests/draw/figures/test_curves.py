@@ -154,7 +154,7 @@ def find_levels(axes: Axes, label: str) -> list[float]:
 def test_every_axis_says_what_it_shows_and_in_which_unit(name: str) -> None:
     axes = draw(name).axes
     assert [panel.get_ylabel() for panel in axes] == LABELS[name]
-    below = axes[-1].get_xlabel()
+    below, *_ = axes[-1].get_xlabel().split("\n")  # until when curves rest stands below
     across = {"plane": "x [m]", "root-locus": "real part of z"}
     ideal = name in {"plant", "step-responses"}
     expected = "time [s]" if ideal else "time from the first sample [s]"
