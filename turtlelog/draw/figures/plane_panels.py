@@ -31,6 +31,7 @@ from turtlelog.charts.far_origin import (
     tell_still,
 )
 from turtlelog.charts.many_runs import find_restless
+from turtlelog.charts.plane_scene import list_goals, list_starts
 from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path
 from turtlelog.charts.run_ends import (
     MEDIAN_LABEL,
@@ -126,9 +127,8 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
                 axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM, "label": AIMED}
             )
     _draw_ends(axes, runs)
-    starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
-    axes.plot(*starts.T, "s", ms=4.0, color="0.3", label="start", zorder=3)
-    goals = _list_goals(runs)
+    axes.plot(*list_starts(runs).T, "s", ms=4.0, color="0.3", label="start", zorder=3)
+    goals = list_goals(runs)
     if len(goals):
         axes.plot(*goals.T, "x", ms=6.0, mew=1.4, color="black", label="goal", zorder=3)
     axes.set(aspect="equal", label=_PLANE)
@@ -216,7 +216,7 @@ def show_all(axes: Axes, runs: Sequence[Run]) -> None:
     points = np.concatenate(
         [
             *(run.poses.xy_m for run in runs),
-            _list_goals(runs),
+            list_goals(runs),
             *_list_aims(runs),
             *map(outline_path, list_paths(runs)),
         ]
@@ -279,11 +279,6 @@ def _list_aims(runs: Sequence[Run]) -> list[Values]:
     found = [run.samples.reference_xy_m for run in runs]
     known = [xy_m[np.isfinite(xy_m[:, 0])] for xy_m in found if xy_m is not None]
     return [xy_m for xy_m in known if len(xy_m)]
-
-
-def _list_goals(runs: Sequence[Run]) -> Values:
-    goals = sorted({run.goal_xy_m for run in runs if run.goal_xy_m is not None})
-    return np.array(goals).reshape(-1, 2)
 
 
 class _FromOrigin(MaxNLocator):
