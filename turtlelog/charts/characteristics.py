@@ -52,8 +52,9 @@ _SHAPES: Final[Mapping[str, MarkShape]] = MappingProxyType(
 furthest off, crosses where a time ends or begins. A peak stands with its overshoot."""
 
 _SIGNS: Final[Mapping[MarkShape, str]] = MappingProxyType(
-    {"disc": "●", "square": "■", "cross": "✕"}
+    {"disc": "●", "square": "■", "cross": "\N{MULTIPLICATION SIGN}"}
 )
+"""Letters that Rerun's viewer can draw: at others, as the heavy multiplication sign, it ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
