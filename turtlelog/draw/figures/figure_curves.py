@@ -133,8 +133,8 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
         axes.plot(time_s, values, label=name, **looks)
         settled_s = compute_settling_time(gain)
         level = compute_closed_loop_response(gain, [0.0, settled_s])[-1]
-        label = "4 τ" if gain == gains[-1] else None
-        axes.plot(settled_s, level, "o", ms=3.5, color=looks["color"], label=label)
+        axes.plot(settled_s, level, "o", ms=3.5, color=looks["color"])
+    axes.plot([], [], "o", ms=3.5, color="0.35", label="4 τ")
     axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
 
 
