@@ -1,10 +1,12 @@
 """How true `compare --why` is: fresh pairs of scenarios whose changes are known.
 
-python benchmarks/difference_truth.py [--pairs 500] [--noisy 0.04] [--seed N]
+python benchmarks/difference_truth.py [--pairs 500] [--noisy 0.04] [--robots 60] [--seed N]
 
 Each pair differs in one to six groups of keys: laws, plants, effects, goals, starts, noise. The
 contributions must add up to the difference, to 1e-9, and each must be the Shapley value that brute
-force finds. Then pairs that differ by their noise alone: no cause may be named.
+force finds. Then pairs that differ by their noise alone: no cause may be named. Last pairs of
+robots' logs, whose dead time, gain or bound differs, or nothing: the part must be named, and no
+other one.
 """
 
 import argparse
@@ -20,7 +22,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import turtlelog as tl
 from tests.explain.changed_pairs import Pair, draw_pair
+from tests.explain.robot_pairs import CHANGES, METRICS, draw_robot_pair
 from turtlelog.explain import Depth, explain_difference
+from turtlelog.explain.difference_report import choose_told
 from turtlelog.explain.explained_difference import SEED
 from turtlelog.scenario import get_preset, override_scenario
 
@@ -36,6 +40,7 @@ def main() -> int:
     parser.add_argument("--pairs", type=int, default=500, help="pairs of known changes")
     parser.add_argument("--noisy", type=float, default=0.04, help="part of them with noise")
     parser.add_argument("--alone", type=int, default=20, help="pairs that differ by noise alone")
+    parser.add_argument("--robots", type=int, default=60, help="pairs of robots of each kind")
     parser.add_argument("--seed", type=int, default=time.time_ns() % 1_000_000)
     asked = parser.parse_args()
     print(f"seed {asked.seed}", flush=True)
@@ -51,6 +56,9 @@ def main() -> int:
     for said, count in sorted(found.items()):
         print(f"{count:5} {said}")
     print(f"{alone:5} of {asked.alone} pairs that differ by noise alone name no cause")
+    for part in CHANGES:
+        judged = Counter(judge_robots(part, source.randrange(10**6)) for _ in range(asked.robots))
+        print(f"robots that differ in {part}: {', '.join(f'{n} {s}' for s, n in judged.items())}")
     print(f"{time.process_time() - began_s:.0f} s of processor time")
     return int(any(said.startswith("wrong") for said in found))
 
@@ -75,6 +83,19 @@ def judge_pair(pair: Pair) -> str:
         return "wrong: contribution"
     kind = "noisy" if pair.is_random else f"{len(truth)} groups"
     return f"right: {kind}"
+
+
+def judge_robots(part: str, seed: int) -> str:
+    """Return whether the part of two robots is named, and no other part of them."""
+    pair = draw_robot_pair(part, seed, has_same_commands=bool(seed % 2) or part == "noise")
+    found = explain_difference(pair.first, pair.second, metric=METRICS[part])
+    if found.withheld:
+        return "without a cause"
+    named = {one.name for one in choose_told(found) if one.name != "commands"}
+    kinds = {name.removesuffix(" turning").removesuffix(" driving") for name in named}
+    if not kinds:
+        return "without a cause"
+    return "right" if kinds == {part} else f"wrong ({', '.join(sorted(kinds))})"
 
 
 def names_no_cause(seed: int) -> bool:

@@ -108,7 +108,7 @@ def test_the_demo_writes_recordings_views_and_table_1(
     assert " ".join(notes.split()) in answer.flat
     assert max(map(len, answer.out.partition("See the four")[0].splitlines())) <= 80
     assert "view" in answer.out.splitlines()[-4]
-    told = "4 runs. paper-kp2 ends 0.00101 m from the goal, paper-kp10 0.107 m."
+    told = "4 runs. paper-kp2 ends 1.01 mm from the goal, paper-kp10 0.107 m."
     assert answer.flat.startswith(f"out: {told} Table 1")
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from tests.effects_cases import build_case
 from turtlelog.compiled_loops import CompiledLoops
-from turtlelog.explain.game import Game, Outcome
+from turtlelog.explain.game import Outcome, ScenarioGame
 from turtlelog.scenario import resolve_scenario
 from turtlelog.simulate.many import find_loop
 
@@ -14,7 +14,7 @@ SCENARIO: Final = build_case("noise", "loss", preset="paper", max_duration_s=4.0
 def play(monkeypatch: pytest.MonkeyPatch, loop: CompiledLoops, kernel: Any) -> list[Outcome]:
     monkeypatch.setattr(loop, "_loops", kernel)
     monkeypatch.setattr(loop, "_saved_s", 1e9)
-    game = Game(SCENARIO, "final.heading_error")
+    game = ScenarioGame(SCENARIO, "final.heading_error")
     return [found for out in ([], ["noise"], ["loss"]) for found in game.take_out_each(out)]
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import turtlelog as tl
 from tests.explain.changed_pairs import draw_pair
-from turtlelog.errors import ExplainError, ScenarioError
+from turtlelog.errors import ExplainError
 from turtlelog.explain import Depth, ExplainedDifference, explain_difference
 from turtlelog.explain.run_changes import find_changes, undo_changes
 from turtlelog.run import Run, slice_run
@@ -288,8 +288,10 @@ def test_a_metric_that_one_run_lacks_is_refused() -> None:
 def test_laws_that_nobody_trusts_do_not_run() -> None:
     run = simulate_preset("paper-kp10")
     other = replace(run, parameters={**run.parameters, "law.kind": "mine.py:Law"})
-    with pytest.raises(ScenarioError, match="trust"):
-        explain_difference(run, other)
+    found = explain_difference(run, other)
+    assert found.contributions == ()
+    assert [one.name for one in found.changes] == ["law"]
+    assert found.withheld == "mine.py:Law runs only if its code is trusted (--trust-law)"
 
 
 @pytest.mark.thorough

@@ -64,11 +64,13 @@ def test_the_gain_of_ten_in_words() -> None:
         "Two effects of the implementation cause it, in about equal parts: queue +0.05108 m and"
         " pause +0.05057 m.",
         "Without both it would be 0.005077 m; the tolerances alone allow 0.006693 m.",
-        "Queue and pause need each other: 0.05761 m arises only if both act.",
+        "Queue and pause need each other: their contributions share 0.05761 m that arises only if"
+        " both act.",
         "It depends on single samples: for 17 start headings within +-0.458 deg it is 0.03943 to"
         " 0.4734 m. Queue contributes 16 to 62 % of what queue and pause add. Without queue and"
         " pause it is 0.00482 to 0.005677 m.",
-        "Not a cause: saturation (without it 0.8506 m), sampling (without it 0.1361 m).",
+        "Not a cause: saturation and sampling (without each the value is larger: 0.8506 m,"
+        " 0.1361 m).",
         "Design parameter: tolerance (without it, tolerances of 1e-06: 0.0009877 m).",
     )
 
@@ -191,7 +193,10 @@ def test_what_is_not_there_is_not_said_to_act() -> None:
 def test_what_arises_only_together_is_told_from_a_tenth_on(size: float, *, is_told: bool) -> None:
     case = Together(causes=("queue", "pause"), value=size)
     sentences = write_sentences(describe(queue=0.1, together=(case,)))
-    told = f"Queue and pause need each other: {size} m arises only if both act."
+    told = (
+        f"Queue and pause need each other: their contributions share {size} m that arises only if"
+        " both act."
+    )
     assert (told in sentences) == is_told
 
 
@@ -208,7 +213,7 @@ def test_a_property_is_named_from_a_tenth_of_the_value_on(alone: float, *, is_na
     sentences = write_sentences(describe(queue=0.5, **take_out("float32", alone)))
     named = f"Design parameter: float32 (without it, poses of 64 bits: {alone:.4g} m)."
     if alone > 1.0:
-        named = f"Not a cause: float32 (without it {alone:.4g} m)."
+        named = f"Not a cause: float32 (without it the value is larger: {alone:.4g} m)."
     assert (named in sentences) == is_named
 
 

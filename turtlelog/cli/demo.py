@@ -15,6 +15,7 @@ from turtlelog.cli.output import (
     print_note,
     print_text,
 )
+from turtlelog.display import format_short
 from turtlelog.errors import UsageError
 from turtlelog.libraries import load_library
 
@@ -65,8 +66,8 @@ def _write_answer(runs: "Sequence[Run]", folder: Path) -> str:
     errors = {run.name: tl.measure_run(run, only=[name])[name].value or 0.0 for run in runs}
     near, far = (choose(errors, key=errors.__getitem__) for choose in (min, max))
     return (
-        f"{folder}: {len(runs)} runs. {near} ends {errors[near]:.3g} m from the goal, {far}"
-        f" {errors[far]:.3g} m."
+        f"{folder}: {len(runs)} runs. {near} ends {format_short(errors[near], 'm')} from the goal,"
+        f" {far} {format_short(errors[far], 'm')}."
     )
 
 

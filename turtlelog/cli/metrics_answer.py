@@ -41,6 +41,7 @@ _IDLE: Final = ("dead_time", "saturated_share")
 _WORDS: Final = {
     "iae": "IAE",
     "rms_error": "RMS error",
+    "final_error": "final loop error",
     "saturated_share": "saturated samples",
     "cross_track_max": "largest cross-track error",
     "cross_track_rms": "RMS cross-track error",

@@ -22,7 +22,14 @@ from turtlelog.explain.causes import (
     find_causes,
     list_effects,
 )
-from turtlelog.explain.game import Coalition, Game, Outcome, Work, list_coalitions
+from turtlelog.explain.game import (
+    Coalition,
+    Game,
+    Outcome,
+    ScenarioGame,
+    Work,
+    list_coalitions,
+)
 from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import LOOP_KEYS, Certainty, Finding, Identification
 from turtlelog.explain.identify import identify_run
@@ -129,7 +136,7 @@ def attribute_scenario(
     scenario = resolve_scenario(scenario)
     declaration = declare_scenario(scenario)
     metric = metric or choose_metric(declaration)
-    game = Game(scenario, metric, work)
+    game = ScenarioGame(scenario, metric, work)
     table = game.causes
     _require_metric(declaration, metric)
     _require_distinct(causes)

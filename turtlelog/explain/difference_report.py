@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING, Final
 
 from turtlelog.display import describe_count, format_pair, join_words
 from turtlelog.explain.attribution import is_clear
-from turtlelog.explain.explained_difference import SEED
+from turtlelog.explain.explained_difference import ROBOT, SEED
+from turtlelog.explain.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
+from turtlelog.explain.robot_report import (
+    describe_robot_part,
+    is_robot_part,
+    write_robot_basis,
+)
 
 if TYPE_CHECKING:
     from turtlelog.explain.attribution import ValueSet
@@ -38,8 +44,15 @@ _MOST_DECIMALS: Final = 9
 _SAME: Final = 1e-6
 """Of a value: a smaller difference is none. Two platforms differ by no more in one scenario."""
 
-_PLURALS: Final = ("gains", "limits")
+_PLURALS: Final = ("gains", "limits", "limits driving", "limits turning", COMMANDS)
 _SPANS: Final = ("pause", "delay", "time span", "sampling period")
+_CHANCE: Final = {
+    SEED: "the seeds of these runs",
+    NOISE: "different noise levels",
+    TIMES: "the times at which poses are recorded",
+}
+"""What is no cause: how a run came about."""
+
 _WORDS: Final = {"law": "the law itself"}
 
 _PARTS: Final = {
@@ -70,6 +83,7 @@ def write_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
         write_effects(found),
         _write_idle(found),
         _write_basis(found),
+        *write_robot_basis(found),
     ]
     return tuple(filter(None, sentences))
 
@@ -88,13 +102,15 @@ def write_headline(found: "ExplainedDifference") -> str:
     if is_negligible(found) and found.contributions:
         size = f"{format_size(found, found.resolution.size)} ({found.resolution.reason})"
         return f"{found.metric} {moves}: no change adds more than the resolution, {size}."
-    told = "; ".join(filter(None, (_write_parts(found), _write_own_seeds(found))))
+    told = "; ".join(filter(None, (_write_parts(found), *_write_chance(found))))
     return f"{found.metric} {moves}{f': {told}' if told else ''}."
 
 
 def _write_parts(found: "ExplainedDifference") -> str:
     """Return what the changes add, those that are not told in one sum."""
     parts = [write_part(found, one) for one in choose_told(found)]
+    if found.unexplained is not None:
+        return join_words(parts) or ("no cause is certain" if found.contributions else "")
     rest = [one for one in _list_divided(found) if one not in choose_told(found)]
     size = math.fsum(one.contribution or 0.0 for one in rest)
     if parts and abs(size) > _TINY * _sum(_list_divided(found)):
@@ -104,12 +120,22 @@ def _write_parts(found: "ExplainedDifference") -> str:
 
 
 def _list_divided(found: "ExplainedDifference") -> list["Change"]:
-    return [one for one in found.contributions if one.name != SEED]
+    return [one for one in found.contributions if not _is_chance(found, one)]
 
 
-def _write_own_seeds(found: "ExplainedDifference") -> str:
-    own = [one.contribution or 0.0 for one in found.contributions if one.name == SEED]
-    return f"the seeds of these runs {_write_move(found, own[0], is_many=True)}" if own else ""
+def _is_chance(found: "ExplainedDifference", one: "Change") -> bool:
+    """Return whether a part is no cause; noise that a scenario sets is one."""
+    return one.name == SEED or (found.unexplained is not None and one.name in CHANCE)
+
+
+def _write_chance(found: "ExplainedDifference") -> list[str]:
+    """Return what adds to the difference and is no cause."""
+    least = _TINY * _sum(found.contributions)
+    return [
+        f"{_CHANCE[one.name]} {_write_move(found, one.contribution or 0.0, is_many=True)}"
+        for one in found.contributions
+        if _is_chance(found, one) and (one.name == SEED or _is_large(one, least))
+    ]
 
 
 def _write_side(found: "ExplainedDifference", side: "Side") -> str:
@@ -126,12 +152,17 @@ def _write_resimulated(found: "ExplainedDifference") -> str:
     if len(known) < 2 or all(abs(a - b) <= _SAME * abs(a) for a, b in known):
         return ""
     values = [format_size(found, value) for _, value in known]
+    if found.unexplained is not None:
+        left = format_size(found, abs(found.unexplained))
+        return f"The robots' models have {values[0]} and {values[1]}: {left} is not explained."
     return f"Simulated again it is {values[0]} and {values[1]}."
 
 
 def choose_told(found: "ExplainedDifference") -> list["Change"]:
     """Return the changes that the first line names: of a few all that count, else the large."""
     divided = _list_divided(found)
+    if found.unexplained is not None:
+        return [one for one in divided if _is_large(one, _TINY * _sum(divided))]
     if len(divided) <= _FEW:
         tiny = _TINY * _sum(divided)
         return [one for one in divided if abs(one.contribution or 0.0) > tiny]
@@ -163,12 +194,18 @@ def _write_move(found: "ExplainedDifference", size: float, *, is_many: bool) -> 
 def format_change(found: "ExplainedDifference", one: "Change") -> str:
     """Return a contribution with its sign, unit, and standard error if it has one."""
     size = one.contribution or 0.0
-    spread = f" +- {one.standard_error:.2g}" if one.standard_error else ""
+    if one.low is not None and one.high is not None:
+        low, high = (format_size(found, end) for end in (one.low, one.high))
+        spread = f" ({low} to {high})"
+    else:
+        spread = f" +- {one.standard_error:.2g}" if one.standard_error else ""
     return f"{'+' if size >= 0.0 else ''}{format_size(found, size)}{spread}"
 
 
 def name_change(one: "Change") -> str:
     """Return a group of settings in words: `the gains`, `the shorter pause`, or its key."""
+    if is_robot_part(one):
+        return f"the robot's {describe_robot_part(one)}"
     if one.name in _WORDS:
         return _WORDS[one.name]
     if "." in one.name:
@@ -227,7 +264,8 @@ def _write_obstacle(found: "ExplainedDifference") -> list[str]:
         alike = [side.name for side in (found.first, found.second) if side.basis == "recorded"]
         return [f"Simulated again, that scenario reproduces {one} alone." for one in alike]
     names = [name_change(one) for one in found.changes]
-    differ = f" The runs differ in {join_words(names)}." if names else ""
+    who = "robots" if found.first.basis == ROBOT else "runs"
+    differ = f" The {who} differ in {join_words(names)}." if names else ""
     return [f"Why is not known: {found.withheld}.{differ}"]
 
 

@@ -11,6 +11,9 @@ from turtlelog.explain.departure import Departure
 SEED: Final = "seed"
 """The line of what the seeds of the two runs make, compared with the means over seeds."""
 
+ROBOT: Final = "robot"
+"""What stands for a robot's log: its model, which recorded commands drive."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Side:
@@ -21,8 +24,9 @@ class Side:
         as_logged: The metric of the log; None if it has no value.
         resimulated: The metric, simulated again with the run's own seed; None likewise.
         reason: Why the metric has no value; empty if it has one.
-        basis: The scenario that stands for the run: the one that it holds, which reproduces every
-            sample, or the identified one; None if no scenario does.
+        basis: What stands for the run: `recorded`, the scenario that it holds, which reproduces
+            every sample; `identified`, one that is identified from its samples; `robot`, the model
+            of a robot that its recorded commands drive; None if nothing does.
         note: How far the scenario that the run holds reproduces it, or why none stands for it.
         is_exact: Whether the scenario that stands for the run reproduces every sample.
         unknown: Keys that are not identified: the other run's values stand for them.
@@ -48,7 +52,10 @@ class Change:
         first: Their values in the first run; None for a key that it does not have.
         second: Their values in the second run.
         contribution: To the difference, in the metric's unit; None if it is withheld.
-        standard_error: Of the contribution, if it is a mean over seeds or sampled orders.
+        standard_error: Of the contribution, if it is a mean over seeds or sampled orders, or rests
+            on identified values.
+        low: Where its interval of 95 % begins; None if the contribution is exact.
+        high: Where it ends.
         undone: The metric of the second run with this group alone as in the first; None if it has
             no value.
     """
@@ -59,6 +66,8 @@ class Change:
     second: tuple[Any, ...] = ()
     contribution: float | None = None
     standard_error: float | None = None
+    low: float | None = None
+    high: float | None = None
     undone: float | None = None
 
 
@@ -113,13 +122,15 @@ class ExplainedDifference:
         unit: Of all values.
         first: The run that differences are taken from.
         second: The other run.
-        difference: The metric of the second less that of the first, as simulated again; None if
-            one of them has no value.
+        difference: The metric of the second less that of the first, as simulated again, of robots
+            as logged; None if one of them has no value.
         contributions: Of each group of settings that differs, the largest first; they add up to
-            `difference`. Empty if they are withheld.
+            `difference`, of robots together with `unexplained`. Empty if they are withheld.
         changes: Names and values of the settings that differ, without contributions, if these are
             withheld.
         idle: Keys that differ and change the metric in no combination.
+        unexplained: What the models of two robots leave of the difference, which the contributions
+            then lack; None if no robots are identified.
         withheld: Why there are no contributions, in one clause; None if there are.
         together: What several groups add only if all of them are changed.
         without_value: The smallest sets of changes that leave the metric without a value.
@@ -142,6 +153,7 @@ class ExplainedDifference:
     contributions: tuple[Change, ...] = ()
     changes: tuple[Change, ...] = ()
     idle: tuple[str, ...] = ()
+    unexplained: float | None = None
     withheld: str | None = None
     together: tuple[Together, ...] = ()
     without_value: tuple[ValueSet, ...] = ()

@@ -1,10 +1,11 @@
-"""A value as a game: a scenario simulated without any set of its causes, over seeds.
+"""A value as a game: what some causes make, played without any set of them, over seeds.
 
 Where a cause that is in draws random numbers, one run says little of it: such a scenario is
 simulated with every one of `SEEDS`, and the same seeds with and without a cause.
 """
 
 import time
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -90,30 +91,39 @@ class Outcome:
     end_xy_m: tuple[float, float] | None = None
 
 
-class Game:
-    """Plays a scenario with some of its causes out, and remembers the outcomes.
+class Game(ABC):
+    """Plays what some causes make with any set of them out, and remembers the outcomes.
 
     Attributes:
         causes: All that may be taken out, by name.
         present: Those that are in, in their order; to take out another changes nothing.
-        is_random: Whether the scenario's run is another one with another seed.
+        is_random: Whether one play says little, so that seeds are averaged.
     """
 
     def __init__(
         self,
-        scenario: Scenario,
-        metric: str,
+        causes: Mapping[str, Cause],
+        present: Sequence[str],
         work: Work | None = None,
         *,
-        causes: Mapping[str, Cause] | None = None,
+        is_random: bool,
     ) -> None:
-        """Take the scenario with all causes in: those that `find_causes` finds unless given."""
-        self._scenario, self._metric, self._work = scenario, metric, work or Work()
-        self.causes = find_causes(scenario) if causes is None else causes
-        self.present = self._list_present()
-        self.is_random = draws_random(scenario)
-        self._without: dict[Coalition, Scenario] = {}
+        """Take the causes; nothing is played yet."""
+        self._work = work or Work()
+        self.causes, self.present, self.is_random = causes, tuple(present), is_random
         self._outcomes: dict[_Play, Outcome] = {}
+
+    @abstractmethod
+    def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
+        """Return the seeds to play with; None alone where what is left draws nothing."""
+
+    @abstractmethod
+    def describe_ending(self, name: str) -> str:
+        """Return what differs in kind without a cause, in one clause; empty: nothing does."""
+
+    @abstractmethod
+    def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
+        """Yield the outcome of each."""
 
     def play(self, inside: Coalition, causes: Sequence[str]) -> Outcome:
         """Return the outcome with these causes in, and all others out."""
@@ -146,6 +156,32 @@ class Game:
         outs = dict.fromkeys(frozenset(names).intersection(self.present) for names in sets)
         self._simulate([(out, seed) for out in outs for seed in self.list_seeds(out)])
 
+    def _simulate(self, wanted: Sequence[_Play]) -> None:
+        missing = [one for one in dict.fromkeys(wanted) if one not in self._outcomes]
+        total = len(self._outcomes) + len(missing)
+        for one, outcome in zip(missing, self._play(missing), strict=True):
+            self._outcomes[one] = outcome
+            if self._work.report is not None:
+                self._work.report(len(self._outcomes), total)
+
+
+class ScenarioGame(Game):
+    """Simulates a scenario with some of its causes out."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        metric: str,
+        work: Work | None = None,
+        *,
+        causes: Mapping[str, Cause] | None = None,
+    ) -> None:
+        """Take the scenario with all causes in: those that `find_causes` finds unless given."""
+        self._scenario, self._metric = scenario, metric
+        causes = find_causes(scenario) if causes is None else causes
+        super().__init__(causes, self._list_present(causes), work, is_random=draws_random(scenario))
+        self._without: dict[Coalition, Scenario] = {}
+
     def describe_ending(self, name: str) -> str:
         """Return what differs in kind without a cause, in one clause; empty: nothing does."""
         built, without = self.take_out(), self.take_out([name])
@@ -166,9 +202,8 @@ class Game:
             self._without[out] = self._build_without(causes)
         return self._without[out]
 
-    def _list_present(self) -> tuple[str, ...]:
-        found = self.causes.items()
-        return tuple(name for name, cause in found if is_present(self._scenario, cause))
+    def _list_present(self, causes: Mapping[str, Cause]) -> tuple[str, ...]:
+        return tuple(name for name, cause in causes.items() if is_present(self._scenario, cause))
 
     def _build_without(self, causes: Iterable[Cause]) -> Scenario:
         return take_out(self._scenario, causes)
@@ -177,15 +212,9 @@ class Game:
         """Return the seeds to simulate with; None alone where what is left draws nothing."""
         return SEEDS if self.is_random and draws_random(self._take_out(out)) else (None,)
 
-    def _simulate(self, wanted: Sequence[_Play]) -> None:
-        missing = [one for one in dict.fromkeys(wanted) if one not in self._outcomes]
-        total = len(self._outcomes) + len(missing)
-        plays = [self.build_play(out, seed) for out, seed in missing]
-        outcomes = iterate_outcomes(self._metric, plays, self._work.jobs)
-        for one, outcome in zip(missing, outcomes, strict=True):
-            self._outcomes[one] = outcome
-            if self._work.report is not None:
-                self._work.report(len(self._outcomes), total)
+    def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
+        built = [self.build_play(out, seed) for out, seed in plays]
+        return iterate_outcomes(self._metric, built, self._work.jobs)
 
     def build_play(self, out: Coalition, seed: int | None = None) -> "Play":
         """Return what is simulated without these causes, with this seed or its own."""

@@ -17,7 +17,7 @@ from turtlelog.display import fit_line
 from turtlelog.errors import ExplainError
 from turtlelog.explain.attribute import attribute_run
 from turtlelog.explain.attribution import Attribution, choose_metric
-from turtlelog.explain.game import SEEDS, Game, Outcome, Play, Work, iterate_outcomes
+from turtlelog.explain.game import SEEDS, Outcome, Play, ScenarioGame, Work, iterate_outcomes
 from turtlelog.explain.identification import Identification
 from turtlelog.explain.identify import identify_run
 from turtlelog.explain.starts import (
@@ -135,7 +135,7 @@ def measure_luck(
     if found.withheld and not found.without_value:
         raise ExplainError(found.withheld)
     scenario = resolve_scenario(identified.build_scenario())
-    game = Game(scenario, found.metric)
+    game = ScenarioGame(scenario, found.metric)
     offsets_rad = np.zeros(0)
     if not game.is_random:
         offsets_rad = spread_starts(scenario, simulate_run(scenario), _COUNT)
@@ -168,7 +168,7 @@ def _find_reason(identified: Identification) -> str:
 class _Table:
     """Simulates a game from every start, or with every seed."""
 
-    game: Game
+    game: ScenarioGame
     metric: str
     offsets_rad: Values
     work: Work

@@ -247,7 +247,10 @@ def _write_case(found: Attribution, case: Together) -> str:
     names = _capitalise(join_words(case.causes))
     if case.value > 0.0:
         both = "both" if len(case.causes) == 2 else "all"
-        return f"{names} need each other: {size} arises only if {both} act."
+        return (
+            f"{names} need each other: their contributions share {size} that arises only if"
+            f" {both} act."
+        )
     return f"{names} together add {size} less than the sum of their parts."
 
 
@@ -356,10 +359,16 @@ def _write_others(found: Attribution) -> list[str]:
     """Return what alone changes the value: what lowers it is no cause of a value this large."""
     told = [one for one in found.others if _is_told(found, one)]
     lowering = [one for one in told if _lowers(found, one)]
-    mean = "" if found.seeds is None else "in the mean "
-    parts = [f"{one.cause} (without it {mean}{format_value(found, one.alone)})" for one in lowering]
-    sentences = [f"Not a cause: {', '.join(parts)}."] if parts else []
-    return [*sentences, *(_write_alone(found, one) for one in told if one not in lowering)]
+    others = [_write_alone(found, one) for one in told if one not in lowering]
+    return [_write_lowering(found, lowering), *others] if lowering else others
+
+
+def _write_lowering(found: Attribution, lowering: list[Contribution]) -> str:
+    names = join_words([one.cause for one in lowering])
+    values = ", ".join(format_value(found, one.alone) for one in lowering)
+    without = "without it" if len(lowering) == 1 else "without each"
+    mean = "" if found.seeds is None else " in the mean"
+    return f"Not a cause: {names} ({without} the value is larger{mean}: {values})."
 
 
 def _is_told(found: Attribution, one: Contribution) -> bool:

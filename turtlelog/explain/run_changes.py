@@ -11,7 +11,7 @@ from typing import Any, Final
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ScenarioError
 from turtlelog.explain.causes import draws_random
-from turtlelog.explain.game import Coalition, Game, Outcome, Play, Work
+from turtlelog.explain.game import Coalition, Outcome, Play, ScenarioGame, Work
 from turtlelog.laws import find_law, list_causes
 from turtlelog.loops import Cause
 from turtlelog.scenario import (
@@ -114,7 +114,7 @@ def _has_one_value(scenario: Scenario, keys: Iterable[str]) -> bool:
     return len({values.get(key) for key in keys}) == 1
 
 
-class ChangeGame(Game):
+class ChangeGame(ScenarioGame):
     """Plays the second of two scenarios with some of its changes undone: as the first has them."""
 
     def __init__(
@@ -154,8 +154,8 @@ class ChangeGame(Game):
                 self._impossible[out] = f"these settings contradict each other ({err})"
         return self._impossible[out]
 
-    def _list_present(self) -> tuple[str, ...]:
-        return tuple(self.causes)
+    def _list_present(self, causes: Mapping[str, Cause]) -> tuple[str, ...]:
+        return tuple(causes)
 
     def _build_without(self, causes: Iterable[Cause]) -> Scenario:
         return undo_changes(self._scenario, causes)

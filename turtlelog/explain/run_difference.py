@@ -28,6 +28,7 @@ from turtlelog.explain.explained_difference import (
 from turtlelog.explain.game import SEEDS, Play, Work, iterate_outcomes
 from turtlelog.explain.hypothesis import LONGEST_S, check_recorded_scenario, require_trust
 from turtlelog.explain.identify import identify_run
+from turtlelog.explain.robot_difference import explain_robots, is_robot_log
 from turtlelog.explain.run_changes import ChangeGame, find_changes, set_values
 from turtlelog.explain.sampled_orders import ORDERS, sample_game
 from turtlelog.explain.starts import (
@@ -39,6 +40,7 @@ from turtlelog.explain.starts import (
 )
 from turtlelog.explain.trace import trace_run
 from turtlelog.explain.trace_breaks import mark_breaks
+from turtlelog.laws import LAWS
 from turtlelog.loops import Cause
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run
@@ -112,11 +114,16 @@ def explain_difference(
 
     Raises:
         ExplainError: If the metric is none of both runs.
-        ScenarioError: If a recorded law is neither built in nor trusted, or not there.
+        ScenarioError: If a recorded law is trusted, and not there or cannot run.
     """
     depth = depth or Depth()
     metric = metric or choose_common_metric(first, second)
     require_common_metric(first, second, metric)
+    unit = list_metrics(second.declaration)[metric].unit
+    if is_robot_log(first) or is_robot_log(second):
+        return explain_robots(first, second, metric, unit, work)
+    if not trust_law and (untrusted := _list_untrusted(first, second)):
+        return _name_untrusted(first, second, metric, unit, untrusted)
     for run in (first, second):
         require_trust(run, trust_law=trust_law)
     found = [_stand_for(run, metric, trust_law=trust_law, depth=depth) for run in (first, second)]
@@ -124,7 +131,6 @@ def explain_difference(
     if first.name == second.name:
         sides = [replace(s, name=n) for s, n in zip(sides, _NAMES, strict=True)]
     scenarios = [scenario for _, scenario in found]
-    unit = list_metrics(second.declaration)[metric].unit
     answer = ExplainedDifference(
         metric=metric,
         unit=unit,
@@ -134,13 +140,7 @@ def explain_difference(
     )
     one, other = scenarios
     if one is None or other is None:
-        is_same = _hold_same_settings(first, second)
-        return replace(
-            answer,
-            withheld=_describe_unknown(sides),
-            has_same_settings=is_same,
-            departure=find_departure(first, second) if is_same else None,
-        )
+        return _answer_without_scenario(answer, first, second, work)
     one, other = _take_unknown(one, other, sides[0]), _take_unknown(other, one, sides[1])
     changes = find_changes(one, other)
     if not changes and (one.seed == other.seed or not draws_random(other)):
@@ -151,6 +151,61 @@ def explain_difference(
             departure=find_departure(first, second),
         )
     return _divide(answer, (one, other), changes, depth, work)
+
+
+def _answer_without_scenario(
+    found: ExplainedDifference, first: Run, second: Run, work: Work | None
+) -> ExplainedDifference:
+    """Return what the robots' models tell of two runs, or where these depart."""
+    is_same = _hold_same_settings(first, second)
+    if not (is_same or first.declaration.loops or second.declaration.loops):
+        robots = explain_robots(first, second, found.metric, found.unit, work)
+        if robots.contributions:
+            return robots
+    return replace(
+        found,
+        withheld=_describe_unknown([found.first, found.second]),
+        has_same_settings=is_same,
+        departure=find_departure(first, second) if is_same else None,
+    )
+
+
+def _list_untrusted(*runs: Run) -> list[str]:
+    """Return the laws in the scenarios of runs that are not built in."""
+    laws = [str(run.parameters.get("law.kind", "")) for run in runs if run.scenario_is_complete]
+    return [*dict.fromkeys(law for law in laws if law and law not in LAWS)]
+
+
+def _name_untrusted(
+    first: Run, second: Run, metric: str, unit: str, laws: Sequence[str]
+) -> ExplainedDifference:
+    """Return the settings that differ, undivided: the code of a law may not run."""
+    sides = [
+        Side(name=run.name, as_logged=found.value, reason=found.reason)
+        for run in (first, second)
+        for found in [measure_run(run, only=[metric])[metric]]
+    ]
+    of_first, of_second = first.parameters, second.parameters
+    keys = [key for key in {**of_first, **of_second} if key != "name"]
+    does = "runs only if its code is" if len(laws) == 1 else "run only if their code is"
+    return ExplainedDifference(
+        metric=metric,
+        unit=unit,
+        first=sides[0],
+        second=sides[1],
+        resolution=Resolution(size=0.0, reason="no run is simulated"),
+        withheld=f"{join_words(laws)} {does} trusted (--trust-law)",
+        changes=tuple(
+            Change(
+                name="law" if key == "law.kind" else key,
+                keys=(key,),
+                first=(of_first.get(key),),
+                second=(of_second.get(key),),
+            )
+            for key in keys
+            if of_first.get(key) != of_second.get(key)
+        ),
+    )
 
 
 def _find_resolution(

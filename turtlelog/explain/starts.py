@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.explain.attribution import Part, StartRange, find_sample_period_s
-from turtlelog.explain.game import Game, list_coalitions
+from turtlelog.explain.game import ScenarioGame, list_coalitions
 from turtlelog.explain.shapley import compute_contributions
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
@@ -100,7 +100,7 @@ def vary_start(
     offsets_rad = spread_starts(scenario, built).tolist()
     if not offsets_rad:
         return None
-    games = [Game(turn_start(scenario, offset_rad), metric) for offset_rad in offsets_rad]
+    games = [ScenarioGame(turn_start(scenario, offset_rad), metric) for offset_rad in offsets_rad]
     found = [game.take_out().value for game in games]
     values = [value for value in found if value is not None]
     span = find_steady_span(values, added, resolution)
@@ -121,7 +121,7 @@ def vary_start(
     )
 
 
-def _divide_again(games: Sequence[Game], causes: Sequence[str]) -> tuple[Part, ...]:
+def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple[Part, ...]:
     """Return the lowest and highest part of each cause; none unless all add alike."""
     parts = []
     for game in games:

@@ -7,7 +7,7 @@ import numpy as np
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import Axis, AxisMotion, measure_steps, read_axis_motion
-from turtlelog.identify.held_response import Values
+from turtlelog.identify.held_response import HeldCommands, Values
 from turtlelog.identify.robot_model import AxisModel
 from turtlelog.run import Run
 
@@ -89,10 +89,20 @@ def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Va
     Raises:
         IdentifyError: Where the model does not know the axis.
     """
+    return predict_response(model, read_axis_motion(run, model.axis).commands, time_s)
+
+
+def predict_response(
+    model: AxisModel, commands: HeldCommands, time_s: Values
+) -> tuple[Values, Values]:
+    """Return the same of given commands.
+
+    Raises:
+        IdentifyError: Where the model does not know the axis.
+    """
     gain, dead_time_s, lag_s = model.gain, model.dead_time_s, model.lag_s
     if gain is None or dead_time_s is None or lag_s is None:
         raise IdentifyError(f"{model.axis}: not identified: {model.reason}")
-    commands = read_axis_motion(run, model.axis).commands
     response = model.structure.respond(commands, lag_s.value, model.extras)
     way, rate = response.evaluate(response.place(time_s - dead_time_s.value))
     return gain.value * (way - way[:1]), gain.value * rate

@@ -23,6 +23,8 @@ from turtlelog.identify import (
     AxisTraces,
     Estimate,
     RobotModel,
+    format_delay,
+    format_gain,
     identify_robot,
     predict_axis,
     trace_axis,
@@ -318,17 +320,19 @@ def _read(found: Estimate | None) -> float:
 def tell_model(one: DrawnAxis, changes: int) -> str:
     """Return what identification found of an axis, for a title."""
     model = one.model
-    if model.gain is None or model.dead_time_s is None or model.lag_s is None:
-        return f"{COMMAND_WORDS[model.axis]}: {describe_count(changes, 'change')}"
-    gain = f"{model.gain.value:.3f} ({model.gain.low:.3f} to {model.gain.high:.3f})"
-    delays = f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}"
     told = f"{COMMAND_WORDS[model.axis]}: {describe_count(changes, 'change')}"
-    return f"{told}\n(in brackets: {one.brackets})\n{delays}\ngain {gain}"
+    if model.gain is None or model.dead_time_s is None or model.lag_s is None:
+        return told
+    delays = f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}"
+    return f"{told}\n(in brackets: {one.brackets})\n{delays}\ngain {format_gain(model.gain)}"
 
 
 def _tell_ms(found: Estimate) -> str:
-    value, low, high = (1e3 * number for number in (found.value, found.low, found.high))
-    if high - low < 0.05:
-        return f"{value:.3g} ms"
-    digits = 0 if high - low > 10.0 else 1
-    return f"{value:.{digits}f} ms ({low:.{digits}f} to {high:.{digits}f})"
+    if found.high - found.low < _EXACT_S:
+        return f"{1e3 * found.value:.3g} ms"
+    value, _, interval = format_delay(found).partition(" ")
+    return f"{value} ms {interval}"
+
+
+_EXACT_S: Final = 5e-5
+"""Width of an interval that tenths of a millisecond do not show [s]."""
