@@ -1,13 +1,18 @@
 """Where many runs end: medians and outlines of gains, and how the plane shows them."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import turtlelog as tl
+from tests.draw.rerun.rrds import read_static
+from turtlelog.charts.palette import choose_run_colors
 from turtlelog.charts.run_ends import MANY_PATHS, find_gain_ends, outline_points
 from turtlelog.draw.figures.page import choose_lines
+from turtlelog.draw.report.drawn import Drawn
+from turtlelog.draw.report.page_plots import draw_plots
 
 KP2, KP10 = (tl.simulate_run(tl.load_scenario(f"paper-kp{kp}")) for kp in (2, 10))
 RANDOM = np.random.default_rng(3)
@@ -77,3 +82,19 @@ def test_the_bar_of_runs_that_share_gains_tells_the_gains() -> None:
     *_, bar = tl.draw.draw_figure("plane", RUNS).axes
     assert [label.get_text() for label in bar.get_xticklabels()] == ["2", "10"]
     assert bar.get_xlabel() == "Kp of 40 runs"
+
+
+def test_rerun_and_reports_show_the_ends_of_many_runs_as_print_does(tmp_path: Path) -> None:
+    """2 s and more: 40 runs are drawn as a recording for Rerun and as a report."""
+    medians = np.array([ends.median_xy_m for ends in find_gain_ends(RUNS)])
+    tl.write_comparison_rrd(RUNS, tmp_path / "many.rrd")
+    shown = read_static(tmp_path / "many.rrd", "/plane/ends/medians", "Points2D:positions")
+    np.testing.assert_allclose(shown, medians, rtol=1e-6)
+    colors = choose_run_colors(len(RUNS))
+    drawn = [
+        Drawn(run=run, name=run.name, color=color) for run, color in zip(RUNS, colors, strict=True)
+    ]
+    plane = draw_plots(drawn, [{} for _ in RUNS], []).roots["plane"]
+    diamonds = [one for one in plane.renderers if getattr(one.glyph, "marker", "") == "diamond"]
+    places = [[one.data_source.data[axis][0] for axis in "xy"] for one in diamonds]
+    np.testing.assert_allclose(places, medians, rtol=1e-6)

@@ -1,8 +1,9 @@
 """Metrics that have a place on a curve, as figures, views and reports mark them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from types import MappingProxyType
+from typing import Final, Literal
 
 import numpy as np
 
@@ -29,6 +30,31 @@ TO_REFERENCE: Final = "distance_to_reference"
 
 _ROUNDING_NS: Final = 1_000
 """Times of metrics are rounded seconds: a command that begins within this counts as begun [ns]."""
+
+
+MarkShape = Literal["disc", "square", "cross"]
+
+_SHAPES: Final[Mapping[str, MarkShape]] = MappingProxyType(
+    {
+        "settling_time": "disc",
+        "final_error": "disc",
+        "position_error": "disc",
+        "overshoot": "square",
+        "largest_error": "square",
+        "cross_track_max": "square",
+        "rise_time": "cross",
+        "time_to_goal": "cross",
+        "longest_saturation": "cross",
+        "dead_time": "cross",
+    }
+)
+"""How metrics are marked, by their kind: discs where a curve comes to rest, squares where it is
+furthest off, crosses where a time ends or begins. A peak stands with its overshoot."""
+
+_SIGNS: Final[Mapping[MarkShape, str]] = MappingProxyType(
+    {"disc": "●", "square": "■", "cross": "\N{MULTIPLICATION SIGN}"}
+)
+"""Letters that Rerun's viewer can draw: at others, as the heavy multiplication sign, it ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +98,40 @@ class Characteristic:
     def kind(self) -> str:
         """Name of the metric without its loop: `rise_time`, `settling_time`, `pause`."""
         return self.metric.rpartition(".")[2]
+
+    @property
+    def shape(self) -> MarkShape | None:
+        """Shape of its mark; None where it has none, as a pause."""
+        return _SHAPES.get(self.kind)
+
+    @property
+    def sign(self) -> str:
+        """Its shape as a letter."""
+        return "" if self.shape is None else _SIGNS[self.shape]
+
+    @property
+    def marked_s(self) -> float:
+        """When its mark stands, from the first sample [s]: at the end of a dead time."""
+        return self.span_s[1] if self.kind == "dead_time" and self.span_s is not None else self.at_s
+
+    @property
+    def text(self) -> str:
+        """What its mark says, as exact as a reader can use it."""
+        if self.kind == "dead_time":
+            return f"{self.word} {1e3 * self.value:.3g} ms"
+        digits = 4 if self.kind == "peak" else 2 if self.unit == "%" else 3
+        return f"{self.word} {self.value:.{digits}g} {self.unit}"
+
+
+def list_mark_texts(mark: Characteristic, others: Iterable[Characteristic]) -> list[str]:
+    """Return what a mark says, an entry each: of an overshoot its peak, and the part of the step.
+
+    Without an overshoot the peak stands alone.
+    """
+    if mark.kind != "overshoot":
+        return [mark.text]
+    peaks = [one.text for one in others if one.kind == "peak" and one.loop == mark.loop]
+    return [*peaks, *([mark.text] if mark.value >= 0.0 else [])]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,7 +6,7 @@ from itertools import pairwise, product
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.run import Run
 
@@ -41,6 +41,9 @@ _SHIFTS: Final = (0.0, 0.5, -0.5, 1.0, -1.0)
 
 _ANGLES_RAD: Final = np.radians([90.0, -90.0, 60.0, 120.0, -60.0, -120.0, 45.0, 135.0])
 """Where the names of the rings may stand, best first: over each other they need least room."""
+
+_RING_POINTS: Final = 97
+"""On a ring: one in 4 degrees."""
 
 Point = tuple[float, float]
 
@@ -79,6 +82,12 @@ class CloseUp:
     rings_m: tuple[float, ...]
     ends: tuple[End, ...]
     outside: int
+
+    def list_rings(self) -> list[NDArray[np.float64]]:
+        """Return the rings as lines [m], each of shape (n, 2)."""
+        turns_rad = np.linspace(0.0, 2.0 * np.pi, _RING_POINTS)
+        circle = np.column_stack([np.cos(turns_rad), np.sin(turns_rad)])
+        return [np.array(self.goal_xy_m) + ring_m * circle for ring_m in self.rings_m]
 
     def describe(self) -> str:
         """Return its half-width, and how many runs it does not show, for a title."""

@@ -4,6 +4,7 @@ A run has a colour, and on paper a marker; a loop of its law a dash; what stands
 colour and a dash by its kind.
 """
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, Literal
@@ -67,6 +68,18 @@ def choose_curve_color(kind: CurveKind, run: Color, *, is_alone: bool) -> Color:
 def choose_dash(kind: CurveKind) -> Dash:
     """Return the dash of a curve of a run, by its kind."""
     return _DASHES.get(kind, "solid")
+
+
+_FEW_TURTLES: Final = 4
+"""Turtles of full size; more are smaller."""
+
+_SMALLEST_TURTLE: Final = 0.3
+"""Of that size: a shell of 4 pixels, as large as the dot in its middle."""
+
+
+def choose_turtle_size(turtles: int) -> float:
+    """Return the size of each of so many turtles: all together cover as much as a few do."""
+    return max(min(1.0, math.sqrt(_FEW_TURTLES / max(turtles, 1))), _SMALLEST_TURTLE)
 
 
 def choose_markers(count: int) -> tuple[Marker, ...]:

@@ -77,6 +77,9 @@ REFERENCE: Final[Color] = (150, 150, 150)
 TRACKED: Final[Color] = (95, 95, 95)
 """A path that laws track: a broad line, dark enough for the driven way to be seen on it."""
 
+PATH_OF_MANY: Final[Color] = (105, 105, 105)
+"""Paths of very many runs on dark ground: their ends have the colours."""
+
 GOAL: Final[Color] = (255, 255, 255)
 
 START: Final[Color] = (190, 190, 190)

@@ -23,6 +23,9 @@ _LEAST_ROOM: Final = 1e-9
 _ROOM_AROUND_0: Final = 0.1
 """In the unit of the plot, where all values are 0: ticks of a lower range are hard to read."""
 
+_AT_REST: Final = 0.01
+"""Of the height of a plot: less than the width of a line in print, where that is 40 mm high."""
+
 _LEAST_SIDE: Final = 0.15
 """What a command's range shows at least on either side of 0, as a share of its largest limit,
 times `HEADROOM`."""
@@ -47,6 +50,23 @@ def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float
         return min(low, -least) * HEADROOM, max(high, least) * HEADROOM
     others = [level.value for level in levels]
     return _add_room(min([low, *others]), max([high, *others]))
+
+
+def find_rest(curves: Iterable[tuple[Values, Values]], height: float) -> float:
+    """Return from when on no curve is further from its last value than a hundredth of a height [s].
+
+    Args:
+        curves: Times [s] and values of each.
+        height: Of the plot, in the unit of the values.
+    """
+    ends_s = [0.0]
+    for time_s, values in curves:
+        known = np.isfinite(values)
+        time_s, values = time_s[known], values[known]
+        if len(values):
+            away = np.flatnonzero(np.abs(values - values[-1]) > _AT_REST * height)
+            ends_s.append(float(time_s[away[-1]]) if len(away) else 0.0)
+    return max(ends_s)
 
 
 def _add_room(low: float, high: float) -> tuple[float, float]:

@@ -15,6 +15,9 @@ Values = NDArray[np.float64]
 MANY_PATHS: Final = 24
 """Paths that a plane shows in colours: more cover each other, and those drawn last decide."""
 
+OUTLINE_LABEL: Final = "90 % of the ends of a gain"
+MEDIAN_LABEL: Final = "median end"
+
 _LEAST_RUNS: Final = 10
 """Ends of a gain that have an outline: of fewer, nine tenths are all."""
 
@@ -37,6 +40,21 @@ class GainEnds:
     runs: tuple[int, ...]
     median_xy_m: Values
     outline_xy_m: Values
+
+    @property
+    def middle_run(self) -> int:
+        """Number of the run whose colour is that of the gain."""
+        return self.runs[len(self.runs) // 2]
+
+    @property
+    def around_xy_m(self) -> Values:
+        """The outline as a line that ends where it begins [m], shape (n + 1, 2)."""
+        return np.append(self.outline_xy_m, self.outline_xy_m[:1], axis=0)
+
+
+def has_grey_paths(runs: Sequence[Run]) -> bool:
+    """Whether a plane shows paths in grey and, in colours, ends with their medians and outlines."""
+    return len(runs) > MANY_PATHS
 
 
 def find_gain_ends(runs: Sequence[Run]) -> list[GainEnds]:

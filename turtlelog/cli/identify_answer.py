@@ -56,7 +56,7 @@ def format_robot(
     known = [axis for axis in model.axes if axis.is_known]
     parts = [fill_lines([tl.identify.write_headline(model.axes, _name_robot(files))])]
     if known:
-        brackets = "intervals of 95 %" if model.tick_delays is None else "the least and the largest"
+        brackets = model.brackets
         if any(axis.doubts for axis in known):
             brackets += ", wider where a doubt is named below"
         parts += [f"{_format_values(known)}\nIn brackets: {brackets}.\n"]

@@ -275,6 +275,11 @@ class RobotModel:
         """Both axes."""
         return self.speed, self.turn_rate
 
+    @property
+    def brackets(self) -> str:
+        """What the values in brackets are, in words."""
+        return "intervals of 95 %" if self.tick_delays is None else "the least and the largest"
+
     def __repr__(self) -> str:
         known = [axis.axis for axis in self.axes if axis.is_known]
         return fit_line(

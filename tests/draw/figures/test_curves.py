@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import turtlelog as tl
+from turtlelog.draw.figures.figure_curves import draw_thinned
 from turtlelog.scenario import get_preset, override_scenario
 
 Values = Any
@@ -154,7 +155,7 @@ def find_levels(axes: Axes, label: str) -> list[float]:
 def test_every_axis_says_what_it_shows_and_in_which_unit(name: str) -> None:
     axes = draw(name).axes
     assert [panel.get_ylabel() for panel in axes] == LABELS[name]
-    below = axes[-1].get_xlabel()
+    below, *_ = axes[-1].get_xlabel().split("\n")  # until when curves rest stands below
     across = {"plane": "x [m]", "root-locus": "real part of z"}
     ideal = name in {"plant", "step-responses"}
     expected = "time [s]" if ideal else "time from the first sample [s]"
@@ -297,3 +298,15 @@ def test_ideal_steps_enter_the_two_percent_band_before_four_tau() -> None:
     expected = [[4.0 / kp, 1.0 - np.exp(-4.0)] for kp in (2, 10)]
     assert np.concatenate(dots) == pytest.approx(np.array(expected))
     assert 1.0 - np.exp(-4.0) > low
+
+
+def test_marks_of_a_curve_that_swings_stand_at_equal_times() -> None:
+    time_s = np.linspace(0.0, 10.0, 1000)
+    every = []
+    for swings in (3.9, 4.1):
+        axes = Figure().subplots()
+        values = np.sin(2.0 * np.pi * swings * time_s / 10.0)
+        draw_thinned(axes, time_s, values, values, marker="o", markevery=(0.1, 0.3))
+        every.append(axes.get_lines()[0].get_markevery())
+    # Each swing goes its height up and down: eight heights are four swings.
+    assert every == [(0.1, 0.3), (100, 300)]

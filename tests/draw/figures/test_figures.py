@@ -311,7 +311,7 @@ def test_commands_of_a_bag_are_those_of_its_topic(command: str) -> None:
 def test_an_axis_says_what_time_zero_is() -> None:
     bag = make_foreign_run(50)
     labels = [
-        tl.draw.draw_figure("heading", runs).axes[0].get_xlabel()
+        tl.draw.draw_figure("position", runs).axes[-1].get_xlabel()
         for runs in ([simulate(4)], [bag], [simulate(4), bag])
     ]
     assert labels == [

@@ -73,3 +73,15 @@ def test_a_bar_names_repeated_gains_and_any_one_number_as_views_do() -> None:
     ]
     _, bar = draw_figure("heading", pauses).axes
     assert bar.get_xlabel() == "pause of 8 runs"
+
+
+def test_the_bar_tells_gains_in_three_digits() -> None:
+    runs = [replace(run, name=f"{number}") for number, run in enumerate(vary(8))]
+    keys = ("law.kp_linear", "law.kp_angular")
+    thirds = [
+        replace(run, parameters={**run.parameters, **dict.fromkeys(keys, (1.0 + number) / 3.0)})
+        for number, run in enumerate(runs)
+    ]
+    _, bar = draw_figure("heading", thirds).axes
+    labels = [text.get_text() for text in bar.get_xticklabels()]
+    assert labels[:3] == ["0.333", "0.667", "1"]

@@ -229,3 +229,14 @@ def test_dots_of_curves_are_small_where_there_are_many(
     draw_curves(axes, view, view.results.metrics[0], [])
     (dots,) = axes.lines
     assert dots.get_markersize() == size
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.009, [" 0 to 0.009"]), (0.011, [])])
+def test_a_bar_too_thin_to_see_has_its_ends_in_words(
+    tmp_path: Path, share: float, told: list[str]
+) -> None:
+    view = view_metric(
+        tmp_path, "translate.overshoot", lambda delay, kp: (delay > 0) + share * (kp > 10)
+    )
+    figure = lay_out(view, find_loop_limits(view), "tornado", Page())
+    assert [text.get_text() for text in figure.axes[0].texts] == told

@@ -26,7 +26,7 @@ def list_words(axes: Axes) -> list[str]:
 
 
 def list_dots(axes: Axes) -> list[tuple[float, float]]:
-    lines = [line for line in axes.get_lines() if line.get_marker() == "o"]
+    lines = [line for line in axes.get_lines() if line.get_marker() in {"o", "s", "x"}]
     return [tuple(np.asarray(line.get_xydata())[0].tolist()) for line in lines]
 
 
@@ -36,7 +36,7 @@ def test_a_heading_has_its_characteristics_with_their_values() -> None:
         "dead time 64 ms",
         "rise 1.79 s",
         "settled 2.21 s",
-        "peak 129.8 deg\novershoot 1.01 %",
+        "peak 129.8 deg\novershoot 1 %",
         "pause 0.528 s",
     ]
 
@@ -84,6 +84,22 @@ def test_words_cover_neither_each_other_nor_dots_nor_leave_the_panel(
     panel = axes.get_window_extent()
     assert all(panel.x0 <= box.x0 and box.x1 <= panel.x1 for box in boxes)
     assert all(panel.y0 <= box.y0 and box.y1 <= panel.y1 for box in boxes)
+
+
+def test_words_without_room_are_left_out_and_their_dots_stay() -> None:
+    panels = {
+        kind: draw_figure("panel", [RUN], page=Page(kind=kind, has_marks=True)).axes
+        for kind in ("page", "slide")
+    }
+    for name in ("heading", "heading_error"):
+        (on_page, on_slide) = (
+            next(axes for axes in found if str(axes.get_label()).strip("|") == name)
+            for found in panels.values()
+        )
+        assert {*list_words(on_slide)} < {*list_words(on_page)}
+        assert list_dots(on_slide) == list_dots(on_page)
+        boxes = [text.get_window_extent() for text in on_slide.texts]
+        assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
 
 
 @pytest.mark.thorough

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import turtlelog as tl
 from turtlelog.cli.page_options import TIMELESS
 from turtlelog.draw import Page, draw_figure
-from turtlelog.draw.figures.time_window import list_time_axes
+from turtlelog.draw.figures.time_window import cut_time_axes, list_time_axes
 from turtlelog.errors import ShowError
 from turtlelog.scenario import get_preset
 
@@ -22,6 +23,26 @@ def test_time_axes_are_cut_and_curves_have_the_height_that_they_have_there() -> 
     assert low < shown.min()
     assert high > shown.max()
     assert high - low < 1.2 * np.ptp(shown)
+
+
+def test_an_axis_ends_where_its_curves_rest_from_the_first_part_on_and_says_until_when() -> None:
+    (axes,) = draw_figure("heading", [RUN]).axes
+    assert 2.5 < axes.get_xlim()[1] < 0.6 * float(RUN.duration_s)
+    assert axes.get_xlabel() == "time from the first sample [s]\nat rest until 12.6 s"
+    for name in ("along-track", "wanted-turn-rate", "panel"):
+        *_, axes = draw_figure(name, [RUN]).axes
+        assert axes.get_xlim()[1] > float(RUN.duration_s)
+        assert axes.get_xlabel() == "time from the first sample [s]"
+
+
+@pytest.mark.parametrize(("at_s", "is_cut"), [(5.9, True), (6.1, False)])
+def test_curves_rest_where_they_stay_within_a_hundredth(at_s: float, *, is_cut: bool) -> None:
+    figure = Figure()
+    axes = figure.subplots()
+    axes.plot([0.0, at_s, at_s + 0.1, 10.0], [0.0, 0.0, 0.991, 1.0])
+    axes.set(xlim=(0.0, 10.0), ylim=(0.0, 1.0), xlabel="time from the first sample [s]")
+    cut_time_axes(figure, [RUN], Page())
+    assert axes.get_xlim()[1] == pytest.approx(1.15 * at_s if is_cut else 10.0)
 
 
 def test_only_one_end_may_be_given() -> None:

@@ -86,10 +86,10 @@ def test_the_marks_of_one_run_are_named_and_those_of_many_are_left_out() -> None
     figure = draw(run).roots["plot-heading"]
     words = [text for text in list_texts(figure) if not text.startswith("run 0: ")]
     assert words == [
-        "■ dead time 64 ms",
-        "▲ rise 1.79 s",
+        "\N{MULTIPLICATION SIGN} dead time 64 ms",
+        "\N{MULTIPLICATION SIGN} rise 1.79 s",
         "● settled 2.21 s",
-        "◆ peak 129.8 deg, overshoot 1 %",
+        "■ peak 129.8 deg, overshoot 1 %",
     ]
     assert len(draw(*[run] * MOST_MARKED).config["marks"]) > 0
     assert draw(*[run] * (MOST_MARKED + 1)).config["marks"] == []

@@ -22,9 +22,10 @@ from tests.draw.rerun.rrds import (
 from tests.known import known
 from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import StepScale
+from turtlelog.charts.looks import choose_turtle_size
 from turtlelog.draw import write_explanation_rrd, write_run_rrd
 from turtlelog.draw.rerun.ghosts import build_ideal_ghost, find_ideal_poses, list_gaps, measure_gap
-from turtlelog.draw.rerun.turtles import MOST_SEGMENTS, choose_size, count_segments
+from turtlelog.draw.rerun.turtles import MOST_SEGMENTS, count_segments
 from turtlelog.draw.rerun.waterfall import choose_ticks, write_tick
 from turtlelog.errors import ShowError
 from turtlelog.explain import Attribution, attribute_run, identify_run, simulate_what_ifs
@@ -263,7 +264,7 @@ def test_many_trails_have_fewer_segments_each(trails: int, most: int) -> None:
 
 @pytest.mark.parametrize(("turtles", "size"), [(1, 1.0), (4, 1.0), (16, 0.5), (400, 0.3)])
 def test_many_turtles_are_smaller(turtles: int, size: float) -> None:
-    assert choose_size(turtles) == size
+    assert choose_turtle_size(turtles) == size
 
 
 def test_a_view_shows_the_trail_from_its_beginning_to_the_cursor(kp10_rrd: Path) -> None:

@@ -163,7 +163,7 @@ def test_the_worst_place_is_shown_and_named(tracker_rrd: Path, trackers_rrd: Pat
 def test_the_furthest_place_is_marked_on_the_error(tracker_rrd: Path) -> None:
     names = read_static(tracker_rrd, "/along_track_error/marks", "SeriesPoints:names")
     largest = tl.measure_run(KANAYAMA)["along.largest_error"].value
-    assert names == [f"◆ furthest off {largest:.3g} m"]
+    assert names == [f"■ furthest off {largest:.3g} m"]
     across = read_static(tracker_rrd, "/cross_track/marks", "SeriesPoints:names")
     assert len(across) == 1
 

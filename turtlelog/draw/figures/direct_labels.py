@@ -26,6 +26,9 @@ _APART_MM: Final = 0.1
 _MOST_POINTS: Final = 4_000
 """On a line that swings."""
 
+_WAY_POINTS: Final = 40
+"""From a dot to its words."""
+
 _OF_A_DOT: Final = 400
 """Points of a mark, which words avoid as 40 mm of a line."""
 
@@ -78,8 +81,8 @@ class WordSpace:
         width_mm: float,
         height_mm: float,
         away_mm: tuple[float, ...] = _AWAY_MM,
-    ) -> Values:
-        """Return the middle of a box near a dot that covers least."""
+    ) -> tuple[Values, float]:
+        """Return the middle of a box near a dot that covers least, and how much it covers."""
         scale = self.half / self.half_mm
         half = np.array([width_mm, height_mm]) / 2.0 * scale
         points = np.concatenate(self.taken) if self.taken else np.empty((0, 2))
@@ -89,10 +92,12 @@ class WordSpace:
                 way = np.array([np.cos(angle), np.sin(angle)])
                 middle = dot + way * (gap_mm * scale + half * np.minimum(np.abs(way) * 1.3, 1.0))
                 cost = self.count_covered(middle, half, points) + 3.0 * order
+                cost += _OF_A_DOT * self.count_struck(
+                    dot, np.clip(dot, middle - half, middle + half)
+                )
                 if cost < least:
                     best, least = middle, cost
-        self.take_box(best, half)
-        return best
+        return best, float(least)
 
     def take_box(self, middle: Values, half: Values) -> None:
         """Keep other words off a box."""
@@ -105,12 +110,22 @@ class WordSpace:
         outside = 1e4 * float((np.maximum(over, 0.0) / self.half).sum())
         margin = half + 0.8 * self.half / self.half_mm
         covered = float((np.abs(points - middle) < margin).all(axis=1).sum())
+        return outside + covered + 1e3 * self.count_words(middle, half)
+
+    def count_struck(self, dot: Values, end: Values) -> int:
+        """Return how many words the way from a dot to its own would strike through."""
+        way = np.linspace(dot, end, _WAY_POINTS)[:, None, :]
+        left, right, bottom, top = np.array(self.boxes).reshape(-1, 4).T
+        low, high = np.stack([left, bottom], axis=1), np.stack([right, top], axis=1)
+        return int(((low < way) & (way < high)).all(axis=2).any(axis=0).sum())
+
+    def count_words(self, middle: Values, half: Values) -> int:
+        """Return how many words a box would cover."""
         low, high = middle - half, middle + half
-        words = sum(
+        return sum(
             low[0] < right and high[0] > left and low[1] < top and high[1] > bottom
             for left, right, bottom, top in self.boxes
         )
-        return outside + covered + 1e3 * float(words)
 
 
 def place_words(
@@ -120,7 +135,8 @@ def place_words(
     lines = text.split("\n")
     width_mm = max(measure_text_mm(line, points) for line in lines) + 0.5
     height_mm = 1.25 * points * _MM_PER_POINT * len(lines)
-    middle = place.find_room(dot, width_mm, height_mm)
+    middle, _ = place.find_room(dot, width_mm, height_mm)
+    place.take_box(middle, np.array([width_mm, height_mm]) / 2.0 * place.half / place.half_mm)
     at = (float(middle[0]), float(middle[1]))
     words = axes.text(*at, text, color=color, fontsize=points, ha="center", va="center", zorder=4)
     words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.75})

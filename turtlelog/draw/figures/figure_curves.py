@@ -1,5 +1,6 @@
 """Curves of figures: of runs, thinned, of the ideal loop beside them, and of theory alone."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
@@ -29,6 +30,9 @@ from turtlelog.theory import (
 )
 
 Values = NDArray[np.float64]
+
+_MOST_SWINGS: Final = 8.0
+"""Way of a curve up and down, over its height: along the way of more its marks would hide it."""
 
 _RING_POINTS: Final = 2.4
 """Poles of several loops at one place are rings of half this width."""
@@ -66,7 +70,18 @@ def draw_thinned(axes: Axes, across: Values, up: Values, kept: Values, **looks: 
     across, up = _thin(axes, across, up, kept)
     if len(up) == 1:  # a line would be nothing
         looks |= {"marker": "o", "ms": 3.0, "markevery": None}
+    if "markevery" in looks:
+        looks["markevery"] = _space_marks(up, looks["markevery"])
     axes.plot(across, up, **looks)
+
+
+def _space_marks(up: Values, every: Any) -> Any:
+    """Return where a curve has marks: along its way, but one that swings by its rows."""
+    known = up[np.isfinite(up)]
+    if every is None or np.abs(np.diff(known)).sum() <= _MOST_SWINGS * np.ptp(known):
+        return every
+    first, apart = (math.ceil(share * len(up)) for share in every)
+    return first, apart
 
 
 def draw_points(axes: Axes, across: Values, up: Values, **looks: Any) -> None:
@@ -118,8 +133,8 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
         axes.plot(time_s, values, label=name, **looks)
         settled_s = compute_settling_time(gain)
         level = compute_closed_loop_response(gain, [0.0, settled_s])[-1]
-        label = "4 τ" if gain == gains[-1] else None
-        axes.plot(settled_s, level, "o", ms=3.5, color=looks["color"], label=label)
+        axes.plot(settled_s, level, "o", ms=3.5, color=looks["color"])
+    axes.plot([], [], "o", ms=3.5, color="0.35", label="4 τ")
     axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
 
 

@@ -47,7 +47,7 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     scale = find_gain_scale(runs)
     if scale is not None:
         shown = np.unique(np.linspace(0, count - 1, min(count, _MOST_TICKS)).round().astype(int))
-        bar.set_ticks(shown.tolist(), labels=[f"{scale.values[row]:g}" for row in shown])
+        bar.set_ticks(shown.tolist(), labels=[f"{scale.values[row]:.3g}" for row in shown])
         unit = f" [{scale.unit}]" if scale.unit else ""
         bar.set_label(f"{scale.word} of {count} runs{unit}")
     elif len(groups := group_by_gain(runs)) > 1:
@@ -55,7 +55,7 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
         shown = np.unique(np.linspace(0, len(gains) - 1, min(len(gains), _MOST_TICKS)).round())
         told = [gains[int(row)] for row in shown]
         bar.set_ticks(
-            [float(np.mean(groups[kp])) for kp in told], labels=[f"{kp:g}" for kp in told]
+            [float(np.mean(groups[kp])) for kp in told], labels=[f"{kp:.3g}" for kp in told]
         )
         bar.set_label(f"Kp of {count} runs")
     else:

@@ -1,7 +1,7 @@
 """Words in panels over time: beside their dots, upright in spans, or in a table of several runs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Final
 
@@ -21,6 +21,9 @@ _LINE_MM: Final = 1.25 * _WORDS_POINTS * 25.4 / 72.0
 _DOT_MM: Final = 0.8
 _LEADER_MM: Final = 4.0
 """Words that stand further from their dot have a line to it."""
+
+_NO_ROOM: Final = 150.0
+"""Points of curves, 15 mm of them, or one word or dot: words that cover as much are left out."""
 
 _GUIDE_POINTS: Final = 40
 """Points of a guide line that words avoid: a tenth of a curve's, as it may rather be covered."""
@@ -50,7 +53,9 @@ Table = Sequence[tuple[str, Any]]
 
 
 def write_words(axes: Axes, words: Sequence[Word], tables: Sequence[Table] = ()) -> None:
-    """Write words near their dots where they cover least, in the order of time.
+    """Write words near their dots where they cover least.
+
+    Words that would cover much have no room and are left out: their dot stays.
 
     Args:
         axes: The panel, at its place in the figure.
@@ -59,19 +64,62 @@ def write_words(axes: Axes, words: Sequence[Word], tables: Sequence[Table] = ())
     """
     place, to_panel = _survey(axes)
     low, high = sorted(axes.get_xlim())
-    shown = [word for word in words if low <= word.at[0] <= high]
+    shown = sorted((word for word in words if low <= word.at[0] <= high), key=lambda one: one.at)
     dots = to_panel.transform([word.at for word in shown]) if shown else np.empty((0, 2))
     for word, dot in zip(shown, dots, strict=True):
         if word.span_s is None:
             place.avoid_point(dot, _DOT_MM)
     if tables:
         _write_table(axes, place, tables)
-    for word, dot in sorted(zip(shown, dots, strict=True), key=lambda pair: pair[0].at):
-        if word.span_s is None:
-            _write_beside(axes, place, word, dot)
-        else:
+    marked = [*zip(shown, dots, strict=True)]
+    orders = [_place_in_order(place, to_panel, order) for order in (marked, marked[::-1])]
+    best = min(orders, key=lambda order: sum(min(one.cost, _NO_ROOM) for one in order))
+    for placed in sorted(best, key=lambda one: one.word.at):
+        if placed.cost < _NO_ROOM:
+            _write_placed(axes, placed)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Placed:
+    """Words at their place, in parts of the panel.
+
+    Attributes:
+        word: What is written.
+        middle: Of its box, shape (2,).
+        is_upright: Whether it stands in its span.
+        leader: From the dot to the box where that is far, shape (2, 2).
+        cost: How much it covers.
+    """
+
+    word: Word
+    middle: Values
+    cost: float
+    is_upright: bool = False
+    leader: Values | None = None
+
+
+def _place_in_order(
+    survey: WordSpace, to_panel: Any, marked: Sequence[tuple[Word, Values]]
+) -> list[_Placed]:
+    """Return the places of words, of which each keeps off those before it."""
+    place = replace(survey, taken=[*survey.taken], boxes=[*survey.boxes])
+    found = []
+    for word, dot in marked:
+        width = 0.0
+        if word.span_s is not None:
             width = float(np.ptp(to_panel.transform([(at_s, 1.0) for at_s in word.span_s])[:, 0]))
-            _write_upright(axes, place, word, (float(dot[0]), width))
+        half = _measure(word) / 2.0 * place.half / place.half_mm
+        if width >= _LINE_MM * place.half[0] / place.half_mm[0]:
+            placed, half = _place_upright(place, word, float(dot[0]))
+        else:
+            at = dot if word.span_s is None else np.array([dot[0], 0.5])
+            placed = _place_beside(place, word, at)
+        found.append(placed)
+        if placed.cost < _NO_ROOM:
+            place.take_box(placed.middle, half)
+            if placed.leader is not None:
+                place.avoid_line(placed.leader)
+    return found
 
 
 def _survey(axes: Axes) -> tuple[WordSpace, Any]:
@@ -112,34 +160,32 @@ def _write_table(axes: Axes, place: WordSpace, tables: Sequence[Table]) -> None:
         _write(axes, Word(text=text, at=(0.0, 0.0), color=color), at, side="left")
 
 
-def _write_beside(axes: Axes, place: WordSpace, word: Word, dot: Values) -> None:
+def _place_beside(place: WordSpace, word: Word, dot: Values) -> _Placed:
     size_mm = _measure(word)
-    middle = place.find_room(dot, float(size_mm[0]), float(size_mm[1]), away_mm=_AWAY_MM)
+    middle, cost = place.find_room(dot, float(size_mm[0]), float(size_mm[1]), away_mm=_AWAY_MM)
     scale_mm = place.half_mm / place.half
-    away_mm = np.maximum(np.abs(middle - dot) * scale_mm - size_mm / 2.0, 0.0)
-    if float(np.hypot(*away_mm)) > _LEADER_MM:
-        half = size_mm / 2.0 / scale_mm
-        ends = np.stack([dot, np.clip(dot, middle - half, middle + half)], axis=1)
-        looks: dict[str, Any] = {"color": word.color, "linewidth": 0.4, "zorder": 3.1}
-        axes.plot(*ends, transform=axes.transAxes, scalex=False, scaley=False, **looks)
-        place.avoid_line(ends.T)
-    _write(axes, word, middle)
+    half = size_mm / 2.0 / scale_mm
+    leader = np.stack([dot, np.clip(dot, middle - half, middle + half)])
+    is_far = float(np.hypot(*(np.diff(leader, axis=0)[0] * scale_mm))) > _LEADER_MM
+    return _Placed(word=word, middle=middle, cost=cost, leader=leader if is_far else None)
 
 
-def _write_upright(axes: Axes, place: WordSpace, word: Word, span: tuple[float, float]) -> None:
-    """Write words into a span, where they cover least; beside it where it is too narrow."""
-    center, width = span
-    size_mm = _measure(word)
-    half = size_mm[::-1] / 2.0 * place.half / place.half_mm
-    if width < 2.0 * half[0]:
-        _write_beside(axes, place, word, np.array([center, 0.5]))
-        return
+def _place_upright(place: WordSpace, word: Word, center: float) -> tuple[_Placed, Values]:
+    """Return words in their span, where they cover least, and half of their box."""
+    half = _measure(word)[::-1] / 2.0 * place.half / place.half_mm
     points = np.concatenate(place.taken) if place.taken else np.empty((0, 2))
     heights = np.linspace(half[1] + 0.03, max(0.97 - half[1], half[1] + 0.03), 25)
     middles = [np.array([center, height]) for height in heights]
-    middle = min(middles, key=lambda found: place.count_covered(found, half, points))
-    place.take_box(middle, half)
-    _write(axes, word, middle, rotation=90.0)
+    costs = [place.count_covered(middle, half, points) for middle in middles]
+    middle, cost = middles[int(np.argmin(costs))], min(costs)
+    return _Placed(word=word, middle=middle, cost=cost, is_upright=True), half
+
+
+def _write_placed(axes: Axes, placed: _Placed) -> None:
+    if placed.leader is not None:
+        looks: dict[str, Any] = {"color": placed.word.color, "linewidth": 0.4, "zorder": 3.1}
+        axes.plot(*placed.leader.T, transform=axes.transAxes, scalex=False, scaley=False, **looks)
+    _write(axes, placed.word, placed.middle, rotation=90.0 if placed.is_upright else 0.0)
 
 
 def _measure(word: Word) -> Values:

@@ -10,7 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from turtlelog.charts.characteristics import Characteristic, list_characteristics
+from turtlelog.charts.characteristics import (
+    Characteristic,
+    MarkShape,
+    list_characteristics,
+    list_mark_texts,
+)
 from turtlelog.charts.curves import Curve, read_curve
 from turtlelog.charts.many_runs import cut_alike
 from turtlelog.draw.figures.mark_words import GUIDE_ORDER, Table, Word, write_words
@@ -54,6 +59,9 @@ _COORDINATES: Final = frozenset({"x", "y", "error_x", "error_y"})
 _WAYS: Final = frozenset({"along_track", "distance"})
 """What loops control that move a robot to its goal."""
 _MOMENTS: Final = frozenset({"settling_time", "time_to_goal", "position_error"})
+
+_SHAPES: Final[Mapping[MarkShape, str]] = {"disc": "o", "square": "s", "cross": "x"}
+"""Marks as matplotlib has them."""
 
 _OF_ERRORS: Final[Mapping[str, str]] = MappingProxyType({"heading_error": "heading"})
 """Errors on whose curve the characteristics of a loop's signal stand, too."""
@@ -176,9 +184,8 @@ def _is_end(panel: _Marked, mark: Characteristic) -> bool:
 
 
 def _word(panel: _Marked, mark: Characteristic, text: str) -> Word:
-    is_dead = mark.kind == "dead_time"
-    at_s = mark.span_s[1] if is_dead and mark.span_s is not None else mark.at_s
-    return Word(text=text, at=(at_s, panel.read(at_s)), color=_DEAD_WORDS if is_dead else "0.25")
+    color = _DEAD_WORDS if mark.kind == "dead_time" else "0.25"
+    return Word(text=text, at=(mark.marked_s, panel.read(mark.marked_s)), color=color)
 
 
 def _tabulate(axes: Axes, told: Mapping[str, tuple[Any, Sequence[_Told]]]) -> list[Table]:
@@ -222,39 +229,38 @@ def _mark_rise(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]
     if not panel.is_alone or panel.is_error or mark.span_s is None:
         return ""
     for at_s in mark.span_s:
-        _guide(panel, mark.start_s, at_s)
-    return _tell(mark)
+        _guide(panel, mark, mark.start_s, at_s)
+    return mark.text
 
 
 def _mark_settled(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
     _draw_band(panel, mark)
-    _guide(panel, None, mark.at_s, mark.kind)
-    return _tell(mark)
+    _guide(panel, mark, None)
+    return mark.text
 
 
 def _mark_overshoot(panel: _Marked, mark: Characteristic, others: Sequence[Characteristic]) -> str:
     if (panel.is_error or not panel.is_alone) and mark.value < _LEAST_OVERSHOOT:
         return ""
-    _guide(panel, mark.start_s, mark.at_s)
+    _guide(panel, mark, mark.start_s)
     if not panel.is_alone:
-        return f"{mark.word} {mark.value:.2g} %"
-    peaks = [other for other in others if other.kind == "peak" and other.loop == mark.loop]
-    words = [] if panel.is_error else [_tell(peak) for peak in peaks]
-    return "\n".join([*words, *([_tell(mark)] if mark.value >= 0.0 else [])])
+        return mark.text
+    # An error has no peak: its curve shows what is missing.
+    return "\n".join(list_mark_texts(mark, () if panel.is_error else others))
 
 
 def _mark_dead_time(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
     if not panel.is_alone or panel.is_error or mark.span_s is None or mark.value <= 0.0:
         return ""
     panel.axes.axvspan(*mark.span_s, **_DEAD)
-    return f"{mark.word} {1e3 * mark.value:.3g} ms"
+    return mark.text
 
 
 def _mark_point(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
     if not panel.is_alone and mark.kind == "final_error":
         return ""
-    _guide(panel, None, mark.at_s)
-    return _tell(mark)
+    _guide(panel, mark, None)
+    return mark.text
 
 
 _DRAWN: Final[Mapping[str, Callable[[_Marked, Characteristic, Sequence[Characteristic]], str]]] = {
@@ -271,25 +277,23 @@ _DRAWN: Final[Mapping[str, Callable[[_Marked, Characteristic, Sequence[Character
 """What draws a metric, by its kind, and returns its words; a peak stands with its overshoot."""
 
 
-def _tell(mark: Characteristic) -> str:
-    """Return a metric in words, as exact as a reader of a figure can use it."""
-    digits = 4 if mark.kind == "peak" else 3
-    return f"{mark.word} {mark.value:.{digits}g} {mark.unit}"
-
-
-def _guide(panel: _Marked, from_s: float | None, at_s: float, kind: str = "") -> None:
-    """Draw a dot on the curve, dotted lines down to the axis and, from a time on, along.
+def _guide(
+    panel: _Marked, mark: Characteristic, from_s: float | None, at_s: float | None = None
+) -> None:
+    """Draw a mark on the curve, dotted lines down to the axis and, from a time on, along.
 
     Of several runs only settling times have a line: it is their place in time that differs.
     """
+    at_s = mark.marked_s if at_s is None else at_s
     axes, level = panel.axes, panel.read(at_s)
     color = "0.35" if panel.is_alone else panel.color
     bottom = axes.get_ylim()[0]
-    if panel.has_guides and (panel.is_alone or kind == "settling_time"):
+    if panel.has_guides and (panel.is_alone or mark.kind == "settling_time"):
         axes.plot([at_s, at_s], [bottom, level], color=color, **_GUIDE)
     if panel.is_alone and from_s is not None:
         axes.plot([from_s, at_s], [level, level], color=color, **_GUIDE)
-    axes.plot([at_s], [level], "o", ms=3.2, mfc="white", mec=panel.color, mew=0.9, zorder=3.2)
+    shape = _SHAPES[mark.shape or "disc"]
+    axes.plot([at_s], [level], shape, ms=3.2, mfc="white", mec=panel.color, mew=0.9, zorder=3.2)
 
 
 def _draw_band(panel: _Marked, mark: Characteristic) -> None:
@@ -322,7 +326,7 @@ def _shade_pauses(axes: Axes, marks: Sequence[Characteristic]) -> Iterator[Word]
         bottom, top = axes.get_ylim()
         level = float(np.sqrt(bottom * top)) if axes.get_yscale() == "log" else (bottom + top) / 2.0
         at = ((start_s + end_s) / 2.0, level)
-        yield Word(text=_tell(mark), at=at, color="0.45", span_s=(start_s, end_s))
+        yield Word(text=mark.text, at=at, color="0.45", span_s=(start_s, end_s))
 
 
 def _cut_to_phase(axes: Axes, found: Sequence[Sequence[Characteristic]]) -> None:

@@ -161,7 +161,7 @@ def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
     """Put the ticks of the lower axis at values; at as many of them as there is room for."""
     axes.xaxis.set_major_locator(FixedLocator(_choose_places(axes, sorted({*values}))))
     axes.xaxis.set_minor_locator(NullLocator())
-    formatter: Any = "{x:g}"
+    formatter: Any = "{x:.4g}"
     axes.xaxis.set_major_formatter(formatter)
 
 
@@ -171,7 +171,7 @@ def _choose_places(axes: Axes, values: Sequence[float]) -> list[float]:
     points = points * _POINTS_PER_INCH / axes.figure.dpi
     size: Any = axes.xaxis.get_major_ticks()[0].label1.get_fontsize()
     letter = _LETTER_WIDTH * size
-    halves = [letter * (len(f"{value:g}") + 1) / 2.0 for value in values]
+    halves = [letter * (len(f"{value:.4g}") + 1) / 2.0 for value in values]
     last = len(values) - 1
     chosen: list[int] = []
     for row in [0, last, *range(1, last)]:

@@ -31,8 +31,14 @@ from turtlelog.charts.far_origin import (
     tell_still,
 )
 from turtlelog.charts.many_runs import find_restless
+from turtlelog.charts.plane_scene import list_goals, list_starts
 from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path
-from turtlelog.charts.run_ends import MANY_PATHS, find_gain_ends
+from turtlelog.charts.run_ends import (
+    MEDIAN_LABEL,
+    OUTLINE_LABEL,
+    find_gain_ends,
+    has_grey_paths,
+)
 from turtlelog.charts.tracked_path import (
     WorstPlace,
     find_worst_place,
@@ -121,9 +127,8 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
                 axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM, "label": AIMED}
             )
     _draw_ends(axes, runs)
-    starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
-    axes.plot(*starts.T, "s", ms=4.0, color="0.3", label="start", zorder=3)
-    goals = _list_goals(runs)
+    axes.plot(*list_starts(runs).T, "s", ms=4.0, color="0.3", label="start", zorder=3)
+    goals = list_goals(runs)
     if len(goals):
         axes.plot(*goals.T, "x", ms=6.0, mew=1.4, color="black", label="goal", zorder=3)
     axes.set(aspect="equal", label=_PLANE)
@@ -136,7 +141,7 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
 
 def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
     """Return runs with how their paths look: of very many grey, and faint where one never rests."""
-    if len(runs) > MANY_PATHS:
+    if has_grey_paths(runs):
         return [(run, {**looks, **_OF_MANY}) for run, looks in style_runs(runs)]
     restless = find_restless(runs)
     return [
@@ -149,7 +154,7 @@ def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw where runs end, above all paths; of many of a gain also the median and an outline."""
     ends_m = np.array([run.poses.xy_m[-1] for run in runs])
     colors = choose_colors(len(runs))
-    is_many = len(runs) > MANY_PATHS
+    is_many = has_grey_paths(runs)
     # In the order of gains the last would cover the others.
     order = np.random.default_rng(0).permutation(len(runs)) if is_many else range(len(runs))
     for number in order:
@@ -158,16 +163,15 @@ def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
         if lack_samples(runs) and len(runs) == 1:
             end.set_label("end")
     for group in find_gain_ends(runs) if is_many else ():
-        color = colors[group.runs[len(group.runs) // 2]]
-        outline = np.append(group.outline_xy_m, group.outline_xy_m[:1], axis=0)
-        label = "90 % of the ends of a gain"
-        axes.plot(*outline.T, color=color, linewidth=0.8, label=label, zorder=2.96)
+        color = colors[group.middle_run]
+        around: dict[str, Any] = {"color": color, "linewidth": 0.8, "label": OUTLINE_LABEL}
+        axes.plot(*group.around_xy_m.T, **around, zorder=2.96)
         look: dict[str, Any] = {
             "color": color,
             "mec": "white",
             "mew": 0.7,
             "ms": 5.5,
-            "label": "median end",
+            "label": MEDIAN_LABEL,
         }
         axes.plot(*group.median_xy_m, "D", **look, zorder=2.97)
 
@@ -212,7 +216,7 @@ def show_all(axes: Axes, runs: Sequence[Run]) -> None:
     points = np.concatenate(
         [
             *(run.poses.xy_m for run in runs),
-            _list_goals(runs),
+            list_goals(runs),
             *_list_aims(runs),
             *map(outline_path, list_paths(runs)),
         ]
@@ -275,11 +279,6 @@ def _list_aims(runs: Sequence[Run]) -> list[Values]:
     found = [run.samples.reference_xy_m for run in runs]
     known = [xy_m[np.isfinite(xy_m[:, 0])] for xy_m in found if xy_m is not None]
     return [xy_m for xy_m in known if len(xy_m)]
-
-
-def _list_goals(runs: Sequence[Run]) -> Values:
-    goals = sorted({run.goal_xy_m for run in runs if run.goal_xy_m is not None})
-    return np.array(goals).reshape(-1, 2)
 
 
 class _FromOrigin(MaxNLocator):

@@ -77,6 +77,7 @@ class DrawnAxis:
 
     Attributes:
         model: What identification found, or why it found nothing.
+        brackets: What the values in brackets are.
         command: What was commanded, as it holds.
         measured: How fast the robot was; None where nothing tells.
         traces: The same with the model, where it is known.
@@ -84,6 +85,7 @@ class DrawnAxis:
     """
 
     model: AxisModel
+    brackets: str
     command: Curve
     measured: tuple[Values, Values] | None
     traces: AxisTraces | None
@@ -164,6 +166,7 @@ def _read_axis(axis: AxisModel, model: RobotModel, run: Run) -> DrawnAxis | None
         outliers = [event.time_s for event in model.events if event.axis == axis.axis]
         return DrawnAxis(
             model=axis,
+            brackets=model.brackets,
             command=command,
             measured=measured,
             traces=traces,
@@ -172,7 +175,9 @@ def _read_axis(axis: AxisModel, model: RobotModel, run: Run) -> DrawnAxis | None
     reported = read_measured(run, axis.axis)
     curve = read_applied(run, axis.axis) if reported is None else reported.curve
     found = None if curve is None else (curve.time_s, curve.values)
-    return DrawnAxis(model=axis, command=command, measured=found, traces=None)
+    return DrawnAxis(
+        model=axis, brackets=model.brackets, command=command, measured=found, traces=None
+    )
 
 
 def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
@@ -247,29 +252,45 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
         if lag_s > 0.0:
             axes.axvspan(dead_s, dead_s + lag_s, **_LAG)
     changes = find_changes(one.command)
-    axes.plot([-_BEFORE_S, 0.0, 0.0, after_s], [0.0, 0.0, 1.0, 1.0], **_COMMAND)
     for change in changes:
         until_s = min(change.end_s + longest_s, change.half_s + after_s)
+        # What the robot does before then still follows the change before.
+        from_s = min(change.begin_s + dead_s, change.half_s)
+        _draw_command(axes, one.command, change, min(change.end_s, until_s))
         if one.measured is not None:
             # Not joined to tenths of a second, as those of the whole run: delays are shorter.
-            _draw_followed(axes, change, *_read_fine(one, run), until_s, **_EACH)
+            _draw_followed(axes, change, *_read_fine(one, run), (from_s, until_s), **_EACH)
         if one.traces is not None:
-            fine_s = np.linspace(change.begin_s, until_s, _FINE)
+            fine_s = np.linspace(from_s, until_s, _FINE)
             _, rate = predict_axis(one.model, run, fine_s + run.start_ns / 1e9)
             looks = {**MODELLED, "linewidth": 0.9, "zorder": 2.4}
-            _draw_followed(axes, change, fine_s, rate, until_s, **looks)
+            _draw_followed(axes, change, fine_s, rate, (from_s, until_s), **looks)
     axes.set(xlim=(-_BEFORE_S, after_s), ylim=(-0.35, 1.45))
-    axes.set_title(tell_model(one.model, len(changes)), fontsize=7.0)
+    axes.set_title(tell_model(one, len(changes)), fontsize=7.0)
     axes.set_xlabel("time from the change [s]")
     axes.set_ylabel(f"part of the change\nof the {COMMAND_WORDS[one.model.axis]}")
     axes.locator_params(axis="x", nbins=5)
 
 
+def _draw_command(axes: Axes, command: Curve, change: CommandChange, until_s: float) -> None:
+    """Draw a change as it was commanded, from the level before it."""
+    rows = (command.time_s >= change.begin_s) & (command.time_s <= until_s)
+    time_s = [change.half_s - _BEFORE_S, *command.time_s[rows], until_s]
+    values = [change.before, *command.values[rows], command.values[rows][-1]]
+    looks = {**_COMMAND, "drawstyle": "steps-post"}
+    axes.plot(np.array(time_s) - change.half_s, change.scale(np.array(values)), **looks)
+
+
 def _draw_followed(
-    axes: Axes, change: CommandChange, time_s: Values, values: Values, until_s: float, **looks: Any
+    axes: Axes,
+    change: CommandChange,
+    time_s: Values,
+    values: Values,
+    span_s: tuple[float, float],
+    **looks: Any,
 ) -> None:
     """Draw what follows a change, over the time from when the command has made half of it."""
-    rows = (time_s >= change.begin_s) & (time_s <= until_s)
+    rows = (time_s >= span_s[0]) & (time_s <= span_s[1])
     axes.plot(time_s[rows] - change.half_s, change.scale(values[rows]), **looks)
 
 
@@ -296,15 +317,14 @@ def _read(found: Estimate | None) -> float:
     return 0.0 if found is None else max(found.value, 0.0)
 
 
-def tell_model(model: AxisModel, changes: int) -> str:
+def tell_model(one: DrawnAxis, changes: int) -> str:
     """Return what identification found of an axis, for a title."""
+    model = one.model
+    told = f"{COMMAND_WORDS[model.axis]}: {describe_count(changes, 'change')}"
     if model.gain is None or model.dead_time_s is None or model.lag_s is None:
-        return f"{COMMAND_WORDS[model.axis]}: {describe_count(changes, 'change')}"
-    told = (
-        f"{COMMAND_WORDS[model.axis]}: {describe_count(changes, 'change')}, in brackets intervals"
-    )
+        return told
     delays = f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}"
-    return f"{told}\n{delays}\ngain {format_gain(model.gain)}"
+    return f"{told}\n(in brackets: {one.brackets})\n{delays}\ngain {format_gain(model.gain)}"
 
 
 def _tell_ms(found: Estimate) -> str:

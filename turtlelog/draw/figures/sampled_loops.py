@@ -58,6 +58,9 @@ _FAR: Final = 2.5
 """Of Nyquist's plane around 0, and of a step response around 1: an open loop with an integrator has
 no bound, nor has an unstable response."""
 
+_BESIDE: Final = 0.4
+"""Least part of Nyquist's plane above and on the right of 0."""
+
 _NO_OVERSHOOT: Final = 0.05
 """In %: less is none in the digits that are shown."""
 
@@ -76,9 +79,9 @@ _LARGER: Final = 2.2
 
 _MOST_TOLD: Final = 6
 
-_PLANE_INCH: Final = 2.0
-"""Least width of a plane of poles with the words beside it: three stand in a row of a page."""
-_LINE_SHARE: Final = 0.5
+_PLANE_INCH: Final = 3.0
+"""Least width of a plane of poles with the words beside it: two stand in a row of a page."""
+_LINE_SHARE: Final = 0.45
 """Height of the line of ideal poles, over that of a plane."""
 _ROOM_INCH: Final = 0.35
 """For the words above and below a plane."""
@@ -199,8 +202,10 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
     axes = figure.subplots()
     _draw_unit_circle(axes)
     curves = _style_loops(runs)
+    furthest = np.zeros(2)
     for curve, label in zip(curves, _name_loops(axes, curves, _tell_margins), strict=True):
         values = _respond(curve.model, _list_frequencies(curve.found))
+        furthest = np.maximum(furthest, [values.real.max(), values.imag.max()])
         axes.plot(values.real, values.imag, label=label, **curve.looks)
         axes.plot(values.real, -values.imag, color=curve.color, **_MIRRORED)
         margins = curve.found.margins
@@ -215,7 +220,9 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
     axes.set(xlabel="real part", ylabel="imaginary part", aspect="equal")
     crossings = [curve.found.margins.gain_margin for curve in curves if curve.found.margins]
     left = min(-1.0, *(-1.0 / margin for margin in crossings if margin is not None), -1.0)
-    axes.set(xlim=(max(1.25 * left, -_FAR), 1.2), ylim=(-1.3, 1.3))
+    # Above and on the right there is nothing but mirrored curves and the circle.
+    right, top = np.clip(1.2 * furthest, _BESIDE, 1.2)
+    axes.set(xlim=(max(1.25 * left, -_FAR), right), ylim=(-1.3, top))
 
 
 def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:

@@ -231,7 +231,9 @@ def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: 
         return
     beside = 0.2 if is_boxed else 0.0
     across = place + beside + _spread(known)
-    size = 3.6 if len(known) <= 40 else 2.4 if len(known) <= 200 else 1.5
+    size = (
+        5.0 if len(known) == 1 else 3.6 if len(known) <= 40 else 2.4 if len(known) <= 200 else 1.5
+    )
     faint = 0.9 if len(known) <= 40 else 0.55
     axes.plot(across, known, "o", ms=size, mew=0.0, color=color, alpha=faint, zorder=2.5)
     if len(known) >= _BOX_FROM:

@@ -1,18 +1,26 @@
 """A part of time: the axes of a figure that show runs over time are cut to it."""
 
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from turtlelog.charts.ranges import find_rest
 from turtlelog.draw.figures.page import Page
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
 _TIME = "time from the first"
 """How the labels of axes begin that show runs over time."""
+
+_MOST_AT_REST: Final = 0.6
+"""Of a time axis: where curves come to rest before this part of it, it ends there."""
+
+_AFTER_REST: Final = 0.15
+"""How much longer the axis is."""
 
 
 def require_window(runs: Sequence[Run], page: Page) -> None:
@@ -51,15 +59,41 @@ def find_window(runs: Sequence[Run], page: Page) -> tuple[float, float] | None:
 
 
 def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
-    """Show what lies within the page's times, each curve at the height that it has there."""
+    """Show what lies within the page's times, each curve at the height that it has there.
+
+    Without such times an axis along which nothing more happens in its second half ends there.
+    """
     window_s = find_window(runs, page)
     if window_s is None:
+        if not page.has_marks:
+            _end_at_rest(list_time_axes(figure), _find_span(runs)[1] if runs else 0.0)
         return
     for axes in list_time_axes(figure):
         is_free = axes.get_autoscaley_on()
         axes.set_xlim(*window_s)
         if is_free or axes.get_yscale() == "log":
             fit_height(axes, window_s)
+
+
+def _end_at_rest(found: Sequence[Axes], end_s: float) -> None:
+    """End axes where their curves come to rest, if that is in their first half, and say so."""
+    is_linear = all(axes.get_yscale() == "linear" for axes in found)
+    lengths_s = {axes.get_xlim()[1] for axes in found}
+    if not is_linear or len(lengths_s) != 1:
+        return
+    rest_s = max(find_rest(_list_curves(axes), float(np.ptp(axes.get_ylim()))) for axes in found)
+    if not 0.0 < rest_s < _MOST_AT_REST * min(lengths_s):
+        return
+    for axes in found:
+        axes.set_xlim(right=(1.0 + _AFTER_REST) * rest_s)
+        if label := axes.get_xlabel():
+            axes.set_xlabel(f"{label}\nat rest until {end_s:.3g} s")
+
+
+def _list_curves(axes: Axes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    for line in axes.get_lines():
+        if line.get_transform() == axes.transData:
+            yield np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
 
 
 def list_time_axes(figure: Figure) -> list[Axes]:

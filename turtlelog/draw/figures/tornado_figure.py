@@ -16,6 +16,9 @@ _MOST_KEYS: Final = 12
 
 _NO_VALUE: Final = "#a03020"
 
+_THIN: Final = 0.01
+"""Of the widest bar: one of less looks like none, and its ends are told."""
+
 _ROOM_FOR_WORDS: Final = 0.9
 """Of what the bars span, to the right of them."""
 
@@ -52,6 +55,8 @@ def _name(one: Sensitivity) -> str:
 
 def _draw_ranges(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) -> None:
     (color,) = choose_colors(1)
+    sizes = [one.most - one.least for one in keys if one.least is not None and one.most is not None]
+    widest = _scale(found, max(sizes, default=0.0))
     ends = [] if found.center is None else [_scale(found, found.center)]
     for number, one in enumerate(keys):
         if one.least is None or one.most is None:
@@ -62,6 +67,9 @@ def _draw_ranges(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) 
             # What has no value, such as a loop that never settles, may be the largest effect.
             told = f" {one.left_out} of {len(one.axis)} values: no value"
             axes.text(high, number, told, fontsize=6.2, va="center", color=_NO_VALUE)
+        elif high - low < _THIN * widest:
+            told = f" {low:.3g} to {high:.3g}"
+            axes.text(high, number, told, fontsize=6.2, va="center", color="0.25")
         ends += [low, high]
     if found.center is not None:
         axes.axvline(_scale(found, found.center), **REFERENCE)

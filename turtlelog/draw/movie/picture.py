@@ -25,6 +25,7 @@ from turtlelog.charts.close_up import (
 from turtlelog.charts.curves import Curve, choose_rows
 from turtlelog.charts.far_origin import find_origin, label_coordinate, move_near
 from turtlelog.charts.phase_timelines import TIMELINE, locate_run
+from turtlelog.charts.plane_scene import list_goals, list_starts
 from turtlelog.charts.plotted_curves import (
     COMPARED,
     has_own,
@@ -196,18 +197,17 @@ def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
 
 def _set_plane(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look]) -> None:
     axes = stage.figure.add_axes(_PLANE)
-    goals = np.array(sorted({run.goal_xy_m for run in runs if run.goal_xy_m is not None}))
+    goals = list_goals(runs)
     outlines = [outline_path(path) for path in list_paths(runs)]
     for outline in outlines:
         axes.plot(*outline.T, color="0.85", linewidth=5.0, zorder=1)
     for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
         axes.plot(*part_path(run).T, **look, alpha=_FAINT)
         stage.trails.append(_start_trail(axes, run, zero_ns, look))
-    starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
-    axes.plot(*starts.T, "s", ms=8.0, color="0.3", zorder=3)
+    axes.plot(*list_starts(runs).T, "s", ms=8.0, color="0.3", zorder=3)
     if len(goals):
         axes.plot(*goals.T, "x", ms=13.0, mew=2.5, color="black", zorder=3)
-    points = np.concatenate([*(run.poses.xy_m for run in runs), *outlines, goals.reshape(-1, 2)])
+    points = np.concatenate([*(run.poses.xy_m for run in runs), *outlines, goals])
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     center, half_m = (low + high) / 2.0, max(0.6 * float((high - low).max()), 1e-3)
     ratio = _find_ratio(stage.figure, _PLANE)

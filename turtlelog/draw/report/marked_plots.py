@@ -5,7 +5,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.charts.characteristics import Characteristic, read_marked_curve
+from turtlelog.charts.characteristics import (
+    Characteristic,
+    MarkShape,
+    list_mark_texts,
+    read_marked_curve,
+)
 from turtlelog.draw.report.drawn import RING, Drawn, Plots, to_hex
 from turtlelog.libraries import load_library
 
@@ -23,21 +28,8 @@ _NEAR: Final = 0.2
 _LATE: Final = 0.6
 """Of the width: words of later dots stand on the left, or they would leave the plot."""
 
-_SHAPES: Final[Mapping[str, str]] = {
-    "rise_time": "triangle",
-    "settling_time": "circle",
-    "overshoot": "diamond",
-    "largest_error": "diamond",
-    "final_error": "circle",
-    "longest_saturation": "square",
-    "cross_track_max": "diamond",
-    "time_to_goal": "triangle",
-    "position_error": "circle",
-    "dead_time": "square",
-}
-"""How metrics are marked, by their kind; a peak stands with its overshoot."""
-
-_SIGNS: Final[Mapping[str, str]] = {"triangle": "▲", "circle": "●", "diamond": "◆", "square": "■"}
+_SHAPES: Final[Mapping[MarkShape, str]] = {"disc": "circle", "square": "square", "cross": "x"}
+"""Marks as Bokeh has them."""
 
 
 def draw_marks(
@@ -114,41 +106,41 @@ def _draw_dot(
     figure: Any, mark: Characteristic, others: Sequence[Characteristic], whose: tuple[str, str]
 ) -> Any:
     """Draw a dot where a metric is taken, None where it is not marked."""
-    shape, text = _SHAPES.get(mark.kind), _tell(mark, others)
-    if shape is None or not text:
+    text = ", ".join(list_mark_texts(mark, others))
+    if mark.shape is None or not text:
         return None
     name, color = whose
     source = load_library("bokeh.models").ColumnDataSource(
-        data={"x": [_place(mark)], "y": [mark.level], "text": [f"{name}: {text}"]}
+        data={"x": [mark.marked_s], "y": [mark.level], "text": [f"{name}: {text}"]}
     )
     return figure.scatter(
-        "x", "y", source=source, marker=shape, size=9, line_color=color, line_width=1.8,
-        fill_color=color, fill_alpha=0.25,
+        "x", "y", source=source, marker=_SHAPES[mark.shape], size=9, line_color=color,
+        line_width=1.8, fill_color=color, fill_alpha=0.25,
     )  # fmt: skip
 
 
 def _write_words(plots: Plots, figure: Any, marks: Sequence[Characteristic]) -> Iterator[Any]:
     """Write the name of each dot beside it; names of dots that are near stand in one column."""
     end_s = float(plots.config["end_s"])
-    words = [(mark, _tell(mark, marks)) for mark in sorted(marks, key=_place)]
-    words = [(mark, text) for mark, text in words if text and mark.kind in _SHAPES]
+    known = sorted((mark for mark in marks if mark.shape), key=lambda mark: mark.marked_s)
+    told = [(mark, ", ".join(list_mark_texts(mark, marks))) for mark in known]
+    words = [(mark, text) for mark, text in told if text]
     levels = [float(mark.level or 0.0) for mark, _ in words]
     cluster: list[int] = []
     was_low = False
     for number, (mark, text) in enumerate(words):
         is_low = levels[number] <= _find_middle(figure, mark)
         if cluster and (
-            _place(mark) - _place(words[cluster[0]][0]) > _NEAR * end_s or is_low != was_low
+            mark.marked_s - words[cluster[0]][0].marked_s > _NEAR * end_s or is_low != was_low
         ):
             cluster = []
         cluster.append(number)
         was_low, first = is_low, words[cluster[0]][0]
-        is_late = _place(first) > _LATE * end_s
+        is_late = first.marked_s > _LATE * end_s
         step = _LINE_PX * (len(cluster) - 1)
-        sign = _SIGNS[_SHAPES[mark.kind]]
         word = figure.text(
-            [_place(first if is_late else words[cluster[-1]][0])], [levels[cluster[0]]],
-            text=[f"{sign} {text}"], text_color=_DEAD if mark.kind == "dead_time" else _WORDS,
+            [(first if is_late else words[cluster[-1]][0]).marked_s], [levels[cluster[0]]],
+            text=[f"{mark.sign} {text}"], text_color=_DEAD if mark.kind == "dead_time" else _WORDS,
             text_font_size="12px", text_align="right" if is_late else "left",
             x_offset=-10 if is_late else 12, y_offset=(-12 - step) if is_low else (12 + step),
             text_baseline="bottom" if is_low else "top",
@@ -162,20 +154,3 @@ def _find_middle(figure: Any, mark: Characteristic) -> float:
     values = [ys for one in figure.renderers for ys in one.data_source.data.get("ys", [])]
     known = [float(end) for found in values for end in (np.nanmin(found), np.nanmax(found))]
     return (min(known) + max(known)) / 2.0 if known else float(mark.level or 0.0)
-
-
-def _place(mark: Characteristic) -> float:
-    """Return when a metric has its dot: a dead time where it ends."""
-    return mark.span_s[1] if mark.kind == "dead_time" and mark.span_s is not None else mark.at_s
-
-
-def _tell(mark: Characteristic, others: Sequence[Characteristic]) -> str:
-    """Return a metric in words; empty where there is nothing to tell, as of no overshoot."""
-    if mark.kind == "dead_time":
-        return f"{mark.word} {1e3 * mark.value:.3g} ms"
-    text = f"{mark.word} {mark.value:.{2 if mark.unit == '%' else 3}g} {mark.unit}"
-    if mark.kind != "overshoot":
-        return text
-    peaks = [one for one in others if one.kind == "peak" and one.loop == mark.loop]
-    told = [f"{peak.word} {peak.value:.4g} {peak.unit}" for peak in peaks]
-    return ", ".join([*told, *([text] if mark.value >= 0.0 else [])])

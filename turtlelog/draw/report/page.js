@@ -69,7 +69,7 @@
       const pose = [mix(t, x, now, row), mix(t, y, now, row), mix(t, h, now, row)];
       trail.xs.push([...x.slice(0, row + 1), pose[0]]);
       trail.ys.push([...y.slice(0, row + 1), pose[1]]);
-      trail.color.push(run.color);
+      trail.color.push(ways.way[number]);
       trail.alpha.push(run.ghost ? 0.55 : 1);
       poses.push([run, pose]);
     });

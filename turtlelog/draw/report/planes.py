@@ -6,7 +6,15 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.charts.close_up import CloseUp, format_length
-from turtlelog.charts.robot_curves import find_break_rows, is_turtlesim, part_path
+from turtlelog.charts.looks import choose_turtle_size
+from turtlelog.charts.plane_scene import is_in_world, list_goals
+from turtlelog.charts.robot_curves import find_break_rows, part_path
+from turtlelog.charts.run_ends import (
+    MEDIAN_LABEL,
+    OUTLINE_LABEL,
+    find_gain_ends,
+    has_grey_paths,
+)
 from turtlelog.charts.text_alternatives import describe_plane
 from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin, to_hex
@@ -15,8 +23,6 @@ from turtlelog.plants.turtlesim import WORLD_SIZE_M
 
 _MOST_NAMED: Final = 4
 """Ends of more runs would hide each other's distances."""
-
-_RING_POINTS: Final = 97
 
 
 def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) -> None:
@@ -37,6 +43,8 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
             poses_of[key].append(values)
     poses_of["color"] = [to_hex(one.color) for one in drawn]
     poses_of["dash"] = ["dashed" if one.is_ghost else "solid" for one in drawn]
+    is_grey = has_grey_paths([one.run for one in drawn])
+    poses_of["way"] = [RING] * len(drawn) if is_grey else poses_of["color"]
     ways = models.ColumnDataSource(data=poses_of)
     plots.config["ways"] = ways.id
     trails = models.ColumnDataSource(data={"xs": [], "ys": [], "color": [], "alpha": []})
@@ -52,7 +60,7 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
         figure.toolbar.active_scroll = None
         still = _draw_still(figure, drawn, shown)
         lines = figure.multi_line(
-            "x", "y", source=ways, color="color", line_dash="dash", alpha=0.35, line_width=1.2
+            "x", "y", source=ways, color="way", line_dash="dash", alpha=0.35, line_width=1.2
         )
         still += [] if shown else [lines]
         figure.multi_line("xs", "ys", source=trails, color="color", alpha="alpha", line_width=2.5)
@@ -63,32 +71,27 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
         )  # fmt: skip
         if shown is not None:
             _draw_ends(figure, drawn, shown)
+        if is_grey:
+            _draw_many_ends(figure, drawn)
+            figure.legend.update(visible=shown is None, location="bottom_left")
         figure.x_range.renderers = figure.y_range.renderers = still
         size_m = 0.07 * shown.half_m if shown else 0.045 * _measure_size(drawn)
+        size_m *= choose_turtle_size(len(drawn))
         plots.config["planes"].append({"turtles": turtles.id, "size": size_m})
     plots.config["trails"] = trails.id
 
 
 def _measure_size(drawn: Sequence[Drawn]) -> float:
-    if _are_in_world(drawn):
+    if is_in_world([one.run for one in drawn]):
         return WORLD_SIZE_M
     places = np.concatenate([one.run.poses.xy_m for one in drawn])
     return max(float(np.ptp(places, axis=0).max()), 0.1)
 
 
-def _are_in_world(drawn: Sequence[Drawn]) -> bool:
-    return all(
-        is_turtlesim(one.run)
-        and one.run.poses.xy_m.min() >= 0.0
-        and one.run.poses.xy_m.max() <= WORLD_SIZE_M
-        for one in drawn
-    )
-
-
 def _draw_still(figure: Any, drawn: Sequence[Drawn], shown: CloseUp | None) -> list[Any]:
     """Draw what does not move, and return what the view must hold."""
     still = []
-    if shown is None and _are_in_world(drawn):
+    if shown is None and is_in_world([one.run for one in drawn]):
         still.append(
             figure.quad(
                 left=[0.0], right=[WORLD_SIZE_M], bottom=[0.0], top=[WORLD_SIZE_M],
@@ -98,10 +101,9 @@ def _draw_still(figure: Any, drawn: Sequence[Drawn], shown: CloseUp | None) -> l
     for path in list_paths([one.run for one in drawn]):
         x_m, y_m = outline_path(path).T
         figure.line(store(x_m), store(y_m), color=RING, alpha=0.5, line_width=5)
-    goals = sorted({one.run.goal_xy_m for one in drawn if one.run.goal_xy_m is not None})
-    if goals:
-        x_m, y_m = zip(*goals, strict=True)
-        cross = figure.scatter(x_m, y_m, marker="cross", size=16, color=RING, line_width=2.5)
+    goals = list_goals([one.run for one in drawn])
+    if len(goals):
+        cross = figure.scatter(*goals.T, marker="cross", size=16, color=RING, line_width=2.5)
         still += [] if shown else [cross]
     if shown is not None:
         (x, y), half_m = shown.goal_xy_m, shown.half_m
@@ -116,12 +118,26 @@ def _draw_still(figure: Any, drawn: Sequence[Drawn], shown: CloseUp | None) -> l
 
 
 def _draw_rings(figure: Any, shown: CloseUp) -> None:
-    (x, y), turns = shown.goal_xy_m, np.linspace(0.0, 2.0 * np.pi, _RING_POINTS)
-    for ring_m in shown.rings_m:
-        figure.line(x + ring_m * np.cos(turns), y + ring_m * np.sin(turns), color=RING, alpha=0.6)
+    x, y = shown.goal_xy_m
+    for ring_m, ring in zip(shown.rings_m, shown.list_rings(), strict=True):
+        figure.line(*ring.T, color=RING, alpha=0.6)
         figure.text(
             [x], [y + ring_m], text=[format_length(ring_m)], text_color=RING,
             text_font_size="11px", text_align="center", text_baseline="bottom",
+        )  # fmt: skip
+
+
+def _draw_many_ends(figure: Any, drawn: Sequence[Drawn]) -> None:
+    """Draw where runs end, and of each gain the median and what holds nine tenths of its ends."""
+    colors = [to_hex(one.color) for one in drawn]
+    x_m, y_m = np.array([one.run.poses.xy_m[-1] for one in drawn]).T
+    figure.scatter(x_m, y_m, size=5, color=colors)
+    for group in find_gain_ends([one.run for one in drawn]):
+        color = colors[group.middle_run]
+        figure.line(*group.around_xy_m.T, color=color, line_width=1.5, legend_label=OUTLINE_LABEL)
+        figure.scatter(
+            *group.median_xy_m.reshape(2, 1), marker="diamond", size=13, line_color="white",
+            fill_color=color, legend_label=MEDIAN_LABEL,
         )  # fmt: skip
 
 

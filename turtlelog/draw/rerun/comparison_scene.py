@@ -11,6 +11,7 @@ import rerun as rr
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import name_ends
 from turtlelog.charts.far_origin import move_near
+from turtlelog.charts.looks import choose_turtle_size
 from turtlelog.charts.many_runs import (
     MANY,
     GainScale,
@@ -22,6 +23,7 @@ from turtlelog.charts.many_runs import (
     shorten_names,
 )
 from turtlelog.charts.palette import Color, choose_run_colors
+from turtlelog.charts.run_ends import has_grey_paths
 from turtlelog.compare import name_runs, order_by_gain
 from turtlelog.draw.documents import describe_runs
 from turtlelog.draw.rerun import entities, plane
@@ -51,12 +53,13 @@ from turtlelog.draw.rerun.timelines import (
     build_compared_timelines,
     read_span,
 )
-from turtlelog.draw.rerun.turtles import Look, choose_size, count_segments, draw_trail, draw_turtle
+from turtlelog.draw.rerun.turtles import Look, count_segments, draw_trail, draw_turtle
 from turtlelog.draw.rerun.views import choose_phase_rows
 from turtlelog.draw.rerun.world import (
     LETTERING,
     SMALL_LETTERING,
     draw_close_up,
+    draw_ends,
     draw_world,
     draw_worst_place,
 )
@@ -65,6 +68,8 @@ from turtlelog.measure import measure_run
 from turtlelog.run import Run
 
 _THIN_WIDTH: Final = 1.0
+_OF_MANY: Final = Look(color=palette.PATH_OF_MANY, width=0.75)
+"""Of the paths of very many runs: their ends have the colours."""
 _MOST_EXTREMES: Final = 3
 """Runs whose names stand in the plane: more would hide the ways."""
 
@@ -269,12 +274,13 @@ def _draw_overlay(
     elif content.legend_names:
         draw_legend(stream, overlay.names, overlay.colors)
     if len(overlay.runs) > MANY:
-        _name_extremes(stream, overlay, content)
+        _show_ends(stream, overlay, content)
     streams = []
     for number, run in enumerate(overlay.runs):
         run_stream = RunStream(stream, overlay.prefixes[number], overlay.timelines[number])
-        look = Look(color=overlay.colors[number], size=choose_size(len(overlay.runs)))
-        draw_trail(run_stream, run, look, segments=count_segments(len(overlay.runs)))
+        look = Look(color=overlay.colors[number], size=choose_turtle_size(len(overlay.runs)))
+        way = _OF_MANY if has_grey_paths(overlay.runs) else look
+        draw_trail(run_stream, run, way, segments=count_segments(len(overlay.runs)))
         plane.draw_reference_path(run_stream, run)
         draw_turtle(run_stream, run.poses, look, content.plane.half_size_m)
         draw_phases(run_stream, run)
@@ -296,8 +302,10 @@ def _draw_overlay(
     return streams
 
 
-def _name_extremes(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
-    """Name the runs that end furthest from the goal, where they end."""
+def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
+    """Name the runs that end furthest from the goal, where they end; of very many show all ends."""
+    if has_grey_paths(overlay.runs):
+        draw_ends(stream, overlay.runs, overlay.colors)
     if content.goal is None:
         return
     misses = [(_miss(run), number) for number, run in enumerate(overlay.runs)]

@@ -155,14 +155,7 @@ def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprin
     if stacks:
         parts.append(rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks)))
     below = rrb.Horizontal(*parts, column_shares=_VIOLATION_COLUMNS[: len(parts)])
-    return LinkedBlueprint(
-        rrb.Vertical(top, below, row_shares=_VIOLATION_ROWS),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    return link_views(rrb.Vertical(top, below, row_shares=_VIOLATION_ROWS))
 
 
 def build_explanation_layout(content: Content) -> rrb.Blueprint:
@@ -179,7 +172,7 @@ def build_explanation_layout(content: Content) -> rrb.Blueprint:
         plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
         height = _EXPLAINED_ROWS[1] / sum(_EXPLAINED_ROWS)
         right.append(_add_phases(content, _add_states(content, plots), height))
-    return _finish(
+    return link_views(
         rrb.Horizontal(
             rrb.Vertical(*left),
             rrb.Vertical(*right, row_shares=_EXPLAINED_ROWS[: len(right)]),
@@ -206,10 +199,11 @@ def _build_blueprint(content: Content, legends: Corners) -> rrb.Blueprint:
         plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
         parts.append(_add_phases(content, _add_states(content, plots)))
     root = rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)])
-    return _finish(root, end_s=content.end_s)
+    return link_views(root, end_s=content.end_s)
 
 
-def _finish(root: rrb.Container, *, end_s: float | None = None) -> rrb.Blueprint:
+def link_views(root: rrb.Container, *, end_s: float | None = None) -> rrb.Blueprint:
+    """Return a layout whose views share their time, without panels but that of time."""
     layout = LinkedBlueprint(
         root,
         rrb.BlueprintPanel(state="hidden"),

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from turtlelog.charts import palette
-from turtlelog.charts.characteristics import list_characteristics
+from turtlelog.charts.characteristics import MarkShape, list_characteristics
 from turtlelog.charts.ideal_curves import LoopStep, find_steps
 from turtlelog.charts.palette import Color
 from turtlelog.charts.time_plots import find_marked
@@ -20,10 +20,10 @@ from turtlelog.measure import Metric, find_first_stretch
 from turtlelog.run import Run
 from turtlelog.theory import compute_sampled_step_response
 
-Shape = Literal["Circle", "Diamond", "Right", "Up"]
+Shape = Literal["Circle", "Square", "Cross"]
 
-_SIGNS: Final[Mapping[Shape, str]] = {"Circle": "●", "Diamond": "◆", "Right": "▶", "Up": "▲"}
-"""How the marks look, for the legend, which has but a dot for each."""
+_SHAPES: Final[Mapping[MarkShape, Shape]] = {"disc": "Circle", "square": "Square", "cross": "Cross"}
+"""Marks as the viewer has them."""
 
 _SIZE: Final = 4.0  # [points]
 _LINE_WIDTH: Final = 1.0
@@ -31,19 +31,6 @@ _DECADES: Final = 10.0 ** -np.arange(8.0)
 _RESPONSE_WIDTH: Final = 1.0
 _MOST_SAMPLES: Final = 1_000_000
 _MOST_DEAD_SAMPLES: Final = 1000
-
-_SHAPES: Final[Mapping[str, Shape]] = {
-    "settling_time": "Circle",
-    "overshoot": "Diamond",
-    "rise_time": "Up",
-    "largest_error": "Diamond",
-    "final_error": "Circle",
-    "longest_saturation": "Right",
-    "cross_track_max": "Diamond",
-    "time_to_goal": "Up",
-    "position_error": "Circle",
-}
-"""How metrics are marked, by their kind; others are shown elsewhere."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +40,7 @@ class Mark:
     Attributes:
         plot: Where the curve stands.
         label: Legend: what it is, with its value; in a plot the name of its curve, which has that.
+        sign: Its shape as a letter: a legend has but a dot for each.
         shape: Rerun's name of a marker.
         time_ns: In the run's own time [ns].
         level: In the unit of the curve.
@@ -60,6 +48,7 @@ class Mark:
 
     plot: str
     label: str
+    sign: str
     shape: Shape
     time_ns: int
     level: float
@@ -77,15 +66,18 @@ def list_marks(
     curves = {curve.entity: curve for curve in series}
     marks = []
     for found in list_characteristics(run, metrics):
-        shape, curve = _SHAPES.get(found.kind), curves.get(_locate_curve(found.signal))
-        if shape is None or curve is None or found.level is None:
+        curve = curves.get(_locate_curve(found.signal))
+        if found.shape is None or curve is None or found.level is None:
             continue
+        if found.kind == "dead_time":
+            continue  # it has a bar of its own
         marks.append(
             Mark(
                 plot=curve.plot,
-                label=f"{found.word} {found.value:.3g} {found.unit}",
-                shape=shape,
-                time_ns=run.start_ns + round(found.at_s * 1e9),
+                label=found.text,
+                sign=found.sign,
+                shape=_SHAPES[found.shape],
+                time_ns=run.start_ns + round(found.marked_s * 1e9),
                 level=found.level,
             )
         )
@@ -234,7 +226,7 @@ def list_pause_times(run: Run) -> list[int]:
 def name_marks(marks: Sequence[Mark]) -> list[str]:
     """Return what a legend says of marks, in the order of time."""
     placed = sorted(marks, key=lambda found: found.time_ns)
-    return [f"{_SIGNS[mark.shape]} {mark.label}" for mark in placed]
+    return [f"{mark.sign} {mark.label}" for mark in placed]
 
 
 def _compute_sampled(

@@ -12,7 +12,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.palette import Color
 from turtlelog.compare import ErrorBand, RobotComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
-from turtlelog.draw.rerun.layout import LinkedBlueprint
+from turtlelog.draw.rerun.layout import link_views
 from turtlelog.draw.rerun.robot_scene import TIMELINE, draw_axis, list_views
 from turtlelog.draw.rerun.rrd_file import open_recording
 
@@ -46,13 +46,8 @@ def write_prediction_rrd(found: RobotComparison, path: str | Path) -> None:
         name="recorded path, and predictions that begin on it",
         background=palette.GROUND,
     )
-    layout = LinkedBlueprint(
-        rrb.Horizontal(plane, rrb.Vertical(*errors, *rates), column_shares=[1.0, 1.2]),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
+    layout = link_views(
+        rrb.Horizontal(plane, rrb.Vertical(*errors, *rates), column_shares=[1.0, 1.2])
     )
     name = f"{found.name} beside {found.scenario}"
     with open_recording(path, name=name, layout=layout) as stream:

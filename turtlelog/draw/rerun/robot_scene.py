@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 from turtlelog.charts import palette
 from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun.content import find_emptiest_corner
-from turtlelog.draw.rerun.layout import LinkedBlueprint
+from turtlelog.draw.rerun.layout import link_views
 from turtlelog.draw.rerun.rrd_file import open_recording
 from turtlelog.errors import ShowError
 from turtlelog.identify import AxisTraces, RobotModel, trace_axis
@@ -46,14 +46,7 @@ def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
         raise ShowError(f"{path}: no axis was identified: {reasons}")
     views = [view for found in traces for view in list_views(found)]
     shares = [2.0, 1.0] * len(traces)
-    layout = LinkedBlueprint(
-        rrb.Vertical(*views, row_shares=shares),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    layout = link_views(rrb.Vertical(*views, row_shares=shares))
     with open_recording(path, name=f"{run.name}, identified", layout=layout) as stream:
         for found in traces:
             draw_axis(stream, found)

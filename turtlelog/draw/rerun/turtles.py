@@ -1,6 +1,5 @@
 """The turtle in the plane, and its trail: the way until the cursor, and faintly the rest."""
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -29,12 +28,6 @@ _FAINT: Final = 45
 
 _SIZE: Final = 0.07
 """Radius of the shell, as a part of the plane's half-width: 14 pixels of a view of 400."""
-
-_FEW: Final = 4
-"""Turtles of full size; more are smaller."""
-
-_SMALLEST: Final = 0.3
-"""Of that size: a shell of 4 pixels, as large as the dot in its middle."""
 
 _DOT_RADIUS: Final = 5.0  # [points]
 _ARROW_SHARE: Final = 0.2
@@ -74,11 +67,6 @@ class Look:
 def count_segments(trails: int) -> int:
     """Return how many segments each of so many trails may have."""
     return max(min(MOST_SEGMENTS, _ALL_SEGMENTS // max(trails, 1)), _FEWEST_SEGMENTS)
-
-
-def choose_size(turtles: int) -> float:
-    """Return the size of each of so many turtles: all together cover as much as a few do."""
-    return max(min(1.0, math.sqrt(_FEW / max(turtles, 1))), _SMALLEST)
 
 
 def draw_turtle(run_stream: RunStream, poses: PoseColumns, look: Look, half_size_m: float) -> None:

@@ -11,6 +11,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.close_up import CloseUp, format_length
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.phase_timelines import TIMELINE
+from turtlelog.charts.run_ends import MANY_PATHS
 from turtlelog.charts.tracked_path import WorstPlace
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import Content
@@ -54,7 +55,9 @@ def view_speed(content: Content, highest_m_s: float) -> rrb.View:
 def view_goal(content: Content, close_up: CloseUp) -> rrb.View:
     """Show how close they end; arrows and names would cover it."""
     bounds = Bounds(center_xy_m=close_up.goal_xy_m, half_size_m=close_up.half_m)
-    return _view_close_up(content, f"At the goal, {close_up.describe()}{content.starts}", bounds)
+    outlines = ", outlines: 90 % of ends" if len(content.prefixes) > MANY_PATHS else ""
+    name = f"At the goal, {close_up.describe()}{content.starts}{outlines}"
+    return _view_close_up(content, name, bounds)
 
 
 def view_worst(content: Content, worst: WorstPlace) -> rrb.View:

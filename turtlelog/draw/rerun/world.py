@@ -19,11 +19,11 @@ from turtlelog.charts.close_up import (
     list_ring_labels,
 )
 from turtlelog.charts.palette import Color
-from turtlelog.charts.robot_curves import is_turtlesim
+from turtlelog.charts.plane_scene import is_in_world, list_goals, list_places, list_starts
+from turtlelog.charts.run_ends import MEDIAN_LABEL, OUTLINE_LABEL, find_gain_ends
 from turtlelog.charts.tracked_path import WorstPlace, label_worst_place, list_paths, outline_path
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
 
@@ -47,12 +47,15 @@ _ABOVE: Final = 0.6
 """The viewer writes words below their point: so far, in lines."""
 
 _END_RADIUS: Final = 4.0  # [points]
+_ENDS_RADIUS: Final = 2.0
+_OUTLINE_RADIUS: Final = 0.75
+_MEDIAN_RADIUS: Final = 4.5
+_ABOVE_ENDS: Final = 31.0  # points have 30
 _RING_RADIUS: Final = 0.5
 _WORST_RADIUS: Final = 1.0
 _TRACKED_RADIUS: Final = 2.5
 _BELOW_TRACES: Final = 15.0  # lines have 20
 _RING: Final[Color] = (80, 80, 80)
-_RING_POINTS: Final = 97
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,17 +64,6 @@ class Bounds:
 
     center_xy_m: tuple[float, float]
     half_size_m: float
-
-
-def is_in_world(runs: Sequence[Run]) -> bool:
-    """Whether every pose lies in turtlesim's world.
-
-    A robot that is no turtle, or is known to have no walls, is not in it, wherever it drives.
-    """
-    if any(find_plant(run) != TURTLESIM or not is_turtlesim(run) for run in runs):
-        return False
-    places = [_list_places(run) for run in runs]
-    return all(xy_m.min() >= 0.0 and xy_m.max() <= WORLD_SIZE_M for xy_m in places)
 
 
 def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
@@ -83,8 +75,7 @@ def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
 
 def find_way_bounds(runs: Sequence[Run]) -> Bounds:
     """Return the bounds of paths and goals."""
-    goals = np.array(_find_goals(runs)).reshape(-1, 2)
-    points = np.concatenate([*map(_list_places, runs), goals])
+    points = np.concatenate([*map(list_places, runs), list_goals(runs)])
     return _square(points.min(axis=0), points.max(axis=0), _MARGIN)
 
 
@@ -106,9 +97,9 @@ def draw_world(
         )
         stream.log(join_path(entities.BORDER), border, static=True)
     _draw_tracked_paths(stream, runs)
-    starts, goals = _find_starts(runs), _find_goals(runs)
+    starts, goals = list_starts(runs), list_goals(runs)
     _draw_marks(stream, entities.START, starts, palette.START)
-    if goals:
+    if len(goals):
         _draw_marks(stream, entities.GOAL, goals, palette.GOAL)
         _draw_tolerances(stream, runs)
     if len(starts) == 1 and len(goals) == 1:
@@ -151,14 +142,43 @@ def draw_close_up(
     hues = [_choose_color(line, colors) for line in lines]
     _write_words(stream, entities.MISSES, up_m, lines, hues)
     _write_words(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
-    turns_rad = np.linspace(0.0, 2.0 * np.pi, _RING_POINTS)
-    circle = np.column_stack([np.cos(turns_rad), np.sin(turns_rad)])
     strips = rr.LineStrips2D(
-        [np.array(close_up.goal_xy_m) + ring_m * circle for ring_m in close_up.rings_m],
+        close_up.list_rings(),
         radii=rr.Radius.ui_points(_RING_RADIUS),
         colors=[_RING],
     )
     stream.log(join_path(entities.RINGS), strips, static=True)
+
+
+def draw_ends(stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[Color]) -> None:
+    """Draw where many runs end, and of each gain the median and what holds nine tenths of them."""
+    dots = rr.Points2D(
+        [run.poses.xy_m[-1] for run in runs], radii=rr.Radius.ui_points(_ENDS_RADIUS), colors=colors
+    )
+    stream.log(join_path(entities.ENDS), dots, static=True)
+    groups = find_gain_ends(runs)
+    if not groups:
+        return
+    hues = [colors[group.middle_run] for group in groups]
+    names = [f"Kp {group.gain:.3g}: " for group in groups]
+    outlines = rr.LineStrips2D(
+        [group.around_xy_m for group in groups],
+        radii=rr.Radius.ui_points(_OUTLINE_RADIUS),
+        colors=hues,
+        labels=[f"{name}{OUTLINE_LABEL}" for name in names],
+        show_labels=False,
+        draw_order=_ABOVE_ENDS,
+    )
+    stream.log(join_path(entities.OUTLINES), outlines, static=True)
+    medians = rr.Points2D(
+        [group.median_xy_m for group in groups],
+        radii=rr.Radius.ui_points(_MEDIAN_RADIUS),
+        colors=hues,
+        labels=[f"{name}{MEDIAN_LABEL}" for name in names],
+        show_labels=False,
+        draw_order=_ABOVE_ENDS,
+    )
+    stream.log(join_path(entities.MEDIANS), medians, static=True)
 
 
 def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: Color) -> None:
@@ -188,7 +208,7 @@ def _draw_tracked_paths(stream: rr.RecordingStream, runs: Sequence[Run]) -> None
 def _draw_marks(
     stream: rr.RecordingStream,
     entity: str,
-    points: Sequence[tuple[float, float]],
+    points: NDArray[np.float64],
     color: Color,
 ) -> None:
     radius = rr.Radius.ui_points(_MARKER_RADIUS)
@@ -197,8 +217,8 @@ def _draw_marks(
 
 def _draw_names(
     stream: rr.RecordingStream,
-    start: tuple[float, float],
-    goal: tuple[float, float],
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
     half_size_m: float,
 ) -> None:
     """Name start and goal beside them, each on the side where the path is not."""
@@ -235,22 +255,6 @@ def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
             radii=rr.Radius.ui_points(0.75),
         )
         stream.log(join_path(entities.TOLERANCE), boxes, static=True)
-
-
-def _list_places(run: Run) -> NDArray[np.float64]:
-    """Return where the robot is, where its law wants it to be, and the path that it tracks."""
-    aims, places = run.samples.reference_xy_m, [run.poses.xy_m]
-    if aims is not None:
-        places.append(aims[np.isfinite(aims[:, 0])])
-    return np.concatenate([*places, *map(outline_path, list_paths([run]))])
-
-
-def _find_starts(runs: Sequence[Run]) -> list[tuple[float, float]]:
-    return sorted({(float(x_m), float(y_m)) for run in runs for x_m, y_m in run.poses.xy_m[:1]})
-
-
-def _find_goals(runs: Sequence[Run]) -> list[tuple[float, float]]:
-    return sorted({run.goal_xy_m for run in runs if run.goal_xy_m is not None})
 
 
 def _square(low: NDArray[np.float64], high: NDArray[np.float64], margin: float) -> Bounds:
