@@ -78,6 +78,7 @@ def test_a_value_that_is_steady_is_not_called_luck(
     assert build_luck_picture(measure_lucky(preset, (), metric)).sentences == sentences
 
 
+@pytest.mark.thorough
 def test_of_seeds_every_word_says_so() -> None:
     """Take two seconds: 32 seeds of each combination are simulated."""
     shown = build_luck_picture(measure_lucky("textbook", NOISY))

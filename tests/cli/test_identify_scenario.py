@@ -45,6 +45,7 @@ def test_a_robot_becomes_a_scenario_that_every_command_reads(
     assert call("run", target, "--law", f"{law}:P").code == 0
 
 
+@pytest.mark.thorough
 def test_the_answer_in_json_names_the_file_and_has_the_notes(
     call: Call, bag: Path, tmp_path: Path
 ) -> None:
@@ -89,6 +90,7 @@ def test_a_target_that_cannot_be_written_is_refused(
     assert expected in answer.err
 
 
+@pytest.mark.thorough
 def test_a_real_robot_becomes_a_scenario(call: Call, tmp_path: Path) -> None:
     target = tmp_path / "robot.toml"
     call("identify", find_shared("robots/tb3"), "--scenario", target)

@@ -21,6 +21,7 @@ def test_replay_runs_a_law_with_a_helper(recording: tuple[str, Path], call: Call
     assert (answer.code, answer.err) == (0, "")
 
 
+@pytest.mark.thorough
 def test_explain_runs_a_trusted_law_with_a_helper(recording: tuple[str, Path], call: Call) -> None:
     _, path = recording
     answer = call("explain", path, "--trust-law", "--metric", "run.path_length")

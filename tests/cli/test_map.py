@@ -124,6 +124,7 @@ def test_a_key_that_never_counts_is_told_in_one_sentence(call: Call, table: Path
     )
 
 
+@pytest.mark.thorough
 def test_a_report_of_a_sample_has_its_curves(call: Call, table: Path) -> None:
     plan = build_plan(["law.kp_linear=1.0:9.0", "goal.x_m=1.0:9.0"], (), Sampling(count=12))
     write_table(table, plan, {"run.duration": lambda kp, _: kp})

@@ -23,6 +23,7 @@ def list_listeners(process_id: int) -> set[str]:
     return {line[1].split(":")[0] for line in lines if line[3] == LISTENING and line[9] in own}
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not PROC.exists(), reason="other systems tell who listens in other ways")
 def test_web_serves_on_this_machine_only_until_it_is_ended(kp10: Path) -> None:
     """A command starts a server, and is ended."""

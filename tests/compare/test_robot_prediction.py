@@ -134,6 +134,7 @@ def test_noise_of_one_axis_leaves_the_other_without_a_band() -> None:
     assert list_verdicts(found) == ["as simulated", "no noise"] * 2
 
 
+@pytest.mark.thorough
 def test_a_prediction_is_the_same_each_time() -> None:
     scenario = add_noise(make_scenario())
     run = simulate(scenario, 3, 15.0)

@@ -55,6 +55,7 @@ def test_the_identified_scenario_makes_the_log_again() -> None:
     assert np.array_equal(again.samples.speed_m_s, run.samples.speed_m_s)
 
 
+@pytest.mark.thorough
 def test_the_textbook_has_no_backlog_and_no_pause() -> None:
     found = identify_run(forget(simulate("textbook")))
     keys = ("loop.start_backlog", "law.pause_ticks", "dead_time.rotate", "law.projection")
@@ -67,6 +68,7 @@ def test_the_textbook_has_no_backlog_and_no_pause() -> None:
     assert found.findings["loop.command_queue"].evidence == "a deeper queue gives the same run"
 
 
+@pytest.mark.thorough
 def test_noise_claims_no_depth_of_a_queue_that_never_fills() -> None:
     changes = {
         "sensing.noise_heading_rad": 0.001,
@@ -119,7 +121,7 @@ def test_noise_leaves_gains_within_two_percent(file: str) -> None:
         assert read_values(found, "loop.start_backlog", "law.pause_ticks") == (6, 34)
 
 
-@pytest.mark.everyday("9-fit2")
+@pytest.mark.thorough
 @pytest.mark.parametrize(("backlog", "fit"), [(7, (7, 8)), (8, (7, 8)), (9, (9,)), (11, (10, 12))])
 def test_backlogs_past_the_queues_depth_look_alike(backlog: int, fit: tuple[int, ...]) -> None:
     """Every backlog that fits alike is simulated."""

@@ -74,6 +74,7 @@ def test_noise_in_what_is_read_leaves_gains_exact_and_fits_the_loop(noise: float
     assert found["start.x_m"].interval is not None
 
 
+@pytest.mark.thorough
 def test_a_second_run_without_a_reset_is_found_between_the_floats() -> None:
     start = (4.123456789012, 6.543210987654, 0.7)
     log = make_log(Truth(start=start, goal=FAR))
@@ -143,6 +144,7 @@ def test_a_missing_row_is_named_and_everything_else_exact() -> None:
     assert found.resimulation.is_exact is True
 
 
+@pytest.mark.thorough
 def test_a_late_callback_is_no_missing_row() -> None:
     log = make_log(Truth())
     late = [list(row) for row in log.rows]

@@ -123,6 +123,7 @@ def test_of_a_random_effect_the_seeds_are_varied() -> None:
     assert np.ptp(without.values) == 0.0 < np.ptp(whole.values)
 
 
+@pytest.mark.thorough
 def test_without_effects_there_is_one_curve() -> None:
     """Take two to three seconds: a run is explained, and 65 starts of it are simulated."""
     luck = measure_lucky("textbook")

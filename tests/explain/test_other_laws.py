@@ -106,6 +106,7 @@ def test_without_loops_dead_times_are_told_by_phase() -> None:
     assert found.ticks == 3
 
 
+@pytest.mark.thorough
 def test_the_delay_of_another_law_is_named() -> None:
     run = simulate_law(TURN_AND_DRIVE, kp_angular=12.0, transport_delay_ticks=6)
     found = attribute_run(run, metric="run.turn_rate_total_variation", trust_law=True)
@@ -212,6 +213,7 @@ def test_an_untrusted_law_is_not_run(tmp_path: Path) -> None:
     assert mark.exists()
 
 
+@pytest.mark.thorough
 def test_without_its_law_the_settings_that_move_the_plant_are_fitted() -> None:
     run = simulate_law(TURN_AND_DRIVE, transport_delay_ticks=6)
     findings = identify_run(run).findings

@@ -28,6 +28,7 @@ def name_told(found: ExplainedDifference) -> list[str]:
     return [one.name for one in choose_told(found)]
 
 
+@pytest.mark.everyday("dead time", "limits")
 @pytest.mark.parametrize("part", ["dead time", "gain", "limits"])
 def test_the_part_that_differs_is_named_and_no_other(part: str) -> None:
     """Takes some 2 s: two robots are identified, and driven with 32 draws of their parameters."""
@@ -67,6 +68,7 @@ def test_swapped_logs_have_the_opposite_difference() -> None:
     assert one.contribution == pytest.approx(-(other.contribution or 0.0), rel=0.05)
 
 
+@pytest.mark.everyday("3")
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_noise_alone_names_no_cause(seed: int) -> None:
     """Takes some 2 s: two robots are identified, and driven with 32 draws of their parameters."""

@@ -40,6 +40,7 @@ LATE = {
 """Commands that come up to 10 ms late fit another model a little better, in a log without noise."""
 
 
+@pytest.mark.everyday("posture")
 @pytest.mark.parametrize("law", [None, "posture"])
 def test_late_commands_make_no_second_lag_and_no_limit(law: str | None) -> None:
     for axis in drive_first_order(law, **LATE).axes:

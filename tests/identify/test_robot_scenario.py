@@ -109,6 +109,7 @@ def test_the_noise_of_poses_is_right_to_a_third(level: float) -> None:
         assert noise[2:] == pytest.approx(sensing, rel=1 / 3)
 
 
+@pytest.mark.thorough
 def test_noise_of_both_kinds_is_told_apart() -> None:
     rates, sensing = (2e-3, 4e-3), (2e-3, 4e-3)
     for seed in range(3):
@@ -120,6 +121,7 @@ def test_a_robot_without_noise_has_none() -> None:
     assert list_noise(build(drive_with_noise(1)).scenario) == (0.0, 0.0, 0.0, 0.0)
 
 
+@pytest.mark.thorough
 def test_times_that_jitter_are_no_noise() -> None:
     for seed in range(3):
         noise = list_noise(build(drive_with_noise(seed, jitter_s=5e-3)).scenario)
@@ -302,6 +304,7 @@ def test_a_limit_of_the_acceleration_is_one_of_commands() -> None:
     assert limits.acceleration_m_s2 == math.inf
 
 
+@pytest.mark.thorough
 def test_of_second_order_the_lag_is_the_sum() -> None:
     log = replace(LOG, noise_m=1e-5, noise_rad=1e-5, jitter_s=0.0)
     log = replace(log, turn_rate=Truth(second_lag_s=0.2), poses_hz=30.0)

@@ -254,6 +254,7 @@ def test_runs_of_one_robot_are_fitted_together() -> None:
     assert together.notes == ()
 
 
+@pytest.mark.thorough
 def test_what_differs_between_runs_is_told() -> None:
     slower = Log(duration_s=30.0, turn_rate=Truth(gain=0.9))
     runs = [make_run(SHORT, 1, name="new"), make_run(slower, 2, name="worn")]

@@ -152,6 +152,7 @@ def write_columns(path: Path, count: int) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_a_table_has_up_to_10_000_columns(tmp_path: Path) -> None:
     assert len(tl.read_run(write_columns(tmp_path / "log.csv", 10_000)).poses) == 1
     with pytest.raises(TurtlelogError, match=r"more than 10,000 columns\. Write fewer columns"):

@@ -103,6 +103,7 @@ def test_part_that_was_cut_off_while_it_was_written_is_done_again(
     assert len(simulated) > 40
 
 
+@pytest.mark.thorough
 def test_partial_file_that_was_cut_in_its_head_is_begun_again(whole: bytes, tmp_path: Path) -> None:
     output = tmp_path / "t.parquet"
     interrupt(prepare(), output, after=1)

@@ -292,6 +292,7 @@ def test_motion_between_samples_passes_through_those_at_samples() -> None:
     assert motion.settling_time_s == pytest.approx(loop.settling_time_s)
 
 
+@pytest.mark.thorough
 def test_a_motion_that_runs_away_or_never_rests_is_none() -> None:
     assert measure_step_motion(PidGains(kp=130.0), period_s=0.016) is None
     # What is left after k samples is (1 - Kp T)^k; 1e-9 of a step is rest.

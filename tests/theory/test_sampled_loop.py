@@ -169,6 +169,7 @@ def test_the_double_pole_keeps_all_its_digits(dead_time_ticks: int) -> None:
     assert poles[:2] == pytest.approx([expected, expected], rel=1e-15)
 
 
+@pytest.mark.thorough
 @given(dead_time_ticks=st.integers(0, 12), logs=st.lists(st.floats(-6.0, 3.0), min_size=1))
 def test_poles_at_many_gains_are_those_at_each_to_the_last_bit(
     dead_time_ticks: int, logs: list[float]

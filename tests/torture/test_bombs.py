@@ -106,6 +106,7 @@ def fill_chunk(size: int) -> bytes:
     return chunk([front, message(2, bytes(size - len(front) - len(message(2))))])
 
 
+@pytest.mark.everyday("67109864")
 @pytest.mark.parametrize("size", [64 * MIB + 1000, 80 * MIB])
 def test_a_real_chunk_of_64_mib_is_read_and_recovered(size: int, tmp_path: Path) -> None:
     path = tmp_path / "large.mcap"

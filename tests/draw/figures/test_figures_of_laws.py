@@ -66,7 +66,7 @@ def test_of_a_law_that_is_drawn_which_its_loops_are_of(kind: str, drawn: set[str
     assert list_drawn(simulate_law(kind)) == drawn
 
 
-@pytest.mark.everyday("Follower")
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_figures_and_tables_of_every_law_are_written(kind: str, tmp_path: Path) -> None:
     """All figures that a run allows are drawn."""

@@ -40,7 +40,7 @@ def list_names(axes: Axes) -> list[Text]:
     return [text for text in axes.texts if text.get_text().startswith("with")]
 
 
-@pytest.mark.everyday("four-curves-slide", "five-curves-narrow")
+@pytest.mark.everyday("four-curves-slide")
 @pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
 @pytest.mark.parametrize("start", [(), NEAR_HALF_A_TURN], ids=["four-curves", "five-curves"])
 def test_words_lie_within_the_page_and_none_covers_another(
@@ -76,6 +76,7 @@ def test_the_figure_shows_what_was_measured() -> None:
             assert (round(float(offset_deg), 9), round(float(1e3 * value), 6)) in drawn
 
 
+@pytest.mark.thorough
 def test_a_narrow_page_has_the_panels_over_each_other() -> None:
     """Take two to three seconds: a run is explained, and 65 starts of it are simulated."""
     for width_mm, is_narrow in ((126.0, True), (128.0, False)):

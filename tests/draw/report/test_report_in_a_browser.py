@@ -77,6 +77,7 @@ def read_pixels(page: Any, place: str) -> bytes:
     return pixels
 
 
+@pytest.mark.thorough
 def test_the_slider_drives_turtles_and_values_by_keyboard(
     two_runs: Path, open_report: Open
 ) -> None:

@@ -106,6 +106,7 @@ def test_every_plot_says_in_words_what_it_shows() -> None:
     assert plots.alternatives["plane"].endswith("drives from (5.544, 5.544) to (2.084, 10.07) m.")
 
 
+@pytest.mark.thorough
 def test_a_hundred_runs_share_one_model_for_each_plot() -> None:
     """Plots of a hundred runs are made."""
     plots = draw(*[read(4)] * 100)

@@ -79,6 +79,7 @@ def test_of_many_runs_in_a_small_window_the_extremes_have_names(
     assert "Plane (Kp 1 to 25)" in read_layout(path)
 
 
+@pytest.mark.thorough
 def test_seven_runs_have_a_legend_and_no_bar(tmp_path: Path) -> None:
     path = tmp_path / "seven.rrd"
     write_comparison_rrd(simulate_gains()[:7], path)

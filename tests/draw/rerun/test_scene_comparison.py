@@ -112,6 +112,7 @@ def test_a_parameter_that_some_runs_lack_is_nan_or_empty(tmp_path: Path) -> None
     assert read_static(path, "/__properties/scenario", "law.projection") == ["bearing", ""]
 
 
+@pytest.mark.thorough
 def test_a_parameter_may_be_text_in_one_file_and_a_number_in_the_next(tmp_path: Path) -> None:
     run, path = simulate_preset("paper-kp10"), tmp_path / "odd.rrd"
     for value, found in (("high", "high"), (3, 3.0), (True, 1.0), ([1, 2], "[1, 2]")):
@@ -187,6 +188,7 @@ def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
     assert {f"{entity}/plane/path" for entity in entities} < list_entities(path)
 
 
+@pytest.mark.thorough
 def test_names_need_not_be_entity_paths(tmp_path: Path) -> None:
     run, path = simulate_preset("paper-kp10"), tmp_path / "odd.rrd"
     names = ["a/b", "Läufer 🐢", "- x", "$origin/**"]

@@ -193,6 +193,7 @@ def test_states_that_belong_together_share_a_plot(pid_rrd: Path) -> None:
     assert colors[0] != colors[1]
 
 
+@pytest.mark.thorough
 def test_states_of_other_scales_and_of_several_runs_are_tabs(tmp_path: Path) -> None:
     pid = simulate_pid()
     assert pid.samples.states is not None
