@@ -50,7 +50,7 @@ def require_near(runs: Sequence[Run]) -> None:
         ShowError: With the run and the distance.
     """
     for run in runs:
-        far_m = float(np.abs(run.poses.xy_m).max())
+        far_m = float(np.abs(run.poses.xy_m).max(initial=0.0))
         if far_m > _FARTHEST_M:
             raise ShowError(
                 f"{run.name}: a pose lies {far_m:g} m from the origin, and pictures show"

@@ -118,7 +118,7 @@ def describe_clock(run: Run) -> str:
     """Return what times of a run mean."""
     is_simulated = run.source == "simulation" or run.source.startswith("replay of ")
     clock = "simulated time" if is_simulated else "the recording's clock"
-    return f"{clock}, from the first {'sample' if len(run.samples) else 'pose'}"
+    return f"{clock}, from the first {run.first_row}"
 
 
 def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.info_summary import CONTROL, NOTHING_LEFT, ReadRun, Summary
+from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary
 from turtlelog.cli.output import fill_lines, format_table
 from turtlelog.display import describe_count
 from turtlelog.escapes import escape_controls
@@ -18,8 +18,15 @@ if TYPE_CHECKING:
 _MOST_ENTRIES: Final = 8
 """Of a list that is printed: a sequence of commands has thousands. JSON has all of them."""
 
-_POSES: Final = "turtlesim/msg/Pose"
-_COMMANDS: Final = "geometry_msgs/msg/Twist"
+_ROWS: Final = {
+    "pose": "/turtle1/pose",
+    "controller sample": "/turtle1/control",
+    "command": "/turtle1/cmd_vel",
+}
+"""Topics of a recording of ours by what it is said to hold; others have the same types."""
+
+_OF_COMMANDS: Final = ("metrics", "check", "plot", "replay")
+"""What can be done with commands alone."""
 
 _AXES: Final = (("law.kp_angular", "turning"), ("law.kp_linear", "driving"))
 """Gains of the sequential laws, and what they are for."""
@@ -99,8 +106,9 @@ def build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> In
 
 def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...]:
     """Return what is absent: which topics are commands is known where the run was read."""
-    has_commands = summary.run is None or summary.run.has_commands
-    more = [] if has_commands else ["commands"]
+    run = summary.run
+    more = [] if run is None or run.has_poses else ["poses"]
+    more += [] if run is None or run.has_commands else ["commands"]
     if summary.run is None and recording.format_version is None:
         more += _list_missing_types(recording)
     return tuple(dict.fromkeys([*more, *recording.absent]))
@@ -191,8 +199,8 @@ def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     yield "duration", f"{answer.duration_s:.3f} s, from the first to the last {what}"
     if answer.run is None:
         return
-    first = "sample" if answer.run.has_samples else "pose"
-    last = "row" if answer.run.has_samples else "pose or command"
+    first = answer.run.first_row
+    last = {"sample": "row", "pose": "pose or command", "command": "one"}[first]
     length = f"{answer.run.duration_s:.3f} s, from the first {first} to the last {last}"
     yield "run.duration", length
 
@@ -223,8 +231,8 @@ def _list_own(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     if has_goal and "path.kind" not in known:
         yield "goal", f"({known['goal.x_m']:g}, {known['goal.y_m']:g}) m"
     counts = {
-        noun: sum(topic.count for topic in answer.topics if topic.type == kind)
-        for kind, noun in ((_POSES, "pose"), (CONTROL, "controller sample"), (_COMMANDS, "command"))
+        noun: sum(found.count for found in answer.topics if found.topic == topic)
+        for noun, topic in _ROWS.items()
     }
     if any(counts.values()):
         yield "data", ", ".join(describe_count(count, noun) for noun, count in counts.items())
@@ -255,7 +263,7 @@ def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterato
         can = ["metrics", "check", "compare", "view", "plot"]
         can[1:1] = ["identify"] if answer.run.has_commands else []
         can[1:1] = ["explain"] if answer.run.has_samples else []
-        yield f"You can: {', '.join(can)}"
+        yield f"You can: {', '.join(can if answer.run.has_poses else _OF_COMMANDS)}"
     more = [] if topics or not answer.topics else ["Topics: --topics"]
     more += [] if parameters or not answer.parameters else ["Scenario: --parameters"]
     if more:

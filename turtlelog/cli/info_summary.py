@@ -60,7 +60,7 @@ class ReadRun:
     Attributes:
         kind: Whose poses these are.
         duration_s: The metric `run.duration` [s].
-        poses: Topic, rate and number of the poses; the rate if it is steady.
+        poses: Topic, rate and number of the poses; the rate if it is steady; empty without any.
         commands: Likewise; empty if there are none.
         samples: Number of samples of a controller.
     """
@@ -77,9 +77,19 @@ class ReadRun:
         return bool(self.commands)
 
     @property
+    def has_poses(self) -> bool:
+        """Whether there are poses."""
+        return bool(self.poses)
+
+    @property
     def has_samples(self) -> bool:
         """Whether there are samples of a controller."""
         return self.samples > 0
+
+    @property
+    def first_row(self) -> str:
+        """What its duration counts from: the first `sample`, or else `pose`, or `command`."""
+        return "sample" if self.samples else "pose" if self.poses else "command"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +135,7 @@ def summarise(
         note = f"not looked at, {large}: info --clock does"
         return Summary(text=_summarise_topics(info, ""), notes={"clock": note})
     try:
-        run = tl.log.read_as_chosen(path, choice)
+        run = tl.log.read_as_chosen(path, replace(choice, allow_no_poses=True))
     except TurtlelogError as err:
         if replace(choice, allow_partial=False) != tl.log.ReadChoice():
             raise  # what was asked for is not there
@@ -277,6 +287,8 @@ def _describe_rows(run: "Run", note: str, time_ns: "NDArray[Any]") -> str:
 
 def _describe_kind(run: "Run") -> str:
     """Return whose poses these are, or what kind of a file without topics it is."""
+    if not len(run.poses):
+        return "commands without poses"
     pose_type = run.notes.get("pose_topic", "").partition("(")[2].rstrip(")")
     if not _name_topic(run, "pose_topic"):
         return "a log of a controller" if len(run.samples) else "poses in a table"
@@ -287,6 +299,8 @@ def _describe_kind(run: "Run") -> str:
 
 
 def _describe_run(run: "Run") -> str:
+    if not len(run.poses):
+        return f"no poses, {_describe_commands(run)}"
     pose_topic, kind = _name_topic(run, "pose_topic"), _describe_kind(run)
     rate = _describe_rate(run.poses.time_ns)
     amount = rate if rate and pose_topic else describe_count(len(run.poses), "pose")
@@ -344,6 +358,8 @@ def _list_missing(run: "Run", info: "RecordingInfo") -> "Iterator[str]":
     """Yield what a bag lacks; of a table that has no commands nothing can add them."""
     if len(run.samples):
         return
-    for lack in tl.compare.list_lacks(run):
-        if lack in tl.compare.UNLOCKS and (lack != "commands" or info.topics):
+    lacks = tl.compare.list_lacks(run)
+    for lack in lacks:
+        is_told = lack in tl.compare.UNLOCKS and tl.compare.can_unlock(lack, lacks)
+        if is_told and (lack != "commands" or info.topics):
             yield f"no {tl.compare.UNLOCKS[lack]}"

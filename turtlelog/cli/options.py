@@ -196,17 +196,27 @@ def _parse_aim(text: str) -> tuple[float, ...]:
     return (*values[:2], *map(math.radians, values[2:]))
 
 
-def read_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "list[Run]":
-    """Return the runs of recordings, bags, other recorders' files and the paper's logs."""
-    return list(iterate_runs(paths, topics))
+def read_runs(
+    paths: Sequence[Path], topics: TopicOptions | None = None, *, allow_no_poses: bool = False
+) -> "list[Run]":
+    """Return the runs of recordings, bags, other recorders' files and the paper's logs.
+
+    Args:
+        paths: Of the files.
+        topics: What of them is read.
+        allow_no_poses: Whether a bag of commands alone is read.
+    """
+    return list(iterate_runs(paths, topics, allow_no_poses=allow_no_poses))
 
 
-def iterate_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "Iterator[Run]":
+def iterate_runs(
+    paths: Sequence[Path], topics: TopicOptions | None = None, *, allow_no_poses: bool = False
+) -> "Iterator[Run]":
     """Yield runs as `read_runs` returns them, one by one: none is kept here."""
     require_files(paths)
     topics = topics or TopicOptions()
     for path in iterate_files(paths):
-        yield read_chosen_run(path, topics)
+        yield read_chosen_run(path, topics, allow_no_poses=allow_no_poses)
 
 
 def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
@@ -214,9 +224,10 @@ def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
     yield from watch_files(paths, len(paths))
 
 
-def read_chosen_run(path: Path, topics: TopicOptions) -> "Run":
+def read_chosen_run(path: Path, topics: TopicOptions, *, allow_no_poses: bool = False) -> "Run":
     """Return the run of a file, and print what there is to note of it."""
-    run = tl.log.read_as_chosen(path, topics.build_choice())
+    choice = replace(topics.build_choice(), allow_no_poses=allow_no_poses)
+    run = tl.log.read_as_chosen(path, choice)
     print_run_notes(path, run.notes)
     return run
 

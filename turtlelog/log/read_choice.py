@@ -25,6 +25,7 @@ class ReadOptions(TypedDict, total=False):
     time: TimeSource
     columns: Mapping[str, str]
     allow_partial: bool
+    allow_no_poses: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +43,7 @@ class ReadChoice:
         columns: Of a plain table, by what they hold (`t`, `x`, `y`, `heading` ...): the name of the
             column, with its unit in brackets where the name does not tell (`yaw [deg]`).
         allow_partial: Read what an unfinished or damaged recording still holds.
+        allow_no_poses: Read a bag of commands alone, as a run without poses.
     """
 
     pose_topic: str | None = None
@@ -53,6 +55,7 @@ class ReadChoice:
     time: TimeSource = "auto"
     columns: Mapping[str, str] = field(default_factory=dict)
     allow_partial: bool = False
+    allow_no_poses: bool = False
 
     def override(self, other: "ReadChoice") -> "ReadChoice":
         """Return this choice with all that another one asks for; columns of both."""

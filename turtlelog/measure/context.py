@@ -61,7 +61,7 @@ class RunContext:
     def get_commands(self, axis: Axis) -> HeldCommands | None:
         """Return what was commanded of an axis; None without commands, or for one pose."""
         rates = self.get_rates(axis)
-        if rates is None:
+        if len(self.run.poses) == 1:
             return None
         return self.recall(("commands", axis), lambda: read_held_commands(self.run, axis, rates))
 

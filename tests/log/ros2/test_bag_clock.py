@@ -188,8 +188,8 @@ def test_by_the_log_all_stays_as_it_was_received() -> None:
             np.where(np.arange(100) < 51, 0, make_times(100)),
             "51 of 100 stamps are 0 or make no sense",
         ),
-        (np.full(100, EPOCH_NS), "100 poses share 1 stamp"),
-        (EPOCH_NS + np.arange(100) // 5 * 250 * MS, "100 poses share 20 stamps"),
+        (np.full(100, EPOCH_NS), "100 messages share 1 stamp"),
+        (EPOCH_NS + np.arange(100) // 5 * 250 * MS, "100 messages share 20 stamps"),
         (make_times(100) - np.arange(100) // 10 * 9_000 * MS, "the stamps' clock jumps to and fro"),
     ],
 )

@@ -81,7 +81,9 @@ class BagTimes:
     notes: Mapping[str, str] = field(default_factory=dict)
 
 
-def time_rows(poses: Stamps, commands: Stamps | None, time: TimeSource) -> BagTimes:
+def time_rows(
+    poses: Stamps, commands: Stamps | None, time: TimeSource, *, noun: str = "poses"
+) -> BagTimes:
     """Return when poses and commands happened, on one timeline.
 
     That is the recorder's clock. Where the stamps' seconds are others than its own, as in
@@ -92,6 +94,8 @@ def time_rows(poses: Stamps, commands: Stamps | None, time: TimeSource) -> BagTi
         poses: Of the pose topic, in order of log time.
         commands: Of the command topic likewise; None where there is none.
         time: `auto`: poses by their stamps where these are usable, otherwise by the log.
+        noun: What the rows are that stand as poses: commands, of a bag that has nothing else. Of
+            these none is left out, however close they are.
 
     Raises:
         LogError: Where stamps are asked for, and no pose has a usable one.
@@ -99,17 +103,25 @@ def time_rows(poses: Stamps, commands: Stamps | None, time: TimeSource) -> BagTi
     commands = commands or Stamps(log_ns=np.empty(0, dtype=np.int64))
     if poses.stamp_ns is None:
         if time == "stamp":
-            raise LogError("time: expected poses with stamps, found a type without: take log")
+            raise LogError(f"time: expected {noun} with stamps, found a type without: take log")
         return BagTimes(poses=_sort(poses.log_ns), commands=_sort(commands.log_ns))
     found = read_stamp_clock(poses)
     if time == "stamp" and found.pace is None:
-        raise LogError(f"time: expected usable stamps of poses, but {found.reason}: take log")
+        raise LogError(f"time: expected usable stamps of {noun}, but {found.reason}: take log")
     if time == "log" or (time == "auto" and found.reason):
-        text = f"poses are timed by the recorder's clock, {_describe_log(found)}"
-        return _build(_sort(poses.log_ns), _sort(commands.log_ns), _make_clock(found, "log"), text)
-    text = f"poses are timed by their stamps{_describe(found)}"
+        text = f"{noun} are timed by the recorder's clock, {_describe_log(found)}"
+        rows, clock = _sort(poses.log_ns), _make_clock(found, "log")
+    else:
+        text = f"{noun} are timed by their stamps{_describe(found)}"
+        rows, clock = _sort(found.time_ns), _make_clock(found, "stamp")
+    if noun != "poses":
+        return BagTimes(
+            poses=rows, commands=_sort(commands.log_ns), clock=clock, notes={CLOCK: text}
+        )
+    if clock.used == "log":
+        return _build(rows, _sort(commands.log_ns), clock, text)
     commands_ns, how = _time_commands(commands, poses, found)
-    return _build(_sort(found.time_ns), _sort(commands_ns), _make_clock(found, "stamp"), text + how)
+    return _build(rows, _sort(commands_ns), clock, text + how)
 
 
 def _time_commands(commands: Stamps, poses: Stamps, found: StampClock) -> tuple[TimesNs, str]:

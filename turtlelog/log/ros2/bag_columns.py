@@ -1,6 +1,6 @@
 """The rows of a run in the messages of third-party types, put in order."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -11,10 +11,14 @@ from turtlelog.angles import wrap_angle
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.info import TopicInfo
 from turtlelog.log.planar import compute_heading, compute_tilt
 from turtlelog.log.ros2.stamps import Stamps, read_stamps
 
 _ROWS_AT_ONCE: Final = 65_536
+
+Held = list[dict[str, TopicColumns]]
+"""Messages by topic, for each file, until their rows are in order."""
 
 Fields = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]
@@ -250,6 +254,30 @@ def order_rows(
     twice = _find_duplicates(rows.time_ns, [*others, *rows.columns.values()])
     duplicates = int(twice.sum())
     return replace(rows.take(~twice), duplicates=duplicates) if duplicates else rows
+
+
+def order_topic(
+    found: Held, choice: TopicInfo, extract: Callable[[str, Fields], dict[str, Values]]
+) -> OrderedRows:
+    """Return the rows of a topic from all files, whose messages are not held any longer."""
+    messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]
+    tables = []
+    for columns in messages:
+        if columns.type != choice.type:
+            raise LogError(f"topic {choice.topic}: expected {choice.type}, found {columns.type}")
+        try:
+            tables.append(extract(choice.type, columns.fields))
+        except LogError as err:
+            raise LogError(f"topic {choice.topic}: {err}") from err
+        except KeyError as err:
+            raise LogError(
+                f"topic {choice.topic}: expected {choice.type} with a field {err.args[0]},"
+                f" found {', '.join(columns.fields)}"
+            ) from err
+    del messages
+    return order_rows(
+        [of_file.pop(choice.topic) for of_file in found if choice.topic in of_file], tables
+    )
 
 
 def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:

@@ -76,7 +76,15 @@ _POSE_NAMES: Final = (
 
 
 class NoPosesError(LogError):
-    """No topic is of a type of poses, or none of these can be read."""
+    """No topic is of a type of poses, or none of these can be read.
+
+    Attributes:
+        is_unread: Whether there are some that cannot be read.
+    """
+
+    def __init__(self, text: str, *, is_unread: bool = False) -> None:
+        super().__init__(text)
+        self.is_unread = is_unread
 
 
 _MOST_LISTED: Final = 100
@@ -121,7 +129,8 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     usual = [topic for topic in typed if not _is_no_robot(topic.topic)]
     fitting = _drop_two_types(usual, present)
     if not fitting:
-        raise NoPosesError(_describe_no_poses(held, present))
+        text, is_unread = _describe_no_poses(held, present)
+        raise NoPosesError(text, is_unread=is_unread)
     homes = {_take_home(topic.topic) for topic in present if topic.type in COMMAND_TYPES}
     best = _list_first(fitting, lambda topic: _rank_poses(topic, homes))
     if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
@@ -227,13 +236,13 @@ def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
     return _join_reasons([topic for topic in unread if _is_of_a_run(topic)])
 
 
-def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> str:
-    """Return why a bag has no poses: topics that may hold some and cannot be read come first."""
+def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> tuple[str, bool]:
+    """Return why a bag has no poses, and whether some are there that cannot be read."""
     unread = [topic for topic in held if topic not in present]
     if reasons := _join_reasons([topic for topic in unread if _is_of_a_run(topic)]):
-        return reasons
+        return reasons, True
     found = f"expected poses ({_POSES_IN_SHORT}), found {_describe(held)}"
-    return "; ".join(filter(None, [found, _join_reasons(unread)]))
+    return "; ".join(filter(None, [found, _join_reasons(unread)])), False
 
 
 def _join_reasons(unread: Sequence[TopicInfo]) -> str:

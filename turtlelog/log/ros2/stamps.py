@@ -150,12 +150,12 @@ def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
     if zeros == count:
         return "all stamps are 0"
     if count == 1:
-        return "one pose tells no clock"
+        return "one message tells no clock"
     if len(rows) < _LEAST_STAMPED * count:
         return f"{count - len(rows)} of {count} stamps are 0 or make no sense"
     distinct = int(np.count_nonzero(np.diff(np.sort(stamp_ns[rows])))) + 1
     if distinct < max(_LEAST_ADVANCES * count, 2):
-        return f"{count} poses share {describe_count(distinct, 'stamp')}"
+        return f"{count} messages share {describe_count(distinct, 'stamp')}"
     if max(jumps, backward) > len(rows) / _STRETCH_ROWS:
         return "the stamps' clock jumps to and fro"
     return ""
