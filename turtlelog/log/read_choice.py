@@ -1,7 +1,7 @@
 """What to read of a file that may be meant in several ways: topics, frames, clock, goal."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Final, Literal, TypedDict
@@ -75,18 +75,26 @@ CHOSEN: Final = "chosen"
 def split_topic(path: str | Path) -> tuple[Path, str | None]:
     """Return the file and the topic of its poses in FILE:TOPIC, as in `bag:/odom_kf`.
 
-    A file of the whole name comes first, and what is no file before the colon is no FILE:TOPIC.
+    A file of the whole name comes first, and what is no file before the colon is no FILE:TOPIC. The
+    topic may lack its leading slash.
     """
     path = make_path(path)
     if isinstance(path, RemotePath):
         return path.split_topic()
     text = path.as_posix()
-    head, colon, _ = text.rpartition(":/")
+    head, colon, _ = text.rpartition(":")
     while colon and not path.exists():
-        if Path(head).exists():
-            return Path(head), text[len(head) + 1 :]
-        head, colon, _ = head.rpartition(":/")
+        topic = text[len(head) + 1 :]
+        if head and topic and Path(head).exists():
+            return Path(head), topic
+        head, colon, _ = head.rpartition(":")
     return path, None
+
+
+def match_topic(asked: str, names: Collection[str]) -> str:
+    """Return the topic that is meant by a name with its leading slash or without; else the name."""
+    other = asked.removeprefix("/") if asked.startswith("/") else f"/{asked}"
+    return other if asked not in names and other in names else asked
 
 
 def parse_goal(goal: tuple[float, ...]) -> tuple[tuple[float, float], float | None]:

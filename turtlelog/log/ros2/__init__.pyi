@@ -14,6 +14,8 @@ from .bag_reader import (
 from .bag_topics import (
     COMMAND_TYPES as COMMAND_TYPES,
     POSE_TYPES as POSE_TYPES,
+    NoPosesError as NoPosesError,
+    choose_command_topic as choose_command_topic,
     choose_pose_topic as choose_pose_topic,
     describe_unread_topics as describe_unread_topics,
 )

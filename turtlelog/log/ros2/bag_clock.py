@@ -18,6 +18,7 @@ from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.read_choice import TimeSource
 from turtlelog.log.ros2.stamps import (
+    FIRST_WALL_NS,
     StampClock,
     Stamps,
     TimesNs,
@@ -42,10 +43,6 @@ close."""
 _SAME_CLOCK_NS: Final = 1_000_000_000
 """Stamps of commands are of the poses' simulation where they lie this close [ns] to when the
 commands were received: two simulations, or a clock of the wall, are further apart."""
-
-_FIRST_WALL_NS: Final = 1_000_000_000_000_000_000
-"""Stamps before this [ns], in 2001, are of no clock on a wall: a simulation's begin at 0. Later
-ones that go at another pace may be a simulation's, or of a recorder that falls behind."""
 
 _SHOWN_DRIFT_NS: Final = 1_000_000
 """A drift that adds up to less [ns] is not worth a word."""
@@ -165,9 +162,9 @@ def _describe(found: StampClock) -> str:
     """Return how the stamps stand to the recorder's clock, in words that follow `stamps`."""
     texts = []
     pace, offset_ns, jitter_ns = found.pace or 1.0, found.offset_ns or 0, found.jitter_ns or 0
+    is_wall = int(found.time_ns[found.known[0]]) - offset_ns >= FIRST_WALL_NS
     if found.is_other_pace:
-        first_ns = int(found.time_ns[found.known[0]]) - offset_ns
-        why = "a simulation's" if first_ns < _FIRST_WALL_NS else "of another pace"
+        why = "of another pace" if is_wall else "a simulation's"
         texts.append(
             f", whose seconds are {why}: {found.stamps_span_ns / 1e9:.1f} s in"
             f" {found.log_span_ns / 1e9:.1f} s of the recorder's clock, ratio {pace:.3g}"
@@ -178,7 +175,9 @@ def _describe(found: StampClock) -> str:
             f" whose transport is unknown; usually it takes {jitter_ns / 1e6:.1f} ms more"
         )
         if abs(pace - 1.0) * found.log_span_ns > max(jitter_ns, _SHOWN_DRIFT_NS):
-            texts.append(f"; their clock drifts by {(pace - 1.0) * 1e6:+.0f} ppm, taken out")
+            drift = f"{(pace - 1.0) * 1e6:+.0f} ppm"
+            whose = "clock" if is_wall else "clock, which was never set or is a simulation's,"
+            texts.append(f"; their {whose} drifts by {drift}, taken out")
     if found.jumps:
         texts.append(f"; their clock was set {describe_count(found.jumps, 'time')}")
     if found.odd:

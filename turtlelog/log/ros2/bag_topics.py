@@ -8,6 +8,7 @@ from typing import Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.info import TopicInfo
+from turtlelog.log.read_choice import match_topic
 from turtlelog.log.recording.topics import MEASURED, POSE64, SHAPED, VELOCITY64
 
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
@@ -372,6 +373,7 @@ def _require_one_type(name: str, present: Collection[TopicInfo]) -> None:
 def _find_asked(
     present: Collection[TopicInfo], asked: str, types: tuple[str, ...], name: str
 ) -> TopicInfo:
+    asked = match_topic(asked, {topic.topic for topic in present})
     _require_one_type(asked, present)
     found = next((topic for topic in present if topic.topic == asked), None)
     if found is None:
