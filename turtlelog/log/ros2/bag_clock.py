@@ -167,7 +167,8 @@ def _describe(found: StampClock) -> str:
         why = "of another pace" if is_wall else "a simulation's"
         texts.append(
             f", whose seconds are {why}: {found.stamps_span_ns / 1e9:.1f} s in"
-            f" {found.log_span_ns / 1e9:.1f} s of the recorder's clock, ratio {pace:.3g}"
+            f" {found.log_span_ns / 1e9:.1f} s of the recorder's clock, ratio"
+            f" {_format_pace(pace)}"
         )
     else:
         texts.append(
@@ -185,6 +186,11 @@ def _describe(found: StampClock) -> str:
     if found.disordered:
         texts.append(f"; {found.disordered} received out of order are sorted")
     return "".join(texts)
+
+
+def _format_pace(pace: float) -> str:
+    """Return a ratio in as many digits as tell it from 1."""
+    return f"{pace:.3g}" if abs(pace - 1.0) > 0.01 else f"{pace:.5g}"
 
 
 def _format_offset(offset_ns: int) -> str:
