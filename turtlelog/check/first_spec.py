@@ -89,6 +89,10 @@ def _list_read(read: ReadChoice) -> Iterator[str]:
     ]
     if read.goal is not None:
         lines.append(f"goal = [{', '.join(map(repr, read.goal))}]")
+    if read.wheels is not None:
+        lines.append(f"wheels = [{', '.join(map(repr, read.wheels))}]")
+    if read.wheelbase is not None:
+        lines.append(f"wheelbase = {read.wheelbase!r}")
     if read.time != ReadChoice().time:
         lines.append(f"time = {_quote(read.time)}")
     if read.columns:

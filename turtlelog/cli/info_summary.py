@@ -39,7 +39,16 @@ _STEADY: Final = 3.0
 
 _TOLD: Final = (
     *("clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
-    *("reported_rates", "leaps", "other_pose_topics", "other_frames", "other_command_topics"),
+    *(
+        "heading",
+        "origin",
+        "wheels",
+        "reported_rates",
+        "leaps",
+        "other_pose_topics",
+        "other_frames",
+        "other_command_topics",
+    ),
 )
 """Notes of a run on the bag that it was read from."""
 
@@ -284,10 +293,20 @@ def _list_needs(info: "RecordingInfo") -> tuple[str, ...]:
         tl.log.ros2.choose_pose_topic(info.topics, None)
     except tl.log.ros2.NoPosesError as err:
         if not err.is_unread and not _is_undecided(info, ""):
-            return (_NEEDED,)
+            return (_NEEDED, *_list_options(info))
     except LogError:
         pass  # there are several
     return ()
+
+
+def _list_options(info: "RecordingInfo") -> "Iterator[str]":
+    """Yield what options make poses and commands of messages that need them."""
+    bags = tl.log.ros2
+    held = {topic.type for topic in info.topics if topic.count}
+    if bags.JOINTS in held:
+        yield bags.NEEDS_WHEELS
+    if held & {*bags.ACKERMANN_TYPES}:
+        yield bags.NEEDS_WHEELBASE
 
 
 _NEEDED: Final = (
@@ -423,5 +442,7 @@ def _list_missing(run: "Run", info: "RecordingInfo") -> "Iterator[str]":
     lacks = tl.compare.list_lacks(run)
     for lack in lacks:
         is_told = lack in tl.compare.UNLOCKS and tl.compare.can_unlock(lack, lacks)
-        if is_told and (lack != "commands" or info.topics):
+        if lack == "commands" and lack in run.notes:
+            yield f"no {run.notes[lack]}"
+        elif is_told and (lack != "commands" or info.topics):
             yield f"no {tl.compare.UNLOCKS[lack]}"

@@ -12,7 +12,8 @@ from cyclopts import Group, Parameter, Token
 import turtlelog as tl
 from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
-from turtlelog.errors import TurtlelogError, UsageError
+from turtlelog.errors import LogError, TurtlelogError, UsageError
+from turtlelog.log.read_choice import parse_wheelbase, parse_wheels
 from turtlelog.processes import FILE_S, choose_jobs
 from turtlelog.remote.urls import RemotePath, make_path, parse_size, set_max_download
 from turtlelog.text_files import describe_missing
@@ -103,12 +104,16 @@ class TopicOptions:
     Attributes:
         pose_topic: Poses; FILE:TOPIC says the same for one file. Otherwise types and names decide,
             and a line on stderr says what is read.
-        command_topic: Commands: Twist or TwistStamped.
+        command_topic: Commands: Twist, TwistStamped, or Ackermann's with --wheelbase.
         path_topic: The path to be followed: nav_msgs/Path.
         pose_frame: The robot's frame, of poses from transforms (/tf).
         world_frame: The frame in which poses from transforms are given.
         time: What times poses: the recorder (log), their stamps mapped to its clock (stamp), or
             the stamps where they are usable (auto).
+        wheel_joints: Take the poses from these joints of sensor_msgs/JointState, the wheels of a
+            differential drive, as in wheel_left_joint,wheel_right_joint.
+        wheels: Radius of these wheels and distance between them [m], as in 0.033,0.16.
+        wheelbase: Distance of the axles [m], with which Ackermann commands become turn rates.
         column: The column of a table that holds t, x, y, heading or another quantity, as in
             "heading=yaw [deg]"; may stand several times.
         partial: Read what an unfinished or damaged recording still holds.
@@ -122,6 +127,9 @@ class TopicOptions:
     pose_frame: Annotated[str | None, Parameter(metavar="FRAME")] = None
     world_frame: Annotated[str | None, Parameter(metavar="FRAME")] = None
     time: Literal["auto", "log", "stamp"] = "auto"
+    wheel_joints: Annotated[str | None, Parameter(metavar="LEFT,RIGHT")] = None
+    wheels: Annotated[str | None, Parameter(metavar="RADIUS,TRACK")] = None
+    wheelbase: Annotated[str | None, Parameter(metavar="L")] = None
     column: Annotated[list[str] | None, Parameter(metavar="NAME=COLUMN")] = None
     partial: Partial = False
     max_download: MaxDownload = None
@@ -139,6 +147,9 @@ class TopicOptions:
             pose_frame=self.pose_frame,
             world_frame=self.world_frame,
             time=self.time,
+            wheel_joints=self.wheel_joints,
+            wheels=None if self.wheels is None else _parse_wheels(self.wheels),
+            wheelbase=None if self.wheelbase is None else _parse_length(self.wheelbase),
             columns=dict(map(_split_column, self.column or ())),
             allow_partial=self.partial,
         )
@@ -177,6 +188,22 @@ def list_reading_words(options: ReadingOptions) -> list[str]:
             # With "=", because a goal may begin with a minus.
             words += [f"{name}={text}" for text in (value if isinstance(value, list) else [value])]
     return words
+
+
+def _parse_wheels(text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+        return parse_wheels(values)
+    except (ValueError, LogError) as err:
+        expected = "RADIUS,TRACK above 0 in metres, as in 0.033,0.16"
+        raise UsageError(f"--wheels {text[:60]}: must be {expected}") from err
+
+
+def _parse_length(text: str) -> float:
+    try:
+        return parse_wheelbase(float(text))
+    except (ValueError, LogError) as err:
+        raise UsageError(f"--wheelbase {text[:60]}: must be a length above 0 in metres") from err
 
 
 def _split_column(text: str) -> tuple[str, str]:

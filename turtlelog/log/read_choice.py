@@ -23,6 +23,9 @@ class ReadOptions(TypedDict, total=False):
     world_frame: str | None
     goal: tuple[float, ...] | None
     time: TimeSource
+    wheel_joints: str | None
+    wheels: tuple[float, ...] | None
+    wheelbase: float | None
     columns: Mapping[str, str]
     allow_partial: bool
     allow_no_poses: bool
@@ -40,6 +43,10 @@ class ReadChoice:
         world_frame: The frame in which poses from transforms are given.
         goal: x, y [m] and, where one is asked for, heading [rad]; None: as the file says.
         time: What times poses.
+        wheel_joints: Names of the left and the right wheel in sensor_msgs/JointState, as in
+            `wheel_left_joint,wheel_right_joint`: poses are the odometry of these wheels.
+        wheels: Radius of the wheels, and the distance between them [m].
+        wheelbase: Distance of the axles [m], which turns Ackermann commands into turn rates.
         columns: Of a plain table, by what they hold (`t`, `x`, `y`, `heading` ...): the name of the
             column, with its unit in brackets where the name does not tell (`yaw [deg]`).
         allow_partial: Read what an unfinished or damaged recording still holds.
@@ -53,6 +60,9 @@ class ReadChoice:
     world_frame: str | None = None
     goal: tuple[float, ...] | None = None
     time: TimeSource = "auto"
+    wheel_joints: str | None = None
+    wheels: tuple[float, ...] | None = None
+    wheelbase: float | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     allow_partial: bool = False
     allow_no_poses: bool = False
@@ -107,3 +117,45 @@ def parse_goal(goal: tuple[float, ...]) -> tuple[tuple[float, float], float | No
         raise LogError(f"goal: expected x, y [m] and perhaps a heading [rad], found {goal!r:.60}")
     x_m, y_m, *heading_rad = map(float, goal)
     return (x_m, y_m), heading_rad[0] if heading_rad else None
+
+
+def parse_joints(text: str) -> tuple[str, str]:
+    """Return the names of the left and the right wheel.
+
+    Raises:
+        LogError: Where there are not two.
+    """
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 2 or not all(names) or names[0] == names[1]:
+        raise LogError(f"wheel_joints: expected LEFT,RIGHT, two joints, found {text[:60]}")
+    return names[0], names[1]
+
+
+def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
+    """Return the radius of wheels and the distance between them [m].
+
+    Raises:
+        LogError: Where there are not two lengths above 0.
+    """
+    if len(values) != 2 or not all(map(is_length, values)):
+        raise LogError(
+            f"wheels: expected radius and track above 0 in m, as in (0.033, 0.16), found"
+            f" {values!r:.60}"
+        )
+    return float(values[0]), float(values[1])
+
+
+def parse_wheelbase(value: float) -> float:
+    """Return the distance of the axles [m].
+
+    Raises:
+        LogError: Where it is no length above 0.
+    """
+    if not is_length(value):
+        raise LogError(f"wheelbase: expected a length above 0 in m, found {value!r:.60}")
+    return float(value)
+
+
+def is_length(value: float) -> bool:
+    """Return whether a number can be a length [m]."""
+    return 0.0 < value < math.inf

@@ -12,7 +12,11 @@ from .bag_reader import (
     read_bag as read_bag,
 )
 from .bag_topics import (
+    ACKERMANN_TYPES as ACKERMANN_TYPES,
     COMMAND_TYPES as COMMAND_TYPES,
+    JOINTS as JOINTS,
+    NEEDS_WHEELBASE as NEEDS_WHEELBASE,
+    NEEDS_WHEELS as NEEDS_WHEELS,
     POSE_TYPES as POSE_TYPES,
     NoPosesError as NoPosesError,
     choose_command_topic as choose_command_topic,

@@ -13,6 +13,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.info import TopicInfo
 from turtlelog.log.planar import compute_heading, compute_tilt
+from turtlelog.log.ros2.bag_topics import ACKERMANN_TYPES, JOINTS
 from turtlelog.log.ros2.stamps import Stamps, read_stamps
 
 _ROWS_AT_ONCE: Final = 65_536
@@ -54,6 +55,9 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
     columns = {**place, **columns}
     if f"{shape.position}z" in fields:
         columns["z"] = _widen(fields[f"{shape.position}z"])
+    for name in ("measured_speed", "measured_turn_rate"):
+        if kind == JOINTS and name in fields:
+            columns[name] = _widen(fields[name])
     if kind == "nav_msgs/msg/Odometry":
         twist = "twist.twist"
         columns["measured_speed"] = _widen(fields[f"{twist}.linear.x"])
@@ -122,8 +126,26 @@ def _find_turn(fields: Collection[str], place: str) -> PoseShape | None:
     return None
 
 
-def extract_commands(kind: str, fields: Fields) -> dict[str, Values]:
-    """Return forward and lateral speed [m/s] and turn rate [rad/s]."""
+def extract_commands(
+    kind: str, fields: Fields, *, wheelbase_m: float | None = None
+) -> dict[str, Values]:
+    """Return forward and lateral speed [m/s] and turn rate [rad/s].
+
+    Args:
+        kind: Type of the messages.
+        fields: Their fields.
+        wheelbase_m: Distance of the axles [m], which Ackermann commands need: a car turns with
+            speed * tan(steering angle) / wheelbase.
+    """
+    if kind in ACKERMANN_TYPES and wheelbase_m is not None:
+        drive = "drive." if kind.endswith("Stamped") else ""
+        speed_m_s = _widen(fields[f"{drive}speed"])
+        steering_rad = _widen(fields[f"{drive}steering_angle"])
+        return {
+            "speed": speed_m_s,
+            "lateral_speed": np.zeros_like(speed_m_s),
+            "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
+        }
     twist = "twist." if kind == "geometry_msgs/msg/TwistStamped" else ""
     return {
         "speed": _widen(fields[f"{twist}linear.x"]),

@@ -1,6 +1,7 @@
 """The commands of a bag: in order, as columns, and as a run where there are no poses."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -10,7 +11,7 @@ from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.info import TopicInfo
-from turtlelog.log.read_choice import ReadChoice
+from turtlelog.log.read_choice import ReadChoice, parse_wheelbase
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_clock import time_rows
 from turtlelog.log.ros2.bag_columns import (
@@ -21,7 +22,15 @@ from turtlelog.log.ros2.bag_columns import (
     order_topic,
 )
 from turtlelog.log.ros2.bag_poses import note_pick
-from turtlelog.log.ros2.bag_topics import NoPosesError, choose_command_topic
+from turtlelog.log.ros2.bag_topics import (
+    ACKERMANN_TYPES,
+    COMMAND_TYPES,
+    NEEDS_WHEELBASE,
+    TWIST_TYPES,
+    NoPosesError,
+    Pick,
+    choose_command_topic,
+)
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 NEVER_IN_BAGS: Final = (
@@ -39,9 +48,9 @@ def read_commands_alone(
         LogError: Where there are no commands either, poses are needed, or something of poses was
             asked for.
     """
-    pick = choose_command_topic(topics, choice.command_topic, pose_topic="")
+    pick, lack = choose_commands(topics, choice, pose_topic="")
     if pick is None:
-        raise err
+        raise NoPosesError(f"no poses; {lack}") if lack else err
     if not choice.allow_no_poses:
         found = f"{pick.topic.topic} ({pick.topic.type})"
         # Poses that are there and cannot be read have a reason that says more.
@@ -56,9 +65,8 @@ def read_commands_alone(
     for name in ("goal", "path_topic"):
         if getattr(choice, name) is not None:
             raise LogError(f"{name}: expected poses, found commands alone on {pick.topic.topic}")
-    rows, dropped = order_commands(
-        [dict(of_file) for of_file in bag.read({pick.topic.topic})], pick.topic
-    )
+    found_messages = [dict(of_file) for of_file in bag.read({pick.topic.topic})]
+    rows, dropped = order_commands(found_messages, pick.topic, choice)
     if rows is None:
         raise LogError(
             f"topic {pick.topic.topic}: expected numbers, found nan or infinity in all"
@@ -97,11 +105,41 @@ def name_bag(path: Path) -> tuple[str, str]:
     return (name if path.is_dir() else strip_suffixes(path)), source
 
 
-def order_commands(found: Held, topic: TopicInfo) -> tuple[OrderedRows | None, int]:
+def choose_commands(
+    topics: Sequence[TopicInfo], choice: ReadChoice, *, pose_topic: str
+) -> tuple[Pick | None, str]:
+    """Return the topic of the commands, and why there is none that could be meant; may be empty.
+
+    Ackermann commands come first where a wheelbase is given, and tell no turn rate without one.
+
+    Raises:
+        LogError: Where nothing tells which of several, or what was asked for cannot be read.
+    """
+    asked = choice.command_topic
+    if choice.wheelbase is not None:
+        parse_wheelbase(choice.wheelbase)
+        pick = choose_command_topic(topics, asked, pose_topic=pose_topic, types=ACKERMANN_TYPES)
+        if pick is not None:
+            return pick, ""
+        if asked is None and pose_topic == "":
+            raise LogError(f"wheelbase: expected commands of {' or '.join(ACKERMANN_TYPES)}")
+    types = COMMAND_TYPES if asked is not None else TWIST_TYPES
+    pick = choose_command_topic(topics, asked, pose_topic=pose_topic, types=types)
+    if pick is not None and pick.topic.type in ACKERMANN_TYPES:
+        raise LogError(f"command_topic {pick.describe()}: {NEEDS_WHEELBASE}")
+    if pick is not None:
+        return pick, ""
+    steered = choose_command_topic(topics, None, pose_topic=pose_topic, types=ACKERMANN_TYPES)
+    return None, "" if steered is None else f"commands on {steered.describe()}: {NEEDS_WHEELBASE}"
+
+
+def order_commands(
+    found: Held, topic: TopicInfo, choice: ReadChoice
+) -> tuple[OrderedRows | None, int]:
     """Return commands that are numbers, None without any, and how many are not."""
-    rows, dropped = drop_not_finite(
-        ordered := order_topic(found, topic, extract_commands), [*ordered.columns]
-    )
+    extract = partial(extract_commands, wheelbase_m=choice.wheelbase)
+    ordered = order_topic(found, topic, extract)
+    rows, dropped = drop_not_finite(ordered, [*ordered.columns])
     return (rows if len(rows.time_ns) else None), dropped
 
 

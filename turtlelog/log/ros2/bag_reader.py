@@ -14,7 +14,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo
 from turtlelog.log.planar import describe_plane
-from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions, TimeSource
+from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import (
     CONTROL,
     LAW_STATE,
@@ -39,6 +39,7 @@ from turtlelog.log.ros2.bag_columns import (
 from turtlelog.log.ros2.bag_commands import (
     NEVER_IN_BAGS,
     build_commands,
+    choose_commands,
     name_bag,
     order_commands,
     read_commands_alone,
@@ -49,7 +50,6 @@ from turtlelog.log.ros2.bag_samples import add_samples
 from turtlelog.log.ros2.bag_topics import (
     NoPosesError,
     Pick,
-    choose_command_topic,
     describe_unread_topics,
 )
 from turtlelog.log.ros2.reported_rates import LATERAL, judge_rates
@@ -90,13 +90,14 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         except NoPosesError as err:
             run = read_commands_alone(bag, distinct, choice, err)
             return _note_chosen(run, bag, distinct)
-        commands = choose_command_topic(distinct, choice.command_topic, pose_topic=source.home)
+        commands, lack = choose_commands(distinct, choice, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
         found: Held = [dict(of_file) for of_file in (*source.found, *bag.read(names))]
         source = replace(source, found=[])
-        run, track = _build_run(bag.path, found, source, commands, choice.time)
+        run, track = _build_run(bag.path, found, source, commands, choice)
+        run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
         run = add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
             run = add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
@@ -130,6 +131,7 @@ def describe_chosen(notes: Mapping[str, str]) -> str:
     poses = notes.get("pose_topic")
     parts = [f"poses from {poses}" if poses else "no poses"]
     parts.append(f"commands from {command}" if command else "no commands")
+    parts += [notes["commands"]] if "commands" in notes else []
     parts += [f"path {notes['path']}"] if "path" in notes else []
     parts += [f"goal {notes['goal']}"] if "goal" in notes else []
     parts += [notes[NOT_UNDERSTOOD]] if NOT_UNDERSTOOD in notes else []
@@ -167,7 +169,7 @@ def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:
 
 
 def _build_run(
-    path: Path, found: Held, source: PoseSource, command_pick: Pick | None, time: TimeSource
+    path: Path, found: Held, source: PoseSource, command_pick: Pick | None, choice: ReadChoice
 ) -> tuple[Run, Track]:
     """Return the run, and where the robot was by the recorder's clock."""
     poses = order_topic(found, source.topic, extract_poses)
@@ -176,7 +178,7 @@ def _build_run(
     poses, dropped = _drop_nan(poses, source.topic.topic)
     commands, dropped_commands = None, 0
     if command_pick is not None:
-        commands, dropped_commands = order_commands(found, command_pick.topic)
+        commands, dropped_commands = order_commands(found, command_pick.topic, choice)
     track = Track(
         time_ns=poses.time_ns,
         xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
@@ -186,7 +188,7 @@ def _build_run(
     # Views: a second copy of x and y would take 16 bytes a pose.
     poses = replace(poses, columns={**poses.columns, **dict(zip("xy", track.xy_m.T, strict=True))})
     leaps = describe_leaps(track.xy_m)
-    times = time_rows(poses.stamps, None if commands is None else commands.stamps, time)
+    times = time_rows(poses.stamps, None if commands is None else commands.stamps, choice.time)
     poses = poses.take(times.poses.rows, times.poses.time_ns)
     columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     if commands is not None:

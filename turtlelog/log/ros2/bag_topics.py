@@ -12,6 +12,8 @@ from turtlelog.log.read_choice import match_topic
 from turtlelog.log.recording.topics import MEASURED, POSE64, SHAPED, VELOCITY64
 
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+FIX: Final = "sensor_msgs/msg/NavSatFix"
+JOINTS: Final = "sensor_msgs/msg/JointState"
 PATH: Final = "nav_msgs/msg/Path"
 GOAL_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 
@@ -25,14 +27,24 @@ _TIERS: Final = {
     "geometry_msgs/msg/Pose2D": 3,
     "geometry_msgs/msg/TransformStamped": 4,
     TRANSFORMS: 5,
+    FIX: 6,
 }
-"""Types of poses, and which come first: odometry tells rates, too; stamps come before none."""
+"""Types of poses, and which come first: odometry tells rates, too; stamps come before none, and
+a satellite receiver tells no heading."""
 
 POSE_TYPES: Final = tuple(_TIERS)
 _POSES_IN_SHORT: Final = (
-    "turtlesim's, Odometry, a Pose with or without stamp, a Pose2D, or transforms on /tf"
+    "turtlesim's, Odometry, a Pose with or without stamp, a Pose2D, transforms on /tf, or NavSatFix"
 )
-COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+TWIST_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+ACKERMANN_TYPES: Final = (
+    "ackermann_msgs/msg/AckermannDrive",
+    "ackermann_msgs/msg/AckermannDriveStamped",
+)
+COMMAND_TYPES: Final = (*TWIST_TYPES, *ACKERMANN_TYPES)
+
+NEEDS_WHEELS: Final = "joints give poses with --wheel-joints LEFT,RIGHT --wheels RADIUS,TRACK, in m"
+NEEDS_WHEELBASE: Final = "steering gives turn rates with --wheelbase L, in m"
 
 _MOST_UNREAD: Final = 3
 """Topics that a line names with the reason why they are not read."""
@@ -124,7 +136,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
-        return Pick(topic=_find_asked(held, asked, POSE_TYPES, "pose_topic"))
+        return Pick(topic=_find_asked(held, asked, (*POSE_TYPES, JOINTS), "pose_topic"))
     present = _drop_unread(held)
     typed = [topic for topic in present if topic.type in POSE_TYPES]
     usual = [topic for topic in typed if not _is_no_robot(topic.topic)]
@@ -142,13 +154,39 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     return Pick(topic=chosen, others=tuple(topic.topic for topic in others))
 
 
+def choose_joint_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicInfo:
+    """Return the topic of joints that was asked for, or that is called so.
+
+    Raises:
+        LogError: Where there is none, or nothing tells which of several.
+    """
+    held = [topic for topic in topics if topic.count]
+    if asked is not None:
+        return _find_asked(held, asked, (JOINTS,), "pose_topic")
+    fitting = [topic for topic in _drop_unread(held) if topic.type == JOINTS]
+    if not fitting:
+        raise LogError(f"wheel_joints: expected a topic of {JOINTS}, found {_describe(held)}")
+    named = [topic for topic in fitting if _take_last(topic.topic) == "joint_states"]
+    return _require_one(named or fitting, "pose_topic", "--pose-topic")
+
+
 def choose_command_topic(
-    topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
+    topics: Iterable[TopicInfo],
+    asked: str | None,
+    *,
+    pose_topic: str,
+    types: Collection[str] = COMMAND_TYPES,
 ) -> Pick | None:
     """Return the topic that was asked for, or the one that is most likely meant; None without any.
 
     The neighbour of the poses (/turtle2/cmd_vel of /turtle2/pose) comes before all others, then the
     name by which a base listens (cmd_vel before cmd_vel_nav). Another robot's are never taken.
+
+    Args:
+        topics: Of the bag.
+        asked: Name of the one that was asked for.
+        pose_topic: That of the poses; empty without poses.
+        types: Which of the types of commands are looked for.
 
     Raises:
         LogError: Where nothing tells which of several.
@@ -157,7 +195,7 @@ def choose_command_topic(
     if asked is not None:
         return Pick(topic=_find_asked(held, asked, COMMAND_TYPES, "command_topic"))
     present = _drop_unread(held)
-    known = _drop_two_types([topic for topic in present if topic.type in COMMAND_TYPES], present)
+    known = _drop_two_types([topic for topic in present if topic.type in types], present)
     fitting = [
         topic
         for topic in known
@@ -243,7 +281,9 @@ def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) 
     if reasons := _join_reasons([topic for topic in unread if _is_of_a_run(topic)]):
         return reasons, True
     found = f"expected poses ({_POSES_IN_SHORT}), found {_describe(held)}"
-    return "; ".join(filter(None, [found, _join_reasons(unread)])), False
+    has_joints = any(topic.type == JOINTS for topic in present)
+    parts = [found, NEEDS_WHEELS if has_joints else "", _join_reasons(unread)]
+    return "; ".join(filter(None, parts)), False
 
 
 def _join_reasons(unread: Sequence[TopicInfo]) -> str:
