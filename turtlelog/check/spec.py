@@ -228,6 +228,7 @@ READ_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "pose_topic": "Poses.",
         "command_topic": "Commands: Twist, TwistStamped, or Ackermann's with a wheelbase.",
+        "robot": "Of several robots in a bag the one of this name.",
         "path_topic": "The path to be followed: nav_msgs/Path.",
         "pose_frame": "The robot's frame, of poses from transforms.",
         "world_frame": "The frame in which poses from transforms are given.",

@@ -33,6 +33,15 @@ _AXES: Final = (("law.kp_angular", "turning"), ("law.kp_linear", "driving"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RobotTopics:
+    """A robot among several of a bag: its name, and its topics of poses and commands."""
+
+    name: str
+    poses: str | None
+    commands: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class InfoAnswer:
     """What is in a file.
 
@@ -56,6 +65,7 @@ class InfoAnswer:
         not_understood: Topics whose messages cannot become columns, each with the reason.
         notes: Remarks by name.
         run: What its poses and commands are; None if they were not read.
+        robots: Those of a bag of several; --robot NAME chooses one.
     """
 
     file: str
@@ -77,6 +87,7 @@ class InfoAnswer:
     not_understood: tuple[str, ...]
     notes: Mapping[str, str]
     run: ReadRun | None
+    robots: tuple[RobotTopics, ...] = ()
 
 
 def build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> InfoAnswer:
@@ -101,6 +112,18 @@ def build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> In
         not_understood=recording.not_understood,
         notes={**recording.notes, **summary.notes},
         run=summary.run,
+        robots=() if recording.format_version is not None else _list_robots(recording),
+    )
+
+
+def _list_robots(recording: "RecordingInfo") -> tuple[RobotTopics, ...]:
+    return tuple(
+        RobotTopics(
+            name=robot.name,
+            poses=None if robot.poses is None else robot.poses.topic,
+            commands=None if robot.commands is None else robot.commands.topic,
+        )
+        for robot in tl.log.ros2.find_robots(recording.topics)
     )
 
 
@@ -177,12 +200,26 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     if run is not None:
         rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
         yield from ((key, text) for key, text in rows.items() if text)
+    yield from _describe_robots(answer)
     yield from _describe_durations(answer)
     if not answer.summary.endswith(NOTHING_LEFT):
         reason = (answer.stop_reason or "").replace("_", " ")
         told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
         yield from [("ended", told)] if told else []
     yield from ((key.replace("_", " "), _tell_note(text)) for key, text in answer.notes.items())
+
+
+def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    """Yield the robots of a bag of several, the first of many, with their topics."""
+    counts = {topic.topic: topic.count for topic in answer.topics}
+    for robot in answer.robots[:_MOST_ENTRIES]:
+        held = {"poses": robot.poses, "commands": robot.commands}
+        parts = [
+            f"{what} {topic}, {describe_count(counts[topic], 'message')}"
+            for what, topic in held.items()
+            if topic is not None
+        ]
+        yield f"robot {robot.name}", "; ".join(parts)
 
 
 def _tell_note(text: str) -> str:

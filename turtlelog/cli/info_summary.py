@@ -40,6 +40,7 @@ _STEADY: Final = 3.0
 _TOLD: Final = (
     *("clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
     *(
+        "robots",
         "heading",
         "origin",
         "wheels",
@@ -218,6 +219,10 @@ def _is_poses(topic: "TopicInfo") -> bool:
 
 def _summarise_topics(info: "RecordingInfo", reason: str) -> str:
     """Return what the topics alone tell, and why the poses could not be read."""
+    try:
+        tl.log.ros2.select_robot(info.topics, None)
+    except LogError as err:
+        return str(err)
     try:
         chosen = tl.log.ros2.choose_pose_topic(info.topics, None).topic
     except tl.log.ros2.NoPosesError as err:

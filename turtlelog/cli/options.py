@@ -104,6 +104,7 @@ class TopicOptions:
     Attributes:
         pose_topic: Poses; FILE:TOPIC says the same for one file. Otherwise types and names decide,
             and a line on stderr says what is read.
+        robot: Of several robots in a bag (/robot1/odom, /robot2/odom) the one of this name.
         command_topic: Commands: Twist, TwistStamped, or Ackermann's with --wheelbase.
         path_topic: The path to be followed: nav_msgs/Path.
         pose_frame: The robot's frame, of poses from transforms (/tf).
@@ -122,6 +123,7 @@ class TopicOptions:
     """
 
     pose_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
+    robot: Annotated[str | None, Parameter(metavar="NAME")] = None
     command_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
     path_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
     pose_frame: Annotated[str | None, Parameter(metavar="FRAME")] = None
@@ -142,6 +144,7 @@ class TopicOptions:
         """
         return tl.log.ReadChoice(
             pose_topic=self.pose_topic,
+            robot=self.robot,
             command_topic=self.command_topic,
             path_topic=self.path_topic,
             pose_frame=self.pose_frame,

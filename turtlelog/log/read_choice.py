@@ -23,6 +23,7 @@ class ReadOptions(TypedDict, total=False):
     world_frame: str | None
     goal: tuple[float, ...] | None
     time: TimeSource
+    robot: str | None
     wheel_joints: str | None
     wheels: tuple[float, ...] | None
     wheelbase: float | None
@@ -43,6 +44,8 @@ class ReadChoice:
         world_frame: The frame in which poses from transforms are given.
         goal: x, y [m] and, where one is asked for, heading [rad]; None: as the file says.
         time: What times poses.
+        robot: Of several robots in a bag the one whose topics or frames have this name, as
+            `robot2` of `/robot2/odom`.
         wheel_joints: Names of the left and the right wheel in sensor_msgs/JointState, as in
             `wheel_left_joint,wheel_right_joint`: poses are the odometry of these wheels.
         wheels: Radius of the wheels, and the distance between them [m].
@@ -60,6 +63,7 @@ class ReadChoice:
     world_frame: str | None = None
     goal: tuple[float, ...] | None = None
     time: TimeSource = "auto"
+    robot: str | None = None
     wheel_joints: str | None = None
     wheels: tuple[float, ...] | None = None
     wheelbase: float | None = None

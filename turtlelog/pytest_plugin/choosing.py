@@ -13,7 +13,7 @@ _FLAGS: Final = ("allow_partial", "trust_law")
 _SETTINGS: Final = (
     *_FLAGS,
     *("pose_topic", "command_topic", "path_topic", "pose_frame", "world_frame"),
-    *("wheel_joints", "wheels", "wheelbase", "goal", "time", "columns"),
+    *("robot", "wheel_joints", "wheels", "wheelbase", "goal", "time", "columns"),
 )
 """What the marker takes beside patterns: the fields of a `ReadChoice`, and whose code may run."""
 

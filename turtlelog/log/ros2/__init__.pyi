@@ -11,6 +11,11 @@ from .bag_metadata import (
 from .bag_reader import (
     read_bag as read_bag,
 )
+from .bag_robots import (
+    BagRobot as BagRobot,
+    find_robots as find_robots,
+    select_robot as select_robot,
+)
 from .bag_topics import (
     ACKERMANN_TYPES as ACKERMANN_TYPES,
     COMMAND_TYPES as COMMAND_TYPES,

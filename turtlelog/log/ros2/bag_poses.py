@@ -212,7 +212,8 @@ def _trace_poses(
     """Return poses of one frame in another as messages of a topic of their own."""
     topic = pick.topic.topic
     tree = read_tree(bag, topics, topic)
-    chosen = choose_frames(tree, robot=choice.pose_frame, world=choice.world_frame)
+    frames = {"robot": choice.pose_frame, "world": choice.world_frame}
+    chosen = choose_frames(tree, **frames, name=choice.robot)
     link, held = trace_frame(tree, chosen)
     unheld = np.zeros(len(link.time_ns), dtype=bool)
     for one in held:

@@ -46,8 +46,10 @@ from turtlelog.log.ros2.bag_commands import (
 )
 from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_references import Track, add_references
+from turtlelog.log.ros2.bag_robots import BagRobot, describe_robots, require_robot, select_robot
 from turtlelog.log.ros2.bag_samples import add_samples
 from turtlelog.log.ros2.bag_topics import (
+    TRANSFORMS,
     NoPosesError,
     Pick,
     describe_unread_topics,
@@ -83,13 +85,14 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             nothing tells which of several topics is meant.
     """
     choice, bag = ReadChoice(**options), open_bag(path)
-    distinct = bag.topics
     with _name_once(bag):
+        is_asked = choice.pose_topic is not None and choice.robot is None
+        distinct, robots = (bag.topics, ()) if is_asked else select_robot(bag.topics, choice.robot)
         try:
             source = find_poses(bag, distinct, choice)
         except NoPosesError as err:
             run = read_commands_alone(bag, distinct, choice, err)
-            return _note_chosen(run, bag, distinct)
+            return _note_chosen(_note_robots(run, robots, choice), bag, distinct)
         commands, lack = choose_commands(distinct, choice, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
@@ -101,7 +104,23 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         run = add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
             run = add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
-    return _note_chosen(run, bag, distinct)
+    return _note_chosen(_note_robots(run, robots, choice), bag, distinct)
+
+
+def _note_robots(run: Run, robots: Sequence[BagRobot], choice: ReadChoice) -> Run:
+    """Return a run with a note on the robots of its bag, and which of them it is.
+
+    Raises:
+        LogError: Where the one that was asked for is not it.
+    """
+    picks = (run.notes.get(name, "") for name in ("pose_topic", "command_topic"))
+    topic, _, frames = next(filter(None, picks)).partition(" (")
+    words = {*topic.split("/")[:-1]}
+    if choice.robot is not None and TRANSFORMS not in frames:
+        require_robot(choice.robot, topic, robots)
+    chosen = next((robot.name for robot in robots if robot.name in words), None)
+    notes = {"robots": describe_robots(robots, chosen)} if robots else {}
+    return replace(run, notes={**run.notes, **notes})
 
 
 def _note_chosen(run: Run, bag: Bag, topics: Sequence[TopicInfo]) -> Run:
@@ -132,6 +151,7 @@ def describe_chosen(notes: Mapping[str, str]) -> str:
     parts = [f"poses from {poses}" if poses else "no poses"]
     parts.append(f"commands from {command}" if command else "no commands")
     parts += [notes["commands"]] if "commands" in notes else []
+    parts += [f"robots {notes['robots']}"] if "robots" in notes else []
     parts += [f"path {notes['path']}"] if "path" in notes else []
     parts += [f"goal {notes['goal']}"] if "goal" in notes else []
     parts += [notes[NOT_UNDERSTOOD]] if NOT_UNDERSTOOD in notes else []

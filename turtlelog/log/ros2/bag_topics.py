@@ -139,7 +139,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
         return Pick(topic=_find_asked(held, asked, (*POSE_TYPES, JOINTS), "pose_topic"))
     present = _drop_unread(held)
     typed = [topic for topic in present if topic.type in POSE_TYPES]
-    usual = [topic for topic in typed if not _is_no_robot(topic.topic)]
+    usual = [topic for topic in typed if not is_another_thing(topic.topic)]
     fitting = _drop_two_types(usual, present)
     if not fitting:
         text, is_unread = _describe_no_poses(held, present)
@@ -200,7 +200,7 @@ def choose_command_topic(
         topic
         for topic in known
         if topic.topic not in _NO_COMMANDS
-        and not _MEASURED.search(_take_last(topic.topic))
+        and not is_measured(topic.topic)
         and not _is_measured_beside(topic.topic, pose_topic)
         and not _is_another_robots(topic.topic, pose_topic)
     ]
@@ -261,7 +261,7 @@ def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
         for topic in topics
         if topic.count
         and not topic.reason
-        and not _is_no_robot(topic.topic)
+        and not is_another_thing(topic.topic)
         and (not _ROS_TYPE.fullmatch(topic.type) or _POSE_LIKE.search(_take_last(topic.type)))
     ]
 
@@ -351,6 +351,11 @@ def _rank_commands(topic: str, pose_topic: str) -> tuple[int, ...]:
     return int(name == len(_COMMAND_NAMES)), near, name, depth
 
 
+def is_measured(topic: str) -> bool:
+    """Return whether the name of a topic says that its velocities were measured."""
+    return _MEASURED.search(_take_last(topic)) is not None
+
+
 def _is_measured_beside(topic: str, pose_topic: str) -> bool:
     """Return whether a velocity stands beside the poses, and is called no command."""
     home, last = _take_home(topic), _take_last(topic)
@@ -382,7 +387,8 @@ def _rank_name(topic: str, names: Sequence[re.Pattern[str]]) -> int:
     return next(fitting, len(names))
 
 
-def _is_no_robot(topic: str) -> bool:
+def is_another_thing(topic: str) -> bool:
+    """Return whether the name of a topic says that its poses are no robot's: a goal, a marker."""
     return _NO_ROBOT.search(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", topic).lower()) is not None
 
 
