@@ -148,7 +148,8 @@ def test_quaternions_give_the_heading_and_say_a_tilt(tmp_path: Path) -> None:
     run = read_run(write(tmp_path, header, *rows))
     assert run.poses.heading_rad == pytest.approx([0.8, 0.0], abs=1e-15)
     assert run.notes["plane"] == (
-        "the robot leaves the plane: its height varies by 0.5 m; only x, y and heading are kept"
+        "the robot leaves the plane: its height varies by 0.5 m (0 to 0.5 m); most metrics are"
+        " seen from above"
     )
     path = write(tmp_path, header, rows[0], (1, 0, 0, 0, 0, 0, 0, 0))
     with pytest.raises(LogError, match="line 3, column qw: expected a rotation of a length other"):

@@ -1,6 +1,6 @@
 """`turtlelog convert`: a run from one kind of file to another; what `import` and `export` were."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
@@ -151,6 +151,11 @@ def convert(
         for path, kind in kinds.items()
         if kind == "tum"
     ]
+    notes += [
+        f"{path} holds x, y and heading alone, without height and tilt; .csv and .parquet hold both"
+        for path, kind in kinds.items()
+        if run is not flatten_run(run) and kind not in {"csv", "parquet"}
+    ]
     if json:
         print_json(
             ConvertAnswer(
@@ -237,6 +242,7 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
         require_same_poses,
     )
 
+    run = flatten_run(run) if kind not in {"csv", "parquet"} else run
     with show_progress("writing"):
         if kind == "mcap":
             tl.write_recording(run, path)
@@ -256,3 +262,11 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
         is_run = kind in {"mcap", "rosbag2"}
         require_read_back(run, written, tl.read_run(path) if is_run else None)
     return written
+
+
+def flatten_run(run: "Run") -> "Run":
+    """Return a run without heights and tilts, which recordings do not hold; itself in the plane."""
+    poses = run.poses
+    if poses.height_m is None and poses.tilt_rad is None:
+        return run
+    return replace(run, poses=replace(poses, height_m=None, tilt_rad=None))

@@ -14,7 +14,7 @@ from turtlelog.log.error_boundary import name_file
 from turtlelog.log.importers.table_cells import Cells, Times, Values
 from turtlelog.log.importers.table_columns import Choice, choose_columns
 from turtlelog.log.importers.table_text import PlainTable, read_plain_table
-from turtlelog.log.planar import compute_heading, compute_tilt, describe_plane
+from turtlelog.log.planar import compute_heading, compute_tilt, describe_plane, lift_poses
 from turtlelog.log.read_choice import CHOSEN
 from turtlelog.log.ros2.bag_columns import separate_times, wrap_far_headings
 from turtlelog.remote.urls import make_path
@@ -114,6 +114,7 @@ def _build_run(path: Path, cells: Cells) -> Run:
             heading_rad=heading_rad,
             measured_speed_m_s=_keep_whole(poses.get("speed")),
             measured_turn_rate_rad_s=_keep_whole(poses.get("turn_rate")),
+            **lift_poses(poses.get("z"), poses.get("tilt")),
         ),
         commands=replace(commands, time_ns=commands.time_ns - start_ns),
         samples=SampleColumns.build_empty(),

@@ -13,7 +13,7 @@ from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo
-from turtlelog.log.planar import describe_plane
+from turtlelog.log.planar import describe_plane, lift_poses
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -194,7 +194,8 @@ def _build_run(
     """Return the run, and where the robot was by the recorder's clock."""
     poses = order_topic(found, source.topic, extract_poses)
     has_place = np.isfinite(poses.columns["x"]) & np.isfinite(poses.columns["y"])
-    unturned = int((has_place & np.isnan(poses.columns["heading"])).sum())
+    has_no_heading = has_place & np.isnan(poses.columns["heading"])
+    unturned, vertical = int(has_no_heading.sum()), _count_vertical(poses.columns, has_no_heading)
     poses, dropped = _drop_nan(poses, source.topic.topic)
     commands, dropped_commands = None, 0
     if command_pick is not None:
@@ -232,7 +233,8 @@ def _build_run(
         **rate_notes,
     }
     plane = describe_plane(columns.get("z"), columns.get("tilt"))
-    notes |= {} if plane is None else {"plane": plane}
+    if plane is not None or vertical:
+        notes["plane"] = f"{plane or 'the robot leaves the plane'}{_tell_vertical(vertical)}"
     notes |= {} if leaps is None else {"leaps": leaps}
     if command_pick is not None:
         notes |= note_pick("command_topic", command_pick)
@@ -249,6 +251,7 @@ def _build_run(
             measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
             sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
             sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
+            **lift_poses(columns.get("z"), columns.get("tilt")),
         ),
         commands=build_commands(commands, start_ns),
         samples=SampleColumns.build_empty(),
@@ -271,12 +274,31 @@ def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
     # How high it is and how it leans is only described, and few robots move sideways.
     needed = [name for name in columns if name not in {"z", "tilt", LATERAL}]
     kept, dropped = drop_not_finite(replace(rows, columns=columns), needed)
+    if not len(kept.time_ns) and _count_vertical(columns, np.isnan(columns["heading"])) == dropped:
+        raise LogError(
+            f"topic {topic}: the forward axis points up or down in all {dropped} poses: there is no"
+            " heading"
+        )
     if not len(kept.time_ns):
         raise LogError(
             f"topic {topic}: expected numbers in x, y and heading, found nan or infinity in all"
             f" {dropped} poses"
         )
     return kept, dropped
+
+
+def _count_vertical(columns: Mapping[str, Values], rows: NDArray[np.bool_]) -> int:
+    """Return how many of some poses have no heading as their forward axis points up or down."""
+    tilt_rad = columns.get("tilt")
+    # A quaternion that was never set has a tilt of 0.
+    return 0 if tilt_rad is None else int((tilt_rad[rows] > 0.0).sum())
+
+
+def _tell_vertical(count: int) -> str:
+    if not count:
+        return ""
+    which = "pose has" if count == 1 else "poses have"
+    return f"; left out: {count} {which} no heading, as the forward axis points up or down"
 
 
 def _note_dropped(poses: int, commands: int, unturned: int) -> dict[str, str]:
