@@ -11,7 +11,7 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.info import TopicInfo
 from turtlelog.log.read_choice import ReadChoice, parse_joints, parse_wheels
 from turtlelog.log.ros2.bag import Bag
-from turtlelog.log.ros2.bag_columns import find_pose_shape
+from turtlelog.log.ros2.bag_columns import POSITIONS, find_pose_shape
 from turtlelog.log.ros2.bag_topics import (
     FIX,
     JOINTS,
@@ -76,6 +76,8 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
     if asked and choice.pose_topic is None:
         return _trace_poses(bag, _pick_transforms(topics), topics, choice)
     pick = _pick(bag, topics, choice.pose_topic)
+    if choice.pose_topic is None and not asked:
+        pick = _pick_moving(bag, topics, pick)
     if pick.topic.type == TRANSFORMS:
         try:
             return _trace_poses(bag, pick, topics, choice)
@@ -145,7 +147,8 @@ def _pick_fix(topics: Collection[TopicInfo]) -> Pick | None:
 def note_pick(name: str, pick: Pick, more: str = "") -> dict[str, str]:
     """Return notes on a topic that was chosen, and on those that could have been meant."""
     others = {f"other_{name}s": list_names(pick.others)} if pick.others else {}
-    return {name: pick.describe() + more, **others}
+    still = {"still": f"{pick.still} never moves and was left out"} if pick.still else {}
+    return {name: pick.describe() + more, **others, **still}
 
 
 def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
@@ -188,6 +191,44 @@ def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> Pick:
             if _holds_poses(bag, topic.topic):
                 return Pick(topic=topic)
         raise
+
+
+_FEWEST_STILL: Final = 20
+"""Messages that are all alike of a topic that never moves: fewer may be a robot that waits."""
+
+
+def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> Pick:
+    """Return a topic of odometry, or of the same type as one that never moves, that moves.
+
+    Some robots publish an odometry of zeros beside one that is computed.
+    """
+    kind = pick.topic.type
+    if not pick.others or kind not in POSITIONS or not _is_still(bag, pick.topic):
+        return pick
+    named = {topic.topic: topic for topic in topics if topic.type in POSITIONS}
+    moving = [name for name in pick.others if name in named and not _is_still(bag, named[name])]
+    if not moving:
+        return pick
+    others = (pick.topic.topic, *(name for name in pick.others if name != moving[0]))
+    return Pick(topic=named[moving[0]], others=others, still=pick.topic.topic)
+
+
+def _is_still(bag: Bag, topic: TopicInfo) -> bool:
+    """Return whether the positions of a topic are all the same, to the last bit."""
+    if topic.count < _FEWEST_STILL or topic.reason:
+        return False
+    place = POSITIONS[topic.type]
+    try:
+        found = [file[topic.topic] for file in bag.read({topic.topic}) if topic.topic in file]
+        places = np.column_stack(
+            [
+                np.concatenate([np.asarray(columns.fields[f"{place}{name}"]) for columns in found])
+                for name in "xy"
+            ]
+        )
+    except (LogError, KeyError):
+        return False  # what is wrong is said where it is read
+    return bool((places == places[:1]).all())
 
 
 def _holds_poses(bag: Bag, topic: str) -> bool:

@@ -54,7 +54,13 @@ from turtlelog.log.ros2.bag_topics import (
     Pick,
     describe_unread_topics,
 )
-from turtlelog.log.ros2.reported_rates import LATERAL, judge_rates
+from turtlelog.log.ros2.reported_path import (
+    PATH_NOTE,
+    describe_paths,
+    describe_small_leaps,
+    measure_paths,
+)
+from turtlelog.log.ros2.reported_rates import LATERAL, SPEED, judge_rates
 from turtlelog.run import PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
@@ -208,12 +214,14 @@ def _build_run(
     )
     # Views: a second copy of x and y would take 16 bytes a pose.
     poses = replace(poses, columns={**poses.columns, **dict(zip("xy", track.xy_m.T, strict=True))})
-    leaps = describe_leaps(track.xy_m)
+    leaps = describe_leaps(track.xy_m) or describe_small_leaps(track.xy_m)
     times = time_rows(poses.stamps, None if commands is None else commands.stamps, choice.time)
     poses = poses.take(times.poses.rows, times.poses.time_ns)
     columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     if commands is not None:
         commands = commands.take(times.commands.rows, times.commands.time_ns)
+    reported = poses.columns if SPEED in columns else columns
+    paths = describe_paths(measure_paths(poses.time_ns, reported, _list_speeds(commands)))
     tables = [rows for rows in (poses, commands) if rows]
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
     time_ns, moved = separate_times(poses.time_ns - start_ns)
@@ -236,6 +244,7 @@ def _build_run(
     if plane is not None or vertical:
         notes["plane"] = f"{plane or 'the robot leaves the plane'}{_tell_vertical(vertical)}"
     notes |= {} if leaps is None else {"leaps": leaps}
+    notes |= {} if paths is None else {PATH_NOTE: _name_others(paths, source)}
     if command_pick is not None:
         notes |= note_pick("command_topic", command_pick)
     run = Run(
@@ -285,6 +294,20 @@ def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
             f" {dropped} poses"
         )
     return kept, dropped
+
+
+def _list_speeds(commands: OrderedRows | None) -> tuple[NDArray[np.int64], Values] | None:
+    """Return when commands were published, and the magnitudes of their velocities [m/s]."""
+    if commands is None:
+        return None
+    speed, lateral = commands.columns["speed"], commands.columns["lateral_speed"]
+    return commands.time_ns, np.hypot(speed, lateral)
+
+
+def _name_others(text: str, source: PoseSource) -> str:
+    """Return a sentence on poses that may be wrong with the topics that hold others."""
+    others = source.notes.get("other_pose_topics")
+    return text if others is None or "poses" not in text else f"{text}; others: {others}"
 
 
 def _count_vertical(columns: Mapping[str, Values], rows: NDArray[np.bool_]) -> int:

@@ -118,10 +118,12 @@ class Pick:
     Attributes:
         topic: The one.
         others: Names of those that could have been meant as well.
+        still: Name of the one that would have been chosen, but never moves; empty otherwise.
     """
 
     topic: TopicInfo
     others: tuple[str, ...] = ()
+    still: str = ""
 
     def describe(self) -> str:
         """Return its name and type."""
