@@ -1,7 +1,6 @@
 """The path by poses beside that by the reported speed: which is wrong where they differ."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,24 +13,25 @@ from tests.log.ros2.bags import START_NS, Said, make_vector
 from tests.log.ros2.robots import describe_head, describe_place, turn, write_robot
 from tests.log.runs import find_shared
 from turtlelog.log.ros2.reported_path import (
-    LATERAL,
     PATH_NOTE,
-    SPEED,
     describe_paths,
     describe_small_leaps,
     measure_paths,
 )
+from turtlelog.log.ros2.reported_rates import LATERAL, SPEED
 
 Values = NDArray[np.float64]
 COUNT, HZ = 401, 20.0
 TIME_NS = (np.arange(COUNT) * 1e9 / HZ).astype(np.int64)
 
 
-def drive(speed: float = 0.5, *, reported: float | None = 0.5, **changes: Any) -> dict[str, Values]:
+def drive(speed: float = 0.5, *, reported: float = 0.5) -> dict[str, Values]:
     """Return 20 s of a robot that goes straight ahead, and what it reports."""
-    columns = {"x": speed * TIME_NS / 1e9, "y": np.zeros(COUNT)}
-    columns |= {} if reported is None else {SPEED: np.full(COUNT, reported)}
-    return columns | changes
+    return {
+        "x": speed * TIME_NS / 1e9,
+        "y": np.zeros(COUNT),
+        SPEED: np.full(COUNT, reported),
+    }
 
 
 def tell(columns: dict[str, Values], commanded: float | None = None) -> str | None:
@@ -82,7 +82,7 @@ def test_a_short_way_is_not_judged() -> None:
 
 
 def test_a_robot_that_drives_sideways_reports_both_speeds() -> None:
-    assert tell(drive(reported=0.3, **{LATERAL: np.full(COUNT, 0.4)})) is None
+    assert tell(drive(reported=0.3) | {LATERAL: np.full(COUNT, 0.4)}) is None
 
 
 def test_an_odometry_of_zeros_is_more_likely_wrong_than_its_speed() -> None:
