@@ -269,6 +269,10 @@ def _write_report(
     """Write a report on the recordings that could be read, and the command that asks for it."""
     from turtlelog.cli.report import build_check_lines
 
+    bare = [file for file, run in runs.items() if not len(run.poses)]
+    runs = {file: run for file, run in runs.items() if file not in bare}
+    for file in bare:
+        print_note(f"{path}: {file} has commands alone, and a report needs poses")
     if not runs:
         print_note(f"{path}: no report: none of the recordings could be read")
         return
