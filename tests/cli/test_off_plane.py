@@ -8,7 +8,7 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
-from tests.log.ros2.bags import START_NS, Said
+from tests.log.ros2.bags import START_NS, Said, make_vector
 from tests.log.ros2.robots import Turn, describe_head, describe_place, write_robot
 
 STEP_NS = 50_000_000
@@ -40,6 +40,30 @@ def test_a_climb_is_measured_in_space(call: Call, tmp_path: Path) -> None:
     told = call("info", bag).flat
     assert "its height varies by 3 m (1 to 4 m) and it tilts by 36.9 to 36.9 deg" in told
     assert "path length in space 5 m" in call("metrics", bag).flat
+
+
+def test_a_drone_that_only_climbs_is_no_odometry_of_zeros(call: Call, tmp_path: Path) -> None:
+    twist = {"linear": make_vector(1.0), "angular": make_vector()}
+    said = [
+        Said(
+            topic="/odom",
+            type="nav_msgs/msg/Odometry",
+            time_ns=START_NS + row * STEP_NS,
+            values={
+                "header": describe_head("map"),
+                "child_frame_id": "base_link",
+                "pose": {
+                    "pose": describe_place(0.0, 0.0, (0.0, 0.0, 0.0, 1.0), 0.05 * row),
+                    "covariance": [0.0] * 36,
+                },
+                "twist": {"twist": twist, "covariance": [0.0] * 36},
+            },
+        )
+        for row in range(100)
+    ]
+    told = call("info", write_robot(tmp_path, said)).flat
+    assert "its height varies by 4.95 m" in told
+    assert "never move" not in told
 
 
 def test_a_robot_in_the_plane_has_no_metrics_in_space(call: Call, tmp_path: Path) -> None:

@@ -223,7 +223,8 @@ def _is_still(bag: Bag, topic: TopicInfo) -> bool:
         places = np.column_stack(
             [
                 np.concatenate([np.asarray(columns.fields[f"{place}{name}"]) for columns in found])
-                for name in "xy"
+                for name in "xyz"
+                if name != "z" or all(f"{place}z" in columns.fields for columns in found)
             ]
         )
     except (LogError, KeyError):

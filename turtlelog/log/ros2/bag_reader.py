@@ -220,8 +220,7 @@ def _build_run(
     columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     if commands is not None:
         commands = commands.take(times.commands.rows, times.commands.time_ns)
-    reported = poses.columns if SPEED in columns else columns
-    paths = describe_paths(measure_paths(poses.time_ns, reported, _list_speeds(commands)))
+    speeds = _list_speeds(commands)
     tables = [rows for rows in (poses, commands) if rows]
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
     time_ns, moved = separate_times(poses.time_ns - start_ns)
@@ -244,7 +243,11 @@ def _build_run(
     if plane is not None or vertical:
         notes["plane"] = f"{plane or 'the robot leaves the plane'}{_tell_vertical(vertical)}"
     notes |= {} if leaps is None else {"leaps": leaps}
-    notes |= {} if paths is None else {PATH_NOTE: _name_others(paths, source)}
+    if plane is None:
+        # A speed is of the robot's axes: of one that leaves the plane it is not that from above.
+        reported = poses.columns if SPEED in columns else columns
+        paths = describe_paths(measure_paths(poses.time_ns, reported, speeds))
+        notes |= {} if paths is None else {PATH_NOTE: _name_others(paths, source)}
     if command_pick is not None:
         notes |= note_pick("command_topic", command_pick)
     run = Run(
