@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -76,8 +76,9 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
     if asked and choice.pose_topic is None:
         return _trace_poses(bag, _pick_transforms(topics), topics, choice)
     pick = _pick(bag, topics, choice.pose_topic)
+    found: Found | None = None
     if choice.pose_topic is None and not asked:
-        pick = _pick_moving(bag, topics, pick)
+        pick, found = _pick_moving(bag, topics, pick)
     if pick.topic.type == TRANSFORMS:
         try:
             return _trace_poses(bag, pick, topics, choice)
@@ -91,15 +92,15 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
         raise LogError(
             f"{name}: expected poses from transforms, found {pick.describe()}, which are not"
         )
-    return _read_poses(bag, pick)
+    return _read_poses(bag, pick, found)
 
 
-def _read_poses(bag: Bag, pick: Pick) -> PoseSource:
-    """Return the messages of a topic that holds poses itself."""
+def _read_poses(bag: Bag, pick: Pick, found: Found | None) -> PoseSource:
+    """Return the messages of a topic that holds poses itself, if they were not read yet."""
     name = pick.topic.topic
     if pick.topic.type == JOINTS:
         raise LogError(f"pose_topic {pick.describe()}: {NEEDS_WHEELS}")
-    found = [*bag.read({name})]
+    found = [*bag.read({name})] if found is None else found
     notes = note_pick("pose_topic", pick)
     if pick.topic.type != FIX:
         frame = _read_frame(found, name)
@@ -197,39 +198,48 @@ _FEWEST_STILL: Final = 20
 """Messages that are all alike of a topic that never moves: fewer may be a robot that waits."""
 
 
-def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> Pick:
-    """Return a topic of odometry, or of the same type as one that never moves, that moves.
+def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> tuple[Pick, Found | None]:
+    """Return a topic that moves in place of one that never does, and its messages where read.
 
     Some robots publish an odometry of zeros beside one that is computed.
     """
-    kind = pick.topic.type
-    if not pick.others or kind not in POSITIONS or not _is_still(bag, pick.topic):
-        return pick
-    named = {topic.topic: topic for topic in topics if topic.type in POSITIONS}
-    moving = [name for name in pick.others if name in named and not _is_still(bag, named[name])]
-    if not moving:
-        return pick
-    others = (pick.topic.topic, *(name for name in pick.others if name != moving[0]))
-    return Pick(topic=named[moving[0]], others=others, still=pick.topic.topic)
+    if not pick.others or pick.topic.type not in POSITIONS:
+        return pick, None
+    first = _read_moving(bag, pick.topic)
+    if first is None or first.moves:
+        return pick, None if first is None else first.found
+    named = [topic for topic in topics if topic.topic in pick.others and topic.type in POSITIONS]
+    for other in named:
+        try:
+            read = _read_moving(bag, other)
+        except LogError:
+            continue  # nobody asked for it
+        if read is not None and read.moves:
+            others = (pick.topic.topic, *(name for name in pick.others if name != other.topic))
+            return Pick(topic=other, others=others, still=pick.topic.topic), read.found
+    return pick, first.found
 
 
-def _is_still(bag: Bag, topic: TopicInfo) -> bool:
-    """Return whether the positions of a topic are all the same, to the last bit."""
+class _Read(NamedTuple):
+    """Messages of a topic, and whether their positions differ, to the last bit."""
+
+    found: Found
+    moves: bool
+
+
+def _read_moving(bag: Bag, topic: TopicInfo) -> _Read | None:
+    """Return the messages of a topic and whether it moves; None where that cannot be told."""
     if topic.count < _FEWEST_STILL or topic.reason:
-        return False
-    place = POSITIONS[topic.type]
-    try:
-        found = [file[topic.topic] for file in bag.read({topic.topic}) if topic.topic in file]
-        places = np.column_stack(
-            [
-                np.concatenate([np.asarray(columns.fields[f"{place}{name}"]) for columns in found])
-                for name in "xyz"
-                if name != "z" or all(f"{place}z" in columns.fields for columns in found)
-            ]
-        )
-    except (LogError, KeyError):
-        return False  # what is wrong is said where it is read
-    return bool((places == places[:1]).all())
+        return None
+    place, found = POSITIONS[topic.type], [*bag.read({topic.topic})]
+    held = [file[topic.topic].fields for file in found if topic.topic in file]
+    names = [f"{place}{name}" for name in "xyz"]
+    columns = [
+        np.concatenate([np.asarray(fields[name]) for fields in held])
+        for name in names
+        if all(name in fields for fields in held)
+    ]
+    return _Read(found=found, moves=any((column != column[0]).any() for column in columns))
 
 
 def _holds_poses(bag: Bag, topic: str) -> bool:
