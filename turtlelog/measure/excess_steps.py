@@ -11,9 +11,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.measure.outliers import NEIGHBOURS, compute_median
 from turtlelog.run import PoseColumns
+from turtlelog.run.angles import subtract_headings
 
 Values = NDArray[np.float64]
 
