@@ -58,3 +58,6 @@ from .recovery import (
 from .ros2 import (
     read_bag as read_bag,
 )
+from .trajectories import (
+    read_trajectory as read_trajectory,
+)

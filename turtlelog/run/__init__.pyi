@@ -20,3 +20,6 @@ from .tables import (
     TABLES as TABLES,
     tabulate_run as tabulate_run,
 )
+from .trajectory import (
+    Trajectory as Trajectory,
+)
