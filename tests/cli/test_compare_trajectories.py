@@ -195,6 +195,58 @@ def test_rows_that_are_left_out_are_counted(call: Call, files: Sequence[Path]) -
 
 
 @pytest.mark.parametrize(
+    ("bound", "code"), [("< 0.17 and ate.rotation.rmse < 1", 0), ("< 0.15", 1), ("< 0.161", 1)]
+)
+def test_errors_in_space_are_checked(
+    call: Call, files: Sequence[Path], bound: str, code: int
+) -> None:
+    words = ("--expect", f"ate.position.rmse {bound}", "--reference", files[0])
+    found = call("check", files[1], *words)
+    assert found.code == code
+    if code:
+        assert "turtlelog compare estimate.tum --reference truth.tum --ate --plot" in found.flat
+
+
+def test_a_specification_says_how_trajectories_are_compared(
+    call: Call, files: Sequence[Path]
+) -> None:
+    text = """format = 1
+reference = "truth.tum"
+[trajectory]
+align = "sim3"
+rpe = "10frames"
+[checks.drift]
+expect = "ate.position.rmse < 0.05 and rpe.position.rmse < 0.06"
+"""
+    Path("spec.toml").write_text(text)
+    assert call("check", "spec.toml", files[1]).code == 0
+    for change, expected in (
+        (("sim3", "sim4"), "trajectory.align: unknown name"),
+        (("10frames", "ten"), "trajectory.rpe: ten: must be a length"),
+        (
+            ('align = "sim3"', "max_difference_s = -1"),
+            "trajectory.max_difference_s: expected a time",
+        ),
+        (('align = "sim3"', "all_pairs = 1"), "trajectory.all_pairs: expected true or false"),
+        (('align = "sim3"', "gap = 1"), "trajectory.gap: unknown"),
+        (('reference = "truth.tum"', ""), "ate.position.rmse needs a trajectory that is true"),
+        (("truth.tum", "other.tum"), "other.tum: no such file"),
+    ):
+        Path("spec.toml").write_text(text.replace(*change))
+        found = call("check", "spec.toml", files[1])
+        assert found.code == 2
+        assert expected in found.err
+
+
+def test_an_error_that_cannot_be_measured_is_undecided(call: Call, files: Sequence[Path]) -> None:
+    write_tum(Path("late.tum"), replace(ESTIMATE, time_ns=ESTIMATE.time_ns + 10**12))
+    words = ("--expect", "ate.position.rmse < 100", "--reference", files[0])
+    found = call("check", "late.tum", *words)
+    assert found.code == 1
+    assert "their times do not overlap" in found.flat
+
+
+@pytest.mark.parametrize(
     ("words", "expected"),
     [
         (("--ate",), "--ate: needs --reference FILE"),

@@ -74,8 +74,8 @@ def read_trajectory(
     bag = _open_bag(file)
     is_own = bag is not None and any(info.format_version is not None for info in bag.infos.values())
     # A recording of turtlelog's is read as a run; a topic of it that is named, as that of any bag.
-    if bag is not None and (topic is not None or not is_own):
-        asked = choice if topic is None else replace(choice, pose_topic=topic)
+    asked = choice if topic is None else replace(choice, pose_topic=topic)
+    if bag is not None and (asked.pose_topic is not None or not is_own):
         found = _read_bag(bag, asked, names_topic=topic is not None)
         if found is not None:
             return found

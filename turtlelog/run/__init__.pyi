@@ -22,4 +22,5 @@ from .tables import (
 )
 from .trajectory import (
     Trajectory as Trajectory,
+    build_planar_trajectory as build_planar_trajectory,
 )
