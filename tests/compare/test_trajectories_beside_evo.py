@@ -12,10 +12,11 @@ from typing import Final
 import numpy as np
 import pytest
 
+import turtlelog as tl
 from tests.compare.trajectories import disturb, make_trajectory, write_tum
 from turtlelog.compare import Delta, TrajectorySettings, compare_trajectories, parse_delta
 from turtlelog.compare.trajectory_comparison import STATISTICS, AlignIn
-from turtlelog.log import read_trajectory
+from turtlelog.log import export_rosbag2, read_trajectory
 from turtlelog.run.trajectory import Trajectory
 
 _VERSION: Final = "evo==1.38.1"
@@ -151,3 +152,23 @@ def test_alignment_in_the_plane_equals_that_of_evo_for_planar_poses(
                 programs, tmp_path, "evo_ape", "tum", *map(str, files), flag, "-r", relation
             )
             assert error.statistics.rmse == pytest.approx(theirs["rmse"], abs=1e-9)
+
+
+@pytest.mark.thorough
+def test_evo_reads_the_odometry_of_a_converted_run(programs: Path, tmp_path: Path) -> None:
+    """A program of its own reads the bag."""
+    run = tl.simulate_run(tl.load_scenario("paper-kp4"))
+    export_rosbag2(run, tmp_path / "bag", shares_poses=True)
+    words = [programs / "evo_traj", "bag2", tmp_path / "bag", "/odom", "--save_as_tum"]
+    subprocess.run(
+        [*map(str, words)],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+        timeout=120,
+        env={**os.environ, "HOME": str(tmp_path)},
+    )
+    (file,) = tmp_path.glob("*.tum")
+    found = read_trajectory(file)
+    assert found.time_ns.tolist() == run.poses.time_ns.tolist()
+    assert np.abs(found.xyz_m[:, :2] - run.poses.xy_m).max() < 1e-9

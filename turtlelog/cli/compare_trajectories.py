@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple
 
 import numpy as np
 from cyclopts import Group, Parameter
@@ -140,7 +140,7 @@ class TrajectoryOptions:
         return offset_s
 
 
-_LONGEST_S = 4e9
+_LONGEST_S: Final = 4e9
 """Times since 1970 are below, and in nanoseconds fit 64 bits."""
 
 
@@ -262,14 +262,13 @@ def _describe(one: "TrajectoryComparison") -> list[str]:
 def _format(statistics: "ErrorStatistics | None", unit: str) -> str:
     if statistics is None:
         return "-"
-    tiny = _TINY_M if unit == "m" else _TINY_RAD
-    if 0.0 < statistics.rmse < tiny:
-        return f"below {format_short(tiny, unit)}"
+    if 0.0 < statistics.rmse < _TINY:
+        return "below 1e-6 mm" if unit == "m" else "below 1e-7 deg"
     return format_short(statistics.rmse, unit)
 
 
-_TINY_M, _TINY_RAD = 1e-9, 1e-9
-"""Errors below are of rounding: text with nine decimals ends there."""
+_TINY: Final = 1e-9
+"""Errors below are of rounding [m, rad]: text with nine decimals ends there."""
 
 
 def _describe_alignment(one: "TrajectoryComparison") -> str:

@@ -59,6 +59,8 @@ class TableOptions:
         table: Which table to write; otherwise a file holds the poses, and a folder all tables.
         sort: Sort the rows of a paper's log by time and drop exact duplicates, and count both,
             instead of refusing them.
+        own_topics: Leave /odom, /tf and /path out of a recording or bag, in which the poses stand
+            once more for other programs.
         recover: Copy every message that a damaged or unfinished recording still holds into a
             complete .mcap, or a bag into a new folder.
     """
@@ -68,6 +70,7 @@ class TableOptions:
     ] = None
     table: _TableName | None = None
     sort: bool = False
+    own_topics: Annotated[bool, Parameter(negative=())] = False
     recover: bool = False
 
 
@@ -106,6 +109,9 @@ def convert(
     folder, for ROS 2 or for one file per table. Every file is read back and compared before the
     command answers. A file replaces one that is there, a folder has to be new.
 
+    A recording and a bag also have the poses as /odom, /tf and /path, for Rerun, RViz, evo and
+    their like; what reads them back passes over these.
+
     What the source does not hold is listed as absent, never made up. A recording, a bag and a
     folder of Parquet files hold the whole run. CSV holds its rows, without scenario, goal and
     loops: converted back it makes a run that lacks these.
@@ -139,6 +145,8 @@ def convert(
         for path in written:  # what stands, though another does not
             print_note(f"wrote {path}")
         raise
+    from turtlelog.log.recording.shared_topics import list_unshared
+
     kept = {name: text for name, text in run.notes.items() if name != tl.log.CHOSEN}
     notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items()]
     notes += [
@@ -151,6 +159,8 @@ def convert(
         for path, kind in kinds.items()
         if kind == "tum"
     ]
+    if {"mcap", "rosbag2"} & {*kinds.values()} and not tables.own_topics:
+        notes += list_unshared(run)
     if json:
         print_json(
             ConvertAnswer(
@@ -239,10 +249,10 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
 
     with show_progress("writing"):
         if kind == "mcap":
-            tl.write_recording(run, path)
+            tl.write_recording(run, path, shares_poses=not tables.own_topics)
             written: tuple[Path, ...] = (path,)
         elif kind == "rosbag2":
-            written = tl.log.export_rosbag2(run, path)
+            written = tl.log.export_rosbag2(run, path, shares_poses=not tables.own_topics)
         elif kind == "tum":
             written = tl.log.export_tum(run, path)
         elif kind == "csv":

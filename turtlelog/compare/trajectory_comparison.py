@@ -63,7 +63,8 @@ class TrajectorySettings:
     Attributes:
         align: Transformation of the estimate that is fitted: none; that of the first poses
             (origin); a rotation and shift in the plane (se2) or in space (se3), with a scale (sim2,
-            sim3). None: se3 if both trajectories are in space, otherwise se2.
+            sim3). None: se3 if both trajectories are in space and one leaves the horizontal plane,
+            otherwise se2.
         interpolates: Whether the trajectory with more poses is interpolated at the times of the
             other. Otherwise each pose takes the nearest in time.
         most_apart_s: Largest difference in time between two poses that belong together [s].
@@ -226,7 +227,8 @@ def compare_trajectories(
 def _choose_align(reference: Trajectory, estimate: Trajectory, asked: AlignIn | None) -> AlignIn:
     planar = [one.name for one in (estimate, reference) if one.space == "plane"]
     if asked is None:
-        return "se2" if planar else "se3"
+        # Of two flat trajectories both alignments are one, but a line leaves that in space open.
+        return "se2" if planar or (_is_flat(estimate) and _is_flat(reference)) else "se3"
     if asked not in ALIGN_IN:
         raise CompareError(f"align: expected {suggest_names(asked, ALIGN_IN)}, found {asked!r}")
     if asked in {"se3", "sim3"} and planar:
@@ -235,6 +237,17 @@ def _choose_align(reference: Trajectory, estimate: Trajectory, asked: AlignIn | 
             f" take {asked[:-1]}2"
         )
     return asked
+
+
+def _is_flat(trajectory: Trajectory) -> bool:
+    """Return whether a robot stays in a horizontal plane, upright."""
+    turns = trajectory.orientation_quat_wxyz
+    tilt_rad = 2.0 * np.hypot(turns[:, 1], turns[:, 2]).max()
+    return bool(np.ptp(trajectory.xyz_m[:, 2]) <= _FLAT_M and tilt_rad <= _FLAT_RAD)
+
+
+_FLAT_M, _FLAT_RAD = 1e-6, 1e-6
+"""Heights and tilts that are rounding: text has six digits at least."""
 
 
 def _associate(

@@ -217,7 +217,8 @@ def _read_bag(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory 
         time_ns, clock = _choose_times(rows, choice)
         xyz_m, turns = np.concatenate(rows.xyz_m), np.concatenate(rows.turns)
         turns[(turns**2).sum(axis=1) == 0.0] = np.nan
-        turns[time_ns <= 0] = np.nan  # never stamped
+        never = time_ns <= 0
+        turns[never if never.sum() > 1 else []] = np.nan  # a simulation begins at 0, once
         name = bag.path.name if bag.path.is_dir() else bag.path.stem
         notes = {CHOSEN: f"poses from {source.notes['pose_topic']}", "timed_by": clock}
         found = _build(
