@@ -1,23 +1,25 @@
 """Run -> the topics by which other programs know a robot: /odom, /tf and /path."""
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.log.alike_messages import PackedItems, lay_out_alike
+from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.recording.topics import ODOMETRY, PATH, TRANSFORMS, Topic
+from turtlelog.log.recording.topics import ODOMETRY, PATH, SCHEMAS, TRANSFORMS, Topic
 from turtlelog.run import PoseColumns, Run
 
 WORLD: Final = "world"
 ROBOT: Final = "turtle1"
 """Frames as in the tutorials of tf2, where a broadcaster sends turtlesim's poses."""
 
-MOST_SHARED: Final = 200_000
-"""Poses that are written once more: an odometry has 720 bytes, most of them covariances, so these
-take 150 MB while they are written. At 62.5 Hz it is a drive of 53 minutes."""
-
+MOST_SHARED: Final = 100_000
+"""Poses that are written once more: an odometry has 720 bytes, most of them covariances, and with
+the transforms so many take 160 MB while they are written. At 62.5 Hz it is a drive of 27 minutes.
+"""
 
 _LATEST_NS: Final = 2**31 * 1_000_000_000
 """Seconds of a stamp have 32 bits."""
@@ -31,37 +33,57 @@ def build_shared_messages(run: Run) -> tuple[TopicColumns, ...]:
     poses = run.poses
     if not can_share(run):
         return ()
-    stamps = divmod(poses.time_ns, 1_000_000_000)
-    x_m, y_m = poses.xy_m.T
+    stamp = divmod(poses.time_ns, 1_000_000_000)
     half_rad = poses.heading_rad / 2.0
-    place = {"x": x_m, "y": y_m}
+    place = dict(zip("xy", poses.xy_m.T, strict=True))
     turn = {"z": np.sin(half_rad), "w": np.cos(half_rad)}
-    head = {"header.stamp.sec": stamps[0], "header.stamp.nanosec": stamps[1]}
+    head = _list_head(stamp)
+    child = np.full(len(poses), ROBOT, dtype=object)
+    rates = zip(("twist.twist.linear.x", "twist.twist.angular.z"), read_rates(run), strict=True)
     odometry = {
         **head,
-        **_name_all("header.frame_id", WORLD, poses),
-        **_name_all("child_frame_id", ROBOT, poses),
-        **{f"pose.pose.position.{name}": values for name, values in place.items()},
-        **{f"pose.pose.orientation.{name}": values for name, values in turn.items()},
-        **dict(
-            zip(("twist.twist.linear.x", "twist.twist.angular.z"), read_rates(run), strict=True)
-        ),
+        "child_frame_id": child,
+        **_prefix("pose.pose.position.", place),
+        **_prefix("pose.pose.orientation.", turn),
+        **dict(rates),
     }
-    rows = [*_list_poses(head, place, turn)]
-    transforms = np.empty(len(rows), dtype=object)
-    transforms[:] = [[_describe_transform(row)] for row in rows]
-    path = np.empty(1, dtype=object)
-    path[0] = [_describe_pose(row) for row in rows]
-    last = {name: values[-1:] for name, values in head.items()}
+    transform = {
+        **head,
+        "child_frame_id": child,
+        **_prefix("transform.translation.", place),
+        **_prefix("transform.rotation.", turn),
+    }
+    pose = {**head, **_prefix("pose.position.", place), **_prefix("pose.orientation.", turn)}
+    path = {name: values[-1:] for name, values in head.items()}
+    path["poses"] = np.array([_pack_poses(pose, len(poses))], dtype=object)
     return (
         _collect(ODOMETRY, poses.time_ns, odometry),
-        _collect(TRANSFORMS, poses.time_ns, {"transforms": transforms}),
-        _collect(
-            PATH,
-            poses.time_ns[-1:],
-            {**last, "header.frame_id": np.array([WORLD], dtype=object), "poses": path},
-        ),
+        _collect(TRANSFORMS, poses.time_ns, _prefix("transforms.0.", transform)),
+        _collect(PATH, poses.time_ns[-1:], path),
     )
+
+
+def _list_head(stamp: tuple[NDArray[np.int64], NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
+    return {
+        "header.stamp.sec": stamp[0],
+        "header.stamp.nanosec": stamp[1],
+        "header.frame_id": np.full(len(stamp[0]), WORLD, dtype=object),
+    }
+
+
+def _prefix(prefix: str, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {prefix + name: values for name, values in columns.items()}
+
+
+def _pack_poses(columns: Mapping[str, NDArray[Any]], rows: int) -> PackedItems:
+    """Return stamped poses as the items of one message."""
+    kind = "geometry_msgs/msg/PoseStamped"
+    layout = lay_out_alike(read_type(kind, SCHEMAS[kind]).fields, columns)
+    assert layout is not None
+    assert not layout.size % 8  # the next one begins as the first
+    codes = {name: f"<{code}" for name, code, *_ in layout.numbers}
+    numbers = {name: columns[name].astype(codes[name]) for name in columns.keys() & codes.keys()}
+    return PackedItems(rows, layout.fill(rows, numbers).tobytes())
 
 
 def can_share(run: Run) -> bool:
@@ -105,32 +127,6 @@ def _find_signs(poses: PoseColumns) -> NDArray[np.float64]:
         step_m * np.column_stack([np.cos(poses.heading_rad), np.sin(poses.heading_rad)])
     ).sum(axis=1)
     return np.where(along_m < 0.0, -1.0, 1.0)
-
-
-def _name_all(field: str, text: str, poses: PoseColumns) -> dict[str, NDArray[Any]]:
-    return {field: np.full(len(poses), text, dtype=object)}
-
-
-def _list_poses(*parts: dict[str, NDArray[Any]]) -> Iterator[tuple[Any, ...]]:
-    """Yield seconds, nanoseconds, x, y and the quaternion's z and w of each pose."""
-    yield from zip(*(values.tolist() for part in parts for values in part.values()), strict=True)
-
-
-def _describe_head(row: tuple[Any, ...]) -> dict[str, Any]:
-    sec, nanosec = row[:2]
-    return {"header.stamp.sec": sec, "header.stamp.nanosec": nanosec, "header.frame_id": WORLD}
-
-
-def _describe_transform(row: tuple[Any, ...]) -> dict[str, Any]:
-    names = ("translation.x", "translation.y", "rotation.z", "rotation.w")
-    values = dict(zip((f"transform.{name}" for name in names), row[2:], strict=True))
-    return {**_describe_head(row), "child_frame_id": ROBOT, **values}
-
-
-def _describe_pose(row: tuple[Any, ...]) -> dict[str, Any]:
-    names = ("position.x", "position.y", "orientation.z", "orientation.w")
-    values = dict(zip((f"pose.{name}" for name in names), row[2:], strict=True))
-    return {**_describe_head(row), **values}
 
 
 def _collect(
