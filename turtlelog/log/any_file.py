@@ -9,6 +9,7 @@ from turtlelog.errors import LogError
 from turtlelog.log import importers, recording, ros2
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
 from turtlelog.log.engine.framing import MCAP0_MAGIC
+from turtlelog.log.engine.opening import ROS1_MAGIC
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.info import RecordingInfo, read_info
@@ -124,7 +125,7 @@ def _list_options(choice: ReadChoice) -> ReadOptions:
     return cast("ReadOptions", {name: getattr(choice, name) for name in _OPTIONS})
 
 
-_MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC)
+_MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, ROS1_MAGIC)
 _OPTIONS: Final = tuple(ReadOptions.__annotations__)
 
 

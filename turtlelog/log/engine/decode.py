@@ -96,6 +96,23 @@ def unpack_messages(
     return replace(block, data=bytes(unpacked), offsets={}, rest=()), new_starts
 
 
+def rewrite_ros1(plan: TopicPlan, block: Block, starts: Offsets) -> tuple[Block, Offsets]:
+    """Return messages of ROS 1 as CDR, others as they are.
+
+    Raises:
+        LogError: Where one is not of the topic's type.
+    """
+    if not plan.is_ros1:
+        return block, starts
+    from turtlelog.log.engine.ros1_messages import convert_ros1  # few files need it
+
+    try:
+        data, places = convert_ros1(plan.fields, block.data, starts)
+    except LogError as err:
+        raise LogError(f"{block.unit} {block.byte}: topic {plan.topic}: {err}") from err
+    return replace(block, data=data, offsets={}, rest=()), places
+
+
 class FixedColumns:
     """Columns of a topic whose messages have one size."""
 

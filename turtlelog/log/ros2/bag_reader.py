@@ -52,6 +52,9 @@ NOT_READ: Final = "not_read"
 NOT_UNDERSTOOD: Final = "not_understood"
 """Note on topics of poses, commands, goals or paths that cannot be read."""
 
+_STORAGES: Final = {".mcap": "mcap", ".bag": "rosbag1"}
+"""How a run says what it was read of, by the ending of a lone file."""
+
 _NEVER_IN_BAGS: Final = (
     *("samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"),
 )
@@ -206,7 +209,7 @@ def _build_run(
         notes |= note_pick("command_topic", command_pick)
     run = Run(
         name=name if path.is_dir() else strip_suffixes(path),
-        source=f"{'mcap' if path.suffix == '.mcap' else 'rosbag2'}: {name}",
+        source=f"{_STORAGES.get(path.suffix, 'rosbag2')}: {name}",
         poses=PoseColumns(
             time_ns=time_ns,
             xy_m=np.column_stack([columns["x"], columns["y"]]),
