@@ -1,6 +1,6 @@
 """The channels of a file -> its topics, and how the messages of each become columns."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
@@ -29,6 +29,7 @@ _SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         MessageEncoding.CDR: (SchemaEncoding.ROS2, "ros2idl", "omgidl", ""),
         MessageEncoding.JSON: (SchemaEncoding.JSONSchema,),
         MessageEncoding.ROS1: (SchemaEncoding.ROS1,),
+        MessageEncoding.Protobuf: (SchemaEncoding.Protobuf,),
     }
 )
 """Encodings of schemas, by that of the messages that they define."""
@@ -42,6 +43,23 @@ _NUMBER, _TEXT, _SEQUENCE = 8, 72, 200  # bytes; texts and sequences are objects
 _NUMBERS: Final = frozenset({"boolean", "integer", "number"})
 
 
+Decode = Callable[[int, bytes], dict[str, Any]]
+"""Makes an object of a message, whose number it names in errors."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectType:
+    """A type whose messages are read as objects.
+
+    Attributes:
+        fields: What each holds.
+        decode: What makes an object of a message; None of JSON.
+    """
+
+    fields: tuple[JsonField, ...]
+    decode: Decode | None = None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicPlan:
     """How the messages of a topic are read.
@@ -53,7 +71,9 @@ class TopicPlan:
         fields: Of the type.
         layout: Of the type; None where its messages differ in size.
         sequence: Dotted name of a sequence of texts or messages in the type, None without one.
-        json: What each message holds, where messages are in JSON; None where they are in CDR.
+        json: What each message holds, where messages are in JSON or protobuf; None where they are
+            in CDR.
+        decode: What makes an object of a message in protobuf; None of one in JSON.
         is_ros1: Whether messages are as ROS 1 writes them, and become CDR before they are read.
     """
 
@@ -64,6 +84,7 @@ class TopicPlan:
     layout: Layout | None = None
     sequence: str | None = None
     json: tuple[JsonField, ...] | None = None
+    decode: Decode | None = None
     is_ros1: bool = False
 
     def describe_reason(self) -> str:
@@ -101,7 +122,7 @@ class Catalogue:
         self.allowance = allowance
         self._plans: dict[str, TopicPlan] = {}
         self._of_topics: dict[str, list[Channel]] = {}
-        self._types: dict[int, MessageType | tuple[JsonField, ...] | str] = {}
+        self._types: dict[int, MessageType | ObjectType | str] = {}
         self._readings: dict[tuple[int, str], dict[str, Any]] = {}
 
     @property
@@ -240,10 +261,10 @@ class Catalogue:
                     "sequence": described.sequence,
                     "is_ros1": encoding == MessageEncoding.ROS1,
                 }
-            case fields:
-                return {**found, "json": fields}
+            case described:
+                return {**found, "json": described.fields, "decode": described.decode}
 
-    def _read_type(self, schema: Schema) -> MessageType | tuple[JsonField, ...] | str:
+    def _read_type(self, schema: Schema) -> MessageType | ObjectType | str:
         """Return the type, or why there is none."""
         if schema.id not in self._types:
             try:
@@ -283,12 +304,12 @@ def _measure_field(field: Field) -> int:
     return _measure(field.kind)
 
 
-def _parse(schema: Schema, allowance: Allowance) -> MessageType | tuple[JsonField, ...]:
+def _parse(schema: Schema, allowance: Allowance) -> MessageType | ObjectType:
     allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
-    if schema.encoding == SchemaEncoding.JSONSchema:
-        fields = read_json_schema(schema.name, schema.data)
-        allowance.spend(FIELDS, len(fields))
-        return fields
+    if schema.encoding in {SchemaEncoding.JSONSchema, SchemaEncoding.Protobuf}:
+        described = _describe_objects(schema)
+        allowance.spend(FIELDS, len(described.fields))
+        return described
     if schema.encoding == SchemaEncoding.ROS1:
         from turtlelog.log.engine.ros1_messages import read_ros1_type  # few files need it
 
@@ -304,6 +325,15 @@ def _parse(schema: Schema, allowance: Allowance) -> MessageType | tuple[JsonFiel
         found = read_type(schema.name, known)
     allowance.spend(FIELDS, found.size)
     return found
+
+
+def _describe_objects(schema: Schema) -> ObjectType:
+    if schema.encoding == SchemaEncoding.JSONSchema:
+        return ObjectType(fields=read_json_schema(schema.name, schema.data))
+    from turtlelog.log.engine.protobuf_messages import read_protobuf_type  # few files need it
+
+    found = read_protobuf_type(schema.name, schema.data)
+    return ObjectType(fields=tuple(found.list_fields()), decode=found.decode)
 
 
 def _read_text(schema: Schema, known: str | None) -> str:

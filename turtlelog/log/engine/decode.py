@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
-from turtlelog.log.engine.channels import TopicPlan
+from turtlelog.log.engine.channels import Decode, TopicPlan
 from turtlelog.log.engine.chunks import ZSTD_MAGIC, unpack_chunk
 from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.json_messages import JsonField, decode_json
+from turtlelog.log.engine.json_messages import JsonField, decode_objects
 from turtlelog.log.engine.limits import UNPACKED, Allowance
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
@@ -53,7 +53,7 @@ def read_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     """
     try:
         if plan.json is not None:
-            return _read_json(plan.json, block, starts)
+            return _read_objects(plan.json, plan.decode, block, starts)
         if plan.layout is None:
             return _read_differing(plan, block, starts)
         return _read_fixed(plan.layout, block.data, starts)
@@ -269,7 +269,9 @@ def _read_differing(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     return columns
 
 
-def _read_json(fields: Sequence[JsonField], block: Block, starts: Offsets) -> Rows:
+def _read_objects(
+    fields: Sequence[JsonField], decode: Decode | None, block: Block, starts: Offsets
+) -> Rows:
     heads = gather_heads(block.data, starts)
     ends = starts + RECORD.size + heads["length"].astype(np.int64)
     _check_times(heads["log_time"], heads["publish_time"])
@@ -281,7 +283,7 @@ def _read_json(fields: Sequence[JsonField], block: Block, starts: Offsets) -> Ro
         LOG_TIME: heads["log_time"].astype(np.int64),
         PUBLISH_TIME: heads["publish_time"].astype(np.int64),
         SEQUENCE: heads["sequence"].astype(np.uint32),
-        **decode_json(fields, messages),
+        **decode_objects(fields, messages, decode),
     }
 
 
