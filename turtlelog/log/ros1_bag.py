@@ -47,6 +47,10 @@ _BZ2_BYTES: Final = (48 * 2**20, 8.0)
 """Bytes that may be unpacked by bz2, likewise: 30 MB take 1 s, those of a bag of 10 MB some 4 s.
 Messages of robots pack to a fifth or a tenth."""
 
+_LARGEST_CHUNK: Final = (2**25, 1.0)
+"""Bytes of a chunk, likewise: a message as large as it stands in memory four times. The recorder
+closes a chunk at 768 kB, so it is larger only for one large message."""
+
 _MOST_CONNECTIONS: Final = 2**16 - 1
 
 
@@ -60,6 +64,7 @@ class _Copy:
 
     file: McapFile
     allowance: Allowance
+    largest_chunk: int
     messages_left: int
     bz2_left: int
     channels: dict[int, tuple[Schema, Channel]] = field(default_factory=dict)
@@ -109,6 +114,7 @@ def copy_ros1_bag(stream: BinaryIO, place: Path, stored_size: int) -> None:
         copy = _Copy(
             file,
             allowance,
+            largest_chunk=grow_bound(_LARGEST_CHUNK, stored_size),
             messages_left=grow_bound(_MESSAGES, stored_size),
             bz2_left=grow_bound(_BZ2_BYTES, stored_size),
         )
@@ -167,7 +173,7 @@ def _take_inner(copy: _Copy, operation: int, header: Mapping[str, bytes], data: 
 def _unpack(copy: _Copy, header: Mapping[str, bytes], data: bytes) -> bytes:
     compression = header.get("compression", b"none").decode(errors="replace")
     claimed: int = _LENGTH.unpack(_find(header, "size", 4))[0]
-    largest, spend = copy.allowance.largest_chunk, partial(copy.allowance.spend, UNPACKED_FILE)
+    largest, spend = copy.largest_chunk, partial(copy.allowance.spend, UNPACKED_FILE)
     if compression == "bz2":
         found = _unpack_bz2(data, min(largest, copy.bz2_left))
         copy.bz2_left -= len(found)
