@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError, RunError
+from turtlelog.files.urls import RemotePath
 from turtlelog.log import importers
 from turtlelog.log.any_file import LOG_SUFFIXES, is_bag_file, read_as_chosen
 from turtlelog.log.error_boundary import name_file, open_file
@@ -22,7 +23,6 @@ from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_columns import PoseShape, find_pose_shape
 from turtlelog.log.ros2.bag_poses import find_poses
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock, read_stamps
-from turtlelog.remote.urls import RemotePath
 from turtlelog.run.trajectory import (
     Trajectory,
     build_planar_trajectory,
