@@ -104,10 +104,6 @@ from .log import (
     recover_recording as recover_recording,
     write_recording as write_recording,
 )
-from .loops import (
-    ControlLoop as ControlLoop,
-    Declaration as Declaration,
-)
 from .measure import (
     METRICS as METRICS,
     SIGNALS as SIGNALS,
@@ -127,6 +123,10 @@ from .run import (
     Run as Run,
     SampleColumns as SampleColumns,
 )
+from .run.loops import (
+    ControlLoop as ControlLoop,
+    Declaration as Declaration,
+)
 from .scenario import (
     PRESETS as PRESETS,
     Scenario as Scenario,
@@ -141,7 +141,7 @@ from .simulate import (
 from .sweep import (
     sweep_scenario as sweep_scenario,
 )
-from .tune import (
+from .sweep.tune import (
     tune_scenario as tune_scenario,
 )
 from .version import __version__ as __version__

@@ -9,7 +9,7 @@ import pytest
 import turtlelog as tl
 from turtlelog.errors import ScenarioError
 from turtlelog.laws.open_loop import MOST_ROWS
-from turtlelog.paths import MOST_POINTS
+from turtlelog.run.paths import MOST_POINTS
 from turtlelog.scenario import PAPER_RUNS, load_scenario, parse_scenario, replay_commands
 
 LAW = '[law]\nkind = "open-loop"\nfile = "commands.csv"\n'

@@ -38,12 +38,12 @@ from turtlelog.cli.scenario_options import (
 from turtlelog.cli.targets import require_new_target
 from turtlelog.cli.watch import describe_change, list_watched, watch_runs
 from turtlelog.errors import SimulationError, UsageError
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
     from turtlelog.draw.rerun.viewer import ViewerProcess
-    from turtlelog.runner import Sink
+    from turtlelog.log.live_run import Sink
     from turtlelog.simulate import Tick
 
 ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]

@@ -29,7 +29,7 @@ from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_cha
 from turtlelog.cli.targets import require_new_target
 from turtlelog.display import describe_count, format_short
 from turtlelog.errors import SweepError, UsageError
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog.sweep import RowRecords, Sampling, Sweep, SweepPlan, SweepSummary
@@ -85,7 +85,7 @@ class PlanOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TableOptions:
+class SweepTableOptions:
     """What is written.
 
     Attributes:
@@ -136,7 +136,7 @@ def sweep(
     base: ScenarioWord = None,
     /,
     *,
-    table: TableOptions,
+    table: SweepTableOptions,
     plan: PlanOptions | None = None,
     options: LawOptions | None = None,
     work: SweepOptions | None = None,
@@ -195,7 +195,7 @@ def _tell_late(late: str) -> None:
 
 def _prepare(
     base: str | None,
-    table: TableOptions,
+    table: SweepTableOptions,
     plan: PlanOptions,
     options: LawOptions | None,
     work: SweepOptions,

@@ -22,11 +22,11 @@ from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_cha
 from turtlelog.cli.targets import require_new_target
 from turtlelog.cli.tune_answer import Answer, build_answer, format_answer
 from turtlelog.errors import UsageError
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog.scenario import Scenario
-    from turtlelog.tune import Candidates, SearchedKey, TuningGoal, Variation
+    from turtlelog.sweep.tune import Candidates, SearchedKey, TuningGoal, Variation
 
 _MOST_VARIANTS: Final = 1_000_000
 

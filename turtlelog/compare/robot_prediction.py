@@ -13,14 +13,13 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.angles import subtract_headings
 from turtlelog.compare.driven_commands import find_known, is_random, list_commands, silence
 from turtlelog.compare.prediction_pieces import (
     Rows,
     Values,
     cut_pieces,
     drop_jumps,
-    find_jumps,
+    find_impossible_steps,
     list_growth_rows,
     measure_errors,
     stack_states,
@@ -45,6 +44,7 @@ from turtlelog.identify.axis_motion import (
 from turtlelog.identify.motion_prediction import AxisTraces, join_rates
 from turtlelog.replay.lagged_drive import sense_driven
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import subtract_headings
 from turtlelog.run.columns import take_rows
 from turtlelog.scenario import Scenario
 
@@ -98,7 +98,7 @@ def compare_robot(
     states = sense_driven(silence(scenario), commands, times_ns)
     simulated = _build_poses(recorded.time_ns, states)
     known_ns = find_known(run, scenario)
-    jumps = find_jumps(run, simulated, scenario)
+    jumps = find_impossible_steps(run, simulated, scenario)
     cuts = {}
     for horizon_s in horizons_s:
         cut, gaps = cut_pieces(recorded.time_ns, round(horizon_s * 1e9), known_ns)

@@ -10,7 +10,7 @@ import numpy as np
 from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.engine.opening import strip_suffixes
-from turtlelog.log.info import TopicInfo
+from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.read_choice import ReadChoice, parse_wheelbase
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_clock import time_rows

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file
-from turtlelog.log.info import RecordingInfo, TopicInfo
+from turtlelog.log.file_info import RecordingInfo, TopicInfo
 from turtlelog.log.planar import describe_plane
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.info import TopicInfo
+from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.ros2.bag_topics import (
     COMMAND_TYPES,
     FIX,

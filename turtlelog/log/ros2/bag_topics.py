@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.info import TopicInfo
+from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.read_choice import match_topic
 from turtlelog.log.recording.topics import MEASURED, POSE64, SHAPED, VELOCITY64
 

@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.ros2.joined_messages import JoinedMessages, join_messages
+from turtlelog.run.angles import wrap_angle
 
 Values = NDArray[np.float64]
 
