@@ -34,7 +34,7 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_pictures
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.escapes import escape_controls
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Run

@@ -29,7 +29,7 @@ from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_cha
 from turtlelog.cli.targets import require_new_target
 from turtlelog.display import describe_count, format_short
 from turtlelog.errors import SweepError, UsageError
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog.sweep import RowRecords, Sampling, Sweep, SweepPlan, SweepSummary

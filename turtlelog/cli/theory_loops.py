@@ -9,7 +9,7 @@ import turtlelog as tl
 from turtlelog.cli.theory_gains import NO_OVERSHOOT, RecommendedGains, tell_step
 from turtlelog.cli.theory_tables import Pole, build_poles, tell_pole
 from turtlelog.display import join_words
-from turtlelog.loops import SIGNAL_WORDS
+from turtlelog.run.loops import SIGNAL_WORDS
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table

@@ -12,7 +12,7 @@ from turtlelog.display import describe_count, format_number
 if TYPE_CHECKING:
     from turtlelog.compare import Table
     from turtlelog.scenario import Scenario
-    from turtlelog.tune import KeyRange, Neighbourhood, SearchedKey, Spread, Tuned, TuningGoal
+    from turtlelog.sweep.tune import KeyRange, Neighbourhood, SearchedKey, Spread, Tuned, TuningGoal
 
 
 @dataclass(slots=True, kw_only=True)

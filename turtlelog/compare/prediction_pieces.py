@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.identify.axis_motion import AXES, get_commands
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import subtract_headings
 from turtlelog.scenario import Scenario
 
 Values = NDArray[np.float64]

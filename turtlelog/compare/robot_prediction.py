@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.angles import subtract_headings
 from turtlelog.compare.driven_commands import find_known, is_random, list_commands, silence
 from turtlelog.compare.prediction_pieces import (
     Rows,
@@ -45,6 +44,7 @@ from turtlelog.identify.axis_motion import (
 from turtlelog.identify.motion_prediction import AxisTraces, join_rates
 from turtlelog.replay.lagged_drive import sense_driven
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import subtract_headings
 from turtlelog.run.columns import take_rows
 from turtlelog.scenario import Scenario
 

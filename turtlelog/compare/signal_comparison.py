@@ -19,9 +19,9 @@ from turtlelog.compare.tube import (
     measure_distance,
     read_rows,
 )
-from turtlelog.differences import Difference, SignalDifference as SignalDifference
 from turtlelog.errors import find_near, join_names
 from turtlelog.measure import SIGNALS, Signal, list_signal_units, list_signals, read_signal
+from turtlelog.replay.differences import Difference, SignalDifference as SignalDifference
 from turtlelog.run import Run
 
 _OF_TRACK: Final = frozenset({"along_track", "cross_track"})

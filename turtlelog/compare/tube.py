@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
 from turtlelog.errors import CompareError
 from turtlelog.measure import Signal
+from turtlelog.run.angles import wrap_angle
 
 Values = NDArray[np.float64]
 Times = NDArray[np.int64]

@@ -19,9 +19,9 @@ from turtlelog.compare.run_names import name_runs
 from turtlelog.display import describe_count
 from turtlelog.draw.table_formats import format_markdown
 from turtlelog.escapes import escape_markdown
-from turtlelog.loops import PAUSE
 from turtlelog.measure import Metric, find_first_stretch, list_essential_metrics, measure_run
 from turtlelog.run import Parameter, Run
+from turtlelog.run.loops import PAUSE
 
 _HEADS: Final[Mapping[str, str]] = {"final": "At the end", "run": "The whole run"}
 

@@ -42,9 +42,9 @@ from turtlelog.explain.shapley import (
 )
 from turtlelog.explain.starts import vary_start
 from turtlelog.laws import LAWS, find_law, list_causes
-from turtlelog.loops import Cause, Declaration
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run
+from turtlelog.run.loops import Cause, Declaration
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 

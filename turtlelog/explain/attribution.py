@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Final
 
-from turtlelog.angles import wrap_angle
 from turtlelog.display import fit_line, format_answer, format_html
-from turtlelog.loops import Declaration
 from turtlelog.measure import list_metrics
+from turtlelog.run.angles import wrap_angle
 from turtlelog.run.ending import allow_position
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 
 _SHARE: Final = 0.01

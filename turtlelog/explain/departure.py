@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from turtlelog.differences import (
+from turtlelog.replay.differences import (
     Difference,
     Pairing,
     compare_pairing,

@@ -43,11 +43,11 @@ from turtlelog.explain.trace import (
 from turtlelog.explain.trace_breaks import describe_breaks, mark_breaks, space_out
 from turtlelog.explain.unseen import take_seconds
 from turtlelog.laws import LAWS
-from turtlelog.loops import PAUSE, RESERVED, ControlLoop
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.measure.dead_time import LARGEST_TICKS, shows_lag
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import CUT_SHORT, Run
+from turtlelog.run.loops import PAUSE, RESERVED, ControlLoop
 from turtlelog.scenario import (
     DEFAULT_LAW,
     Scenario,

@@ -18,8 +18,8 @@ from turtlelog.identify.held_response import HeldCommands
 from turtlelog.identify.robot_identification import identify_robot
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotModel
 from turtlelog.identify.robot_noise import measure_rate_noise, measure_sensing_noise
-from turtlelog.loops import Cause
 from turtlelog.run import Run
+from turtlelog.run.loops import Cause
 
 COMMANDS: Final = "commands"
 NOISE: Final = "noise"

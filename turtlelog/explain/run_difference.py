@@ -41,9 +41,9 @@ from turtlelog.explain.starts import (
 from turtlelog.explain.trace import trace_run
 from turtlelog.explain.trace_breaks import mark_breaks
 from turtlelog.laws import LAWS
-from turtlelog.loops import Cause
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run
+from turtlelog.run.loops import Cause
 from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 

@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.explain.trace import Trace, Values, estimate_noise
-from turtlelog.loops import PLANT_KEYS, read_number
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
+from turtlelog.run.angles import subtract_headings
+from turtlelog.run.loops import PLANT_KEYS, read_number
 
 _NOISE_STEPS: Final = 8.0
 """Standard deviations of noise beyond which a step is a jump: once in 1e15 steps without one."""

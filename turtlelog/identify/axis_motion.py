@@ -8,7 +8,6 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.identify.held_response import HeldCommands, Values, hold_commands
 from turtlelog.identify.silent_stops import (
     SilentStop,
@@ -17,6 +16,7 @@ from turtlelog.identify.silent_stops import (
     insert_stops,
 )
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import subtract_headings
 
 Axis = Literal["speed", "turn_rate"]
 AXES: Final[tuple[Axis, ...]] = ("speed", "turn_rate")

@@ -11,8 +11,8 @@ from msgspec import Meta
 from turtlelog.arithmetic import count_begun
 from turtlelog.errors import ParameterError
 from turtlelog.laws.base import Goal, LawPart, Row
-from turtlelog.loops import Declaration
-from turtlelog.paths import Path
+from turtlelog.run.loops import Declaration
+from turtlelog.run.paths import Path
 
 _TICK_S: Final = 0.016
 """One tick of turtlesim [s], which is the usual period of the controller."""

@@ -32,6 +32,10 @@ from .info import (
     TopicInfo as TopicInfo,
     read_info as read_info,
 )
+from .live_run import (
+    Sink as Sink,
+    run_live as run_live,
+)
 from .read_choice import (
     CHOSEN as CHOSEN,
     ReadChoice as ReadChoice,

@@ -12,6 +12,7 @@ from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, fit_line
+from turtlelog.files.urls import make_path
 from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
 from turtlelog.log.engine.channels import Catalogue, describe_unread
 from turtlelog.log.engine.limits import Allowance, measure_stored
@@ -24,7 +25,6 @@ from turtlelog.log.error_boundary import DamageError, UnfinishedError
 from turtlelog.log.recording.head import HEAD, add_lost, parse_head, parse_scenario_file
 from turtlelog.log.recording.recovery_note import describe_damages, describe_recovery
 from turtlelog.log.recording.topics import COMMAND, CONTROL, EVENT, GOAL, POSE
-from turtlelog.remote.urls import make_path
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables
 

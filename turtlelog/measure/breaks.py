@@ -11,7 +11,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.display import describe_count, join_words
 from turtlelog.measure.motion import GAP_STEPS
 from turtlelog.measure.outliers import (
@@ -24,6 +23,7 @@ from turtlelog.measure.outliers import (
     find_outliers,
 )
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import subtract_headings
 
 Values = NDArray[np.float64]
 

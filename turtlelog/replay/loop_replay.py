@@ -5,7 +5,10 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.differences import (
+from turtlelog.display import fit_line
+from turtlelog.errors import ReplayError
+from turtlelog.plants import find_plant
+from turtlelog.replay.differences import (
     Difference,
     SignalDifference,
     compare_pairing,
@@ -14,9 +17,6 @@ from turtlelog.differences import (
     format_replay_html,
     require_tolerance,
 )
-from turtlelog.display import fit_line
-from turtlelog.errors import ReplayError
-from turtlelog.plants import find_plant
 from turtlelog.replay.plant_replay import PoseError, find_pose_error
 from turtlelog.replay.plant_ticks import advise_other_mode
 from turtlelog.replay.run_pairs import (

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.differences import Difference, Pairing
 from turtlelog.plants import find_plant
+from turtlelog.replay.differences import Difference, Pairing
 from turtlelog.replay.sample_pairs import (
     Answers,
     count_missing,

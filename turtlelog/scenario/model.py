@@ -12,8 +12,8 @@ from turtlelog.display import fit_line, format_answer, format_details, format_ht
 from turtlelog.effects import EFFECTS
 from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
 from turtlelog.parts import Effect, Place, absent
-from turtlelog.paths import Path
 from turtlelog.plants.turtlesim import SPAWN_XY_M
+from turtlelog.run.paths import Path
 from turtlelog.scenario.dotted_keys import DEFAULT_LAW
 from turtlelog.scenario.tables import (
     Disturbance,

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any, Final, get_type_hints
 
 from turtlelog.errors import ScenarioError
+from turtlelog.files.text_files import parse_toml
 from turtlelog.laws import find_law, name_given_law
-from turtlelog.paths import PATH_KEYS
 from turtlelog.run import Run
+from turtlelog.run.paths import PATH_KEYS
 from turtlelog.scenario.convert import (
     build_scenario,
     flatten_scenario,
@@ -16,9 +17,8 @@ from turtlelog.scenario.convert import (
     resolve_scenario,
 )
 from turtlelog.scenario.dotted_keys import set_nested
-from turtlelog.scenario.files import load_scenario
 from turtlelog.scenario.model import LawChoice, LawTable, Scenario
-from turtlelog.text_files import parse_toml
+from turtlelog.scenario.scenario_file import load_scenario
 
 _LARGEST_WHOLE: Final = 2**53
 """Beyond, doubles leave whole numbers out: nobody typed such a gain as an int."""

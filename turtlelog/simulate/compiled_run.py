@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.laws import LawPart, find_law
-from turtlelog.loops import Declaration
 from turtlelog.parts import Plant
-from turtlelog.path_pieces import PathPiece
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.run.loops import Declaration
+from turtlelog.run.path_pieces import PathPiece
 from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate.compiled_loop import PIECE, CompiledLoop
 from turtlelog.simulate.events import describe_event

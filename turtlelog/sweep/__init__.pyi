@@ -1,3 +1,4 @@
+from . import tune as tune
 from .assemble import (
     load_row_scenario as load_row_scenario,
 )

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from turtlelog.errors import LogError, SweepError
+from turtlelog.files.text_files import parse_toml
 from turtlelog.scenario import Scenario, build_scenario
 from turtlelog.sweep.kept_parts import KeptParts
 from turtlelog.sweep.plan import PlannedCells, SweepPlan, build_row_scenario
@@ -17,7 +18,6 @@ from turtlelog.sweep.result_table import ResultColumn, ResultTable
 from turtlelog.sweep.row_columns import Cells, Columns, Key, OrderedRows, StoredRows, build_columns
 from turtlelog.sweep.simulate_rows import RowResults
 from turtlelog.sweep.stored_table import StoredTable, open_result_table
-from turtlelog.text_files import parse_toml
 
 STATUS: Final = ".status"
 """Ends the name of the column beside a metric that says why it has no value."""

@@ -15,7 +15,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.compiled_loops import CompiledLoops, import_beside, is_kept
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.laws import find_law
 from turtlelog.measure import measure_run
@@ -23,6 +22,7 @@ from turtlelog.parts import Plant
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
+from turtlelog.simulate.compiled_loops import CompiledLoops, import_beside, is_kept
 from turtlelog.simulate.compiled_run import CompiledRunner, draw_streams, name_stop
 from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
 from turtlelog.simulate.scenario_law import is_built_in

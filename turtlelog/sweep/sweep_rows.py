@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, overload
 
 from turtlelog.errors import LogError, SweepError
+from turtlelog.files.urls import RemotePath, has_files, make_path
 from turtlelog.log.complete_files import remove_leftovers
 from turtlelog.log.error_boundary import name_file
 from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes
-from turtlelog.remote.urls import RemotePath, has_files, make_path
 from turtlelog.scenario import parse_scenario
 from turtlelog.sweep.assemble import SweptRows, assemble_table, find_failure, list_valueless
 from turtlelog.sweep.batch import find_batch

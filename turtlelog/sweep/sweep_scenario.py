@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.display import describe_count, fit_line, format_answer, format_html
 from turtlelog.errors import SweepError
+from turtlelog.run.tabular import Tabular
 from turtlelog.scenario import Scenario, choose_scenario, parse_scenario, unwrap_number
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.grid import MOST_ROWS, KeyValues
@@ -24,7 +25,6 @@ from turtlelog.sweep.result_table import (
 from turtlelog.sweep.stored_table import open_result_table
 from turtlelog.sweep.sweep_rows import run_sweep
 from turtlelog.sweep.swept_results import SweptResults, read_swept_results
-from turtlelog.tabular import Tabular
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, SweepError, TurtlelogError, describe_unknown
+from turtlelog.files.text_files import parse_toml
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.parquet_file import list_cells
-from turtlelog.loops import ControlLoop
+from turtlelog.run.loops import ControlLoop
 from turtlelog.scenario import Scenario, build_scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.assemble import STATUS
@@ -26,7 +27,6 @@ from turtlelog.sweep.stored_table import (
     list_values,
     open_result_table,
 )
-from turtlelog.text_files import parse_toml
 
 Values = NDArray[np.float64]
 

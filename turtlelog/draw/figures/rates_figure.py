@@ -30,8 +30,8 @@ from turtlelog.identify import (
     trace_axis,
 )
 from turtlelog.identify.axis_motion import measure_steps
-from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
 from turtlelog.run import Run
+from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
 Values = NDArray[np.float64]
 

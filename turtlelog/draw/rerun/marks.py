@@ -15,9 +15,9 @@ from turtlelog.charts.time_plots import find_marked
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.plots import Series
 from turtlelog.draw.rerun.timelines import RunStream
-from turtlelog.loops import DONE, PAUSE
 from turtlelog.measure import Metric, find_first_stretch
 from turtlelog.run import Run
+from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.theory import compute_sampled_step_response
 
 Shape = Literal["Circle", "Square", "Cross"]

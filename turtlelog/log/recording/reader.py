@@ -61,8 +61,8 @@ from turtlelog.log.recording.topics import (
     SHAPED,
     VELOCITY64,
 )
-from turtlelog.loops import Declaration
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import flatten_tables
 
 Values = NDArray[np.float64]
