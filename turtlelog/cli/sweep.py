@@ -85,7 +85,7 @@ class PlanOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TableOptions:
+class SweepTableOptions:
     """What is written.
 
     Attributes:
@@ -136,7 +136,7 @@ def sweep(
     base: ScenarioWord = None,
     /,
     *,
-    table: TableOptions,
+    table: SweepTableOptions,
     plan: PlanOptions | None = None,
     options: LawOptions | None = None,
     work: SweepOptions | None = None,
@@ -195,7 +195,7 @@ def _tell_late(late: str) -> None:
 
 def _prepare(
     base: str | None,
-    table: TableOptions,
+    table: SweepTableOptions,
     plan: PlanOptions,
     options: LawOptions | None,
     work: SweepOptions,

@@ -16,7 +16,7 @@ from .paper_tables import (
     tabulate_whole_runs as tabulate_whole_runs,
 )
 from .path_error import (
-    PathError as PathError,
+    PathDeviation as PathDeviation,
     measure_path_error as measure_path_error,
 )
 from .ranking import (

@@ -19,7 +19,7 @@ from turtlelog.compare.prediction_pieces import (
     Values,
     cut_pieces,
     drop_jumps,
-    find_jumps,
+    find_impossible_steps,
     list_growth_rows,
     measure_errors,
     stack_states,
@@ -98,7 +98,7 @@ def compare_robot(
     states = sense_driven(silence(scenario), commands, times_ns)
     simulated = _build_poses(recorded.time_ns, states)
     known_ns = find_known(run, scenario)
-    jumps = find_jumps(run, simulated, scenario)
+    jumps = find_impossible_steps(run, simulated, scenario)
     cuts = {}
     for horizon_s in horizons_s:
         cut, gaps = cut_pieces(recorded.time_ns, round(horizon_s * 1e9), known_ns)

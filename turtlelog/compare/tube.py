@@ -110,7 +110,7 @@ def read_rows(run: Signal, grid: Grid) -> GridValues:
     return GridValues(grid=grid, values=run.values[grid.run_row])
 
 
-def find_nearest(
+def find_deciding_values(
     reference: Signal, rows: GridValues, tolerance: Tolerance, *, half_width: int = 0
 ) -> Values:
     """Return the value of the reference that decides over each row, shape of the rows.

@@ -26,7 +26,7 @@ from turtlelog.run.loops import PAUSE
 _HEADS: Final[Mapping[str, str]] = {"final": "At the end", "run": "The whole run"}
 
 
-def describe_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Mapping[str, str]:
+def document_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Mapping[str, str]:
     """Return the documents of one run by title: metrics, and what is known of its scenario.
 
     Args:
@@ -40,14 +40,14 @@ def describe_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Ma
     }
 
 
-def describe_runs(
+def document_runs(
     runs: Sequence[Run],
     *,
     metrics: Sequence[Mapping[str, Metric]] | None = None,
 ) -> Mapping[str, str]:
     """Return the documents of a comparison by title: the runs side by side, metrics, Table 1.
 
-    The arguments are those of `describe_run`, for several runs.
+    The arguments are those of `document_run`, for several runs.
     """
     metrics = [measure_run(run) for run in runs] if metrics is None else metrics
     pairs = zip(runs, metrics, strict=True)

@@ -32,7 +32,7 @@ from turtlelog.explain.game import (
 )
 from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import LOOP_KEYS, Certainty, Finding, Identification
-from turtlelog.explain.identify import identify_run
+from turtlelog.explain.identify_scenario import identify_run
 from turtlelog.explain.seeds import describe_alone, divide_over_seeds
 from turtlelog.explain.shapley import (
     Worth,

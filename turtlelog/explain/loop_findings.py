@@ -20,7 +20,7 @@ from turtlelog.explain.identification import (
 )
 from turtlelog.explain.loop_guesses import PAUSE_KEY
 from turtlelog.explain.resimulation import list_lost_commands, read_pause
-from turtlelog.explain.search import START_KEYS, Fits
+from turtlelog.explain.setting_search import START_KEYS, Fits
 from turtlelog.explain.trace import Trace
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run.angles import subtract_headings

@@ -27,7 +27,7 @@ from turtlelog.explain.explained_difference import (
 )
 from turtlelog.explain.game import SEEDS, Play, Work, iterate_outcomes
 from turtlelog.explain.hypothesis import LONGEST_S, check_recorded_scenario, require_trust
-from turtlelog.explain.identify import identify_run
+from turtlelog.explain.identify_scenario import identify_run
 from turtlelog.explain.robot_difference import explain_robots, is_robot_log
 from turtlelog.explain.run_changes import ChangeGame, find_changes, set_values
 from turtlelog.explain.sampled_orders import ORDERS, sample_game

@@ -29,7 +29,7 @@ class Sink(Protocol):
         ...
 
 
-class Clock(Protocol):
+class Pacer(Protocol):
     """What paces a run."""
 
     def now(self) -> float:
@@ -63,7 +63,7 @@ class Pace:
         greatest_lag_s: By how much the latest [s].
     """
 
-    def __init__(self, clock: Clock, period_s: float) -> None:
+    def __init__(self, clock: Pacer, period_s: float) -> None:
         """Count a tick that is more than a period of the plant [s] late as late."""
         self._period_s = period_s
         self.late_ticks, self.greatest_lag_s = 0, 0.0
@@ -93,7 +93,7 @@ def run_live(
     sinks: Sequence[Sink] = (),
     *,
     realtime: bool,
-    clock: Clock = WALL_CLOCK,
+    clock: Pacer = WALL_CLOCK,
     step_budget_s: float | None = STEP_BUDGET_S,
 ) -> Run:
     """Simulate a scenario, hand every tick to the sinks as it comes, and return the run.

@@ -19,8 +19,8 @@ from turtlelog.measure.outliers import (
     LONGEST_STEP_NS,
     NEIGHBOURS,
     compute_median,
-    find_grain,
     find_outliers,
+    find_quantisation_step,
 )
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
@@ -189,7 +189,7 @@ def _find_reversals(rate: Values) -> NDArray[np.bool_]:
     low, high = near.min(axis=1), near.max(axis=1)
     is_back = ((low > 0.0) & (own < 0.0)) | ((high < 0.0) & (own > 0.0))
     off = np.abs(own - np.median(near, axis=1))
-    least = np.maximum(LOCAL_SPANS * (high - low), GRAINS * find_grain(rate))
+    least = np.maximum(LOCAL_SPANS * (high - low), GRAINS * find_quantisation_step(rate))
     found[NEIGHBOURS:-NEIGHBOURS] = is_back & (off > least)
     return found
 

@@ -24,7 +24,7 @@ from turtlelog.replay.run_pairs import (
     TIME_IS_UP,
     RowCount,
     compare_ends,
-    count_rows,
+    count_recorded_rows,
     find_count_difference,
     has_ticks,
     pair_by_sample,
@@ -146,7 +146,7 @@ def replay_loop(
     )
     pairings = pair_by_tick(run, replayed) if by_tick else pair_by_sample(run, replayed)
     signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
-    counts = count_rows(run, replayed, by_tick=by_tick)
+    counts = count_recorded_rows(run, replayed, by_tick=by_tick)
     stop = compare_ends(run, replayed.stop_reason)
     ends = [find_count_difference(run, name, count) for name, count in counts.items()]
     others = tuple(found for found in (*ends, stop) if found is not None)

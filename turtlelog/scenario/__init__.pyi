@@ -1,12 +1,3 @@
-from .convert import (
-    build_scenario as build_scenario,
-    describe_unknown_key as describe_unknown_key,
-    flatten_scenario as flatten_scenario,
-    nest_scenario as nest_scenario,
-    resolve_law as resolve_law,
-    resolve_scenario as resolve_scenario,
-    restore_scenario as restore_scenario,
-)
 from .dotted_keys import (
     DEFAULT_LAW as DEFAULT_LAW,
     flatten_tables as flatten_tables,
@@ -40,11 +31,20 @@ from .scenario_file import (
     parse_scenario as parse_scenario,
     read_scenario as read_scenario,
 )
-from .tables import (
+from .scenario_tables import (
     Disturbance as Disturbance,
     Limits as Limits,
     LoopSettings as LoopSettings,
     PlantChoice as PlantChoice,
     Sensing as Sensing,
     Shaping as Shaping,
+)
+from .table_conversion import (
+    build_scenario as build_scenario,
+    describe_unknown_key as describe_unknown_key,
+    flatten_scenario as flatten_scenario,
+    nest_scenario as nest_scenario,
+    resolve_law as resolve_law,
+    resolve_scenario as resolve_scenario,
+    restore_scenario as restore_scenario,
 )

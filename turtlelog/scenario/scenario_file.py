@@ -6,9 +6,9 @@ from pathlib import Path
 from turtlelog.errors import ScenarioError, describe_unknown
 from turtlelog.files.text_files import describe_missing, format_toml, parse_toml, read_text_file
 from turtlelog.files.urls import make_path
-from turtlelog.scenario.convert import build_scenario, nest_scenario
 from turtlelog.scenario.model import Scenario
 from turtlelog.scenario.presets import PAPER_RUNS, PRESET_TABLES, PRESETS
+from turtlelog.scenario.table_conversion import build_scenario, nest_scenario
 from turtlelog.scenario.table_files import embed_files
 
 

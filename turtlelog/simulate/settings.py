@@ -234,7 +234,7 @@ def list_acting(scenario: Scenario) -> tuple[Effect, ...]:
     return tuple(effect for effect in EFFECTS if effect.actions and effect.acts(scenario))
 
 
-def count_rows(scenario: Scenario, plant: Plant) -> tuple[int, int]:
+def bound_rows(scenario: Scenario, plant: Plant) -> tuple[int, int]:
     """Return the most ticks and samples that a run may have."""
     ticks = round(scenario.max_duration_s * 1e9) // plant.period_ns + 1
     period_s = scenario.loop.period_s

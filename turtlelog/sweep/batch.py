@@ -44,7 +44,7 @@ from turtlelog.sweep.batch_columns import (
     type_measurement,
 )
 from turtlelog.sweep.batch_kernel import NO_PHASE
-from turtlelog.sweep.batch_rows import Kind, PreparedRows, find_kind, find_line, prepare_rows
+from turtlelog.sweep.batch_rows import Kind, PreparedRows, find_column_kind, find_line, prepare_rows
 from turtlelog.sweep.plan import build_row_scenario
 
 _MEASURING: Final = "turtlelog.sweep.batch_entry"
@@ -101,7 +101,7 @@ def _is_kept(kind: Kind) -> bool:
 def find_batch(base: Scenario) -> CompiledLoops | None:
     """Return the compiled code for rows that vary keys of a scenario; None: its law has none."""
     try:
-        kind = find_kind(resolve_scenario(base))
+        kind = find_column_kind(resolve_scenario(base))
     except TurtlelogError:  # of its own it lacks what the rows give it
         return None
     return None if kind is None else _find_batch(kind)

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-import turtlelog.measure.metrics  # noqa: F401  (enters every metric in the registry)
+import turtlelog.measure.metric_registry  # noqa: F401  (enters every metric in the registry)
 from turtlelog.arithmetic import called
 from turtlelog.measure.metric import REASONS, Status
 from turtlelog.measure.registry import CUT, LOOP_METRICS, NO_STEP, RUN_METRICS, SMALLEST_STEP

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import SweepError
 from turtlelog.scenario import Scenario, override_scenario
-from turtlelog.sweep.grid import MOST_ROWS, KeyValues, Steps, parse_key_values
+from turtlelog.sweep.grid import MOST_ROWS, EqualSteps, KeyValues, parse_key_values
 from turtlelog.sweep.result_table import ColumnType, choose_type
 
 MOST_DRAWN: Final = 10_000_000
@@ -104,7 +104,7 @@ class SweepPlan:
     def find_type(self, key: str) -> ColumnType:
         """Return the type of the values of a key."""
         values = self._find(key)[2].values
-        return choose_type((values[0], values[-1]) if isinstance(values, Steps) else values)
+        return choose_type((values[0], values[-1]) if isinstance(values, EqualSteps) else values)
 
     def _find(self, key: str) -> tuple[int, tuple[KeyValues, ...], KeyValues]:
         """Return the number of a key's axis, the axis, and its values."""
@@ -191,7 +191,7 @@ def _draw(sampling: Sampling, width: int) -> NDArray[np.float64]:
 def _pick(one: KeyValues, share: float) -> Any:
     """Return the value at a share of its range."""
     values = one.values
-    if one.is_open and isinstance(values, Steps) and not values.is_whole:
+    if one.is_open and isinstance(values, EqualSteps) and not values.is_whole:
         return min(values[0] + (values[-1] - values[0]) * share, values[-1])
     return values[min(int(share * len(values)), len(values) - 1)]
 

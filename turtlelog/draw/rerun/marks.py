@@ -174,7 +174,7 @@ def draw_phases(run_stream: RunStream, run: Run) -> None:
     phases.send_few("", starts_ns, columns)
 
 
-def draw_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
+def list_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
     """List the events as a text log, each after the speaker's name if there is one."""
     if not run.events:
         return

@@ -26,7 +26,7 @@ from turtlelog.log.engine.source import read_piece
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
 from turtlelog.log.error_boundary import DamageError, UnfinishedError, name_file, open_file
-from turtlelog.log.info import Survey, survey_file
+from turtlelog.log.file_info import Survey, survey_file
 from turtlelog.log.recording.contents import (
     Contents,
     ForeignFileError,

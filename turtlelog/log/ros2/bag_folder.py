@@ -10,7 +10,7 @@ from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.error_boundary import name_file
-from turtlelog.log.info import RecordingInfo, list_absent, merge_topics, read_info, sort_topics
+from turtlelog.log.file_info import RecordingInfo, list_absent, merge_topics, read_info, sort_topics
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE, BagMetadata, read_bag_metadata
 
 _PART: Final = re.compile(r"_[0-9]+(?:\.[A-Za-z0-9]+)+$")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from turtlelog.errors import TuneError
-from turtlelog.sweep.grid import Steps, parse_key_values
+from turtlelog.sweep.grid import EqualSteps, parse_key_values
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ def parse_searched_keys(
     for text in texts:
         one = parse_key_values(text, source=source, is_sampled=True)
         steps = one.values
-        if not isinstance(steps, Steps) or (not one.is_open and len(steps) > _MOST_STEPS):
+        if not isinstance(steps, EqualSteps) or (not one.is_open and len(steps) > _MOST_STEPS):
             expected = "two bounds and perhaps a step, as in 0.5:12 or 0.5:12:0.5"
             raise TuneError(f"{source}: {one.key}: expected {expected}, found {one.text[:60]!r}")
         if one.key in found:

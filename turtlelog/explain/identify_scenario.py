@@ -16,7 +16,7 @@ from turtlelog.explain.hypothesis import (
     LONGEST_S,
     check_recorded_scenario,
     describe_dead_time,
-    describe_stop,
+    describe_stop_rule,
     find_lag_slack,
     identify_other_law,
     reject_lag,
@@ -43,7 +43,7 @@ from turtlelog.explain.loop_findings import (
 )
 from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
-from turtlelog.explain.search import Fits, search_loop
+from turtlelog.explain.setting_search import Fits, search_loop
 from turtlelog.explain.stop_reason import RULE_KEYS, Ending, find_pause, find_stop_rule
 from turtlelog.explain.trace import Trace, trace_run
 from turtlelog.explain.trace_breaks import describe_breaks, mark_breaks, space_out
@@ -158,7 +158,7 @@ def _identify_recorded(run: Run) -> Identification | None:
         findings[f"{DEAD_TIME}{loop}"] = describe_dead_time(dead_time, motion, run)
     note = f"{recorded.reach}; it holds {join_words(unseen)}, so its settings stand as recorded"
     findings |= take_findings(findings, recorded.scenario, note)
-    findings["stop_reason"] = describe_stop(run, recorded)
+    findings["stop_reason"] = describe_stop_rule(run, recorded)
     findings["lost_commands"] = miss(f"with {join_words(unseen)} they are not counted")
     return Identification(
         name=run.name,

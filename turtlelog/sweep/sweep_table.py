@@ -15,7 +15,14 @@ from turtlelog.scenario import Scenario, build_scenario
 from turtlelog.sweep.kept_parts import KeptParts
 from turtlelog.sweep.plan import PlannedCells, SweepPlan, build_row_scenario
 from turtlelog.sweep.result_table import ResultColumn, ResultTable
-from turtlelog.sweep.row_columns import Cells, Columns, Key, OrderedRows, StoredRows, build_columns
+from turtlelog.sweep.row_columns import (
+    Columns,
+    Key,
+    StoredCells,
+    StoredRows,
+    WindowedRows,
+    build_result_columns,
+)
 from turtlelog.sweep.simulate_rows import RowResults
 from turtlelog.sweep.stored_table import StoredTable, open_result_table
 
@@ -73,7 +80,7 @@ class SweptRows:
             for name in sorted(self._metrics, key=self._metrics.__getitem__)
         }
 
-    def order(self, count: int) -> OrderedRows:
+    def order(self, count: int) -> WindowedRows:
         """Return the rows in their order.
 
         Raises:
@@ -87,15 +94,15 @@ class SweptRows:
             stored.add(size, partial(self._load, place))
         if row != count:
             raise SweepError(f"row {row}: expected {count} rows, found {row}")
-        return OrderedRows(stored, range(count))
+        return WindowedRows(stored, range(count))
 
     def _load(self, place: int) -> Columns:
         results = self._kept.read(place)
         texts = {_STOP_REASON: results.stop_reasons, _FAILED: results.failed}
-        cells = {key: Cells.pack("text", found) for key, found in texts.items()}
+        cells = {key: StoredCells.pack("text", found) for key, found in texts.items()}
         for name, metric in results.metrics.items():
-            cells[Key(name, "real")] = Cells.pack("real", metric.values)
-            cells[Key(f"{name}{STATUS}")] = Cells.pack("text", metric.statuses)
+            cells[Key(name, "real")] = StoredCells.pack("real", metric.values)
+            cells[Key(f"{name}{STATUS}")] = StoredCells.pack("text", metric.statuses)
         return Columns(len(results), cells)
 
 
@@ -128,7 +135,7 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
         ),
         *(
             replace(column, unit=units.get(column.name, column.unit))
-            for column in build_columns(ordered, keys)
+            for column in build_result_columns(ordered, keys)
         ),
     ]
     names = [column.name for column in columns]
