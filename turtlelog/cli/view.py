@@ -112,6 +112,9 @@ def view(
     _require_picture(picture, movie)
     require_movie(movie, files)
     require_there(files)
+    if save is not None and save.suffix in {".png", ".mp4", ".gif"}:
+        other = "--snapshot" if save.suffix == ".png" else "--movie"
+        raise UsageError(f"--save {save}: --save writes .rrd files; did you mean {other} {save}?")
     require_new_target(save, files, suffix=".rrd")
     require_new_target(picture.snapshot, files, suffix=".png")
     width_and_height = _parse_size(picture.size)
