@@ -45,8 +45,8 @@ class PlanOptions:
 
     Attributes:
         grid: Vary a key, as in law.kp_linear=0.5:12:0.25 (both ends belong to it; the step is 1
-            otherwise), or law.projection=bearing,heading; may stand several times, which gives
-            every combination, the last key fastest.
+            otherwise), or law.projection=bearing,heading; kp=1:12 varies all gains of the law
+            together. May stand several times, which gives every combination, the last key fastest.
         zip_: Vary keys together, each value of one with that of the other; stands once for each.
         sample: Draw so many rows instead: any number of A:B, one of A:B:STEP or of a list.
         seed: Of what is drawn; otherwise 0.
@@ -203,10 +203,7 @@ def _prepare(
     inputs = [] if base is None else [make_path(base)]
     require_new_target(table.output, inputs, suffix=".parquet")
     rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
-    for key in list_given_keys(options):
-        if key in rows.keys:
-            raise UsageError(f"--set: {key} is varied by --grid; leave one of them out")
-    return tl.sweep.prepare_sweep(
+    prepared = tl.sweep.prepare_sweep(
         load_changed_scenario(base, options),
         rows,
         metrics=patterns,
@@ -215,6 +212,10 @@ def _prepare(
         step_budget_s=choose_step_budget(work.step_budget_ms),
         source="--grid",
     )
+    for key in list_given_keys(options):
+        if key in prepared.plan.keys:
+            raise UsageError(f"--set: {key} is varied by --grid; leave one of them out")
+    return prepared
 
 
 def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:

@@ -11,6 +11,7 @@ from .measured_files import (
     complete_summaries as complete_summaries,
     summarise_files as summarise_files,
 )
+from .noise_level import NoiseLevel as NoiseLevel
 from .paper_tables import (
     tabulate_table1 as tabulate_table1,
     tabulate_whole_runs as tabulate_whole_runs,

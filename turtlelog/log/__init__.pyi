@@ -32,6 +32,10 @@ from .importers import (
     import_log as import_log,
     import_plain_table as import_plain_table,
 )
+from .live_run import (
+    Sink as Sink,
+    run_live as run_live,
+)
 from .read_choice import (
     CHOSEN as CHOSEN,
     ReadChoice as ReadChoice,
