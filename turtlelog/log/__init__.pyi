@@ -60,5 +60,7 @@ from .recovery import (
     recover_recording as recover_recording,
 )
 from .ros2 import (
+    Surroundings as Surroundings,
     read_bag as read_bag,
+    read_surroundings as read_surroundings,
 )

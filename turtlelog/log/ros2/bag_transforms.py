@@ -289,6 +289,21 @@ def _find_world(tree: Tree, robot: str) -> str:
     return worlds[-1] if worlds else above[-1]
 
 
+def find_carrier(tree: Tree, frame: str) -> str | None:
+    """Return the robot's frame to which another one is fixed; None where no transform has that one.
+
+    It is the highest frame above with the name of a robot's, otherwise the first that moves.
+    """
+    if not any(frame in names for names in tree):
+        return None
+    above = [frame, *_climb(tree, frame)]
+    robots = [name for name in above if _is_robot(name)]
+    if robots:
+        return robots[-1]
+    moving = (child for child, parent in pairwise(above) if tree[parent, child].moves)
+    return next(moving, above[-1])
+
+
 def _is_world(frame: str) -> bool:
     return _WORLDS.fullmatch(frame.rpartition("/")[2]) is not None
 
