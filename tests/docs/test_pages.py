@@ -22,8 +22,8 @@ ALL_PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 Command = Callable[..., str]
 
 LONG_PAGES: Final = {
-    *("classroom", "derivative-noise", "figures", "gallery", "jitter", "map", "paper", "push"),
-    *("ramps", "report", "rerun", "sampling", "theory", "tracking"),
+    *("classroom", "comparing-laws", "effects", "figures", "gallery", "paper"),
+    *("report", "rerun", "theory"),
 }
 """Pages whose blocks simulate or draw for seconds what others show once: they are thorough."""
 
