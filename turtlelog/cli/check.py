@@ -63,7 +63,7 @@ def check(
     formats: FormatOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> int:
-    """Hold recordings to a specification: bounds, formulas over time, tolerances.
+    """Check recordings against a specification: bounds, temporal-logic formulas, tolerances.
 
     The exit code is 0 where nothing fails, 1 where a check fails or cannot be
     decided, and 2 where the specification or its reference cannot be read. A

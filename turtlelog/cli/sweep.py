@@ -48,7 +48,7 @@ class PlanOptions:
             otherwise), or law.projection=bearing,heading; may stand several times, which gives
             every combination, the last key fastest.
         zip_: Vary keys together, each value of one with that of the other; stands once for each.
-        sample: Draw so many rows instead: any number of A:B, one of A:B:STEP or of a list.
+        sample: Number of rows to draw instead: any number of A:B, one of A:B:STEP or of a list.
         seed: Of what is drawn; otherwise 0.
         latin: Draw from each key's range once in each of as many equal parts as there are rows.
     """
@@ -145,9 +145,9 @@ def sweep(
     """Vary a scenario, simulate and measure every variant, and write one table.
 
     A row of the Parquet table is a run: its number, the values of the keys, each metric with its
-    status, how the run ended, or why it failed; that is no error of the sweep. Rows are what `run`
-    gives for the same scenario, bit for bit, on however many cores, and the same command gives the
-    same file. What is interrupted goes on where the same command is given again.
+    status, and how the run ended or why it failed. A failed run is no error of the sweep. Rows are
+    what `run` gives for the same scenario, bit for bit, on any number of cores. The same command
+    gives the same file, and continues an interrupted sweep.
 
     Example: turtlelog sweep paper-kp4 --grid law.kp_linear=1:12:0.5 -o kp.parquet
 
