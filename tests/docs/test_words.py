@@ -28,6 +28,7 @@ USUAL: Final = 17
 
 INSTEAD: Final = {
     r"^Of (a|an|the|any|all|such|some)\b": 'begin with the subject: "A run ..."',
+    r"^Where\b.*[^?]$": "If, When, or the subject",
     r"^What (is|a|the|it|does)\b.*[^?]$": "begin with the subject",
     r"\b(some|any)body's\b|\bother people's\b": "third-party",
     r"\b(is|are) told\b": "is given, is named, is printed",
@@ -175,6 +176,7 @@ def test_help_is_in_plain_words(call: Call) -> None:
 
 EXAMPLES: Final = {
     "Of a run the end is read.": "The end of a run is read.",
+    "Where none fits, it stops.": "If none fits, it stops.",
     "What the log shows is named.": "What does the log show?",
     "It reads somebody's bag.": "It reads third-party bags.",
     "The clock is told.": "The clock is printed.",

@@ -41,7 +41,7 @@ class FirstSpecOptions:
     Attributes:
         expect: Hold recordings to this formula instead of a specification; may be repeated.
         init: Write a first specification from this good run; see -o.
-        output: The .toml file that --init writes; otherwise it is printed. Without --init the
+        output: The .toml file that --init writes. Default: print it. Without --init the
             .parquet table of verdicts: files that have not changed since it was written, and are
             held to the same specification, are not read again.
         schema: Print the JSON Schema of specification files, for editors.

@@ -56,7 +56,7 @@ class TableOptions:
     Attributes:
         to: What to write where the name of OUT does not say it: into a folder a ROS 2 bag (the
             usual) or a file per table; tum writes a trajectory, whatever the file is called.
-        table: Which table to write; otherwise a file holds the poses, and a folder all tables.
+        table: Table to write. Default: the poses to a file, all tables to a folder.
         sort: Sort the rows of a paper's log by time and drop exact duplicates, and count both,
             instead of refusing them.
         recover: Copy every message that a damaged or unfinished recording still holds into a

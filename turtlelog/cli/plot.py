@@ -95,11 +95,11 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         output: Write into this folder, or one figure to this .pdf, .png or .svg file; with --movie
             it may be missing.
         only: Figures by name, with commas (turtlelog list figures).
-        formats: Some of pdf, png, svg, with commas; otherwise pdf.
+        formats: Some of pdf, png, svg, with commas. Default: pdf.
         timeline: Timeline of the movie: sim_time, or PHASE_time, from the start of a later
             phase of each run, as translate_time.
-        jobs: Processes to draw in, on Linux; otherwise one for every three figures of a folder, as
-            many as cores at most. The files are the same.
+        jobs: Number of processes, on Linux. Default: one for every three figures of a folder, at
+            most one per core.
         json: Print one JSON object instead of lines.
     """
     jobs = require_jobs(jobs)

@@ -44,12 +44,12 @@ class PlanOptions:
     """Which rows there are.
 
     Attributes:
-        grid: Vary a key, as in law.kp_linear=0.5:12:0.25 (both ends belong to it; the step is 1
-            otherwise), or law.projection=bearing,heading; may stand several times, which gives
-            every combination, the last key fastest.
+        grid: Vary a key, as in law.kp_linear=0.5:12:0.25 (both ends included; default step: 1),
+            or law.projection=bearing,heading. Given several times, every combination is a row, the
+            last key fastest.
         zip_: Vary keys together, each value of one with that of the other; stands once for each.
         sample: Number of rows to draw instead: any number of A:B, one of A:B:STEP or of a list.
-        seed: Of what is drawn; otherwise 0.
+        seed: Seed of the drawn values. Default: 0.
         latin: Draw from each key's range once in each of as many equal parts as there are rows.
     """
 
@@ -90,8 +90,8 @@ class TableOptions:
 
     Attributes:
         output: Write the table to this .parquet file, or behind a URL.
-        metric: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics);
-            otherwise the essential ones of each row's law but dead_time.
+        metric: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics).
+            Default: the essential ones of each row's law, without dead_time.
         record: Write recordings of rows to this folder, or below a URL, as row-000123.mcap.
         record_where: Only of rows for which this holds, as in "translate.settling_time > 5".
     """

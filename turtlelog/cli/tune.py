@@ -42,8 +42,8 @@ class GoalOptions:
         minimise: A metric, or a formula of metrics and keys, that should be small.
         maximise: The same, that should be large.
         subject_to: What must hold, as in "rotate.overshoot <= 2"; may stand several times.
-        evaluations: How many candidates the search takes at most, about; otherwise 300 for each
-            key. The neighbourhood takes 50 more for each, again where it holds a better one.
+        evaluations: Approximate number of candidates. Default: 300 for each key. The neighbourhood
+            takes 50 more for each key, and again if it contains a better one.
         seed: Seed of the search and of --monte-carlo. Default: 0.
     """
 
