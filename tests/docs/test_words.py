@@ -169,6 +169,7 @@ def test_sentences_of_a_page_are_short(page: Path) -> None:
 
 
 def test_help_is_in_plain_words(call: Call) -> None:
+    """The modules of all commands are loaded, and their whole help is laid out."""
     helps = {name: call(name, "--help-all").out for name in app if not name.startswith("-")}
     faults = [find_faults(list_help(text), f"turtlelog {name}") for name, text in helps.items()]
     assert [*chain.from_iterable(faults)] == []
