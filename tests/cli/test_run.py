@@ -171,7 +171,7 @@ def test_a_bad_option_is_one_line(
 COUNTED = """
 from dataclasses import dataclass
 from turtlelog.laws import Decision
-from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.run.loops import ControlLoop, Declaration
 
 
 @dataclass(frozen=True)

@@ -144,3 +144,16 @@ def test_public_names_are_those_that_one_writes() -> None:
         *errors,
         *(name for room in (tl.log, tl.check) for name in room.__all__),
     }
+
+
+def list_doors() -> list[str]:
+    """Files and folders that the table of changes names."""
+    table = (
+        read_page("docs/architecture.md").partition("## To add X")[2].partition("\nTests add")[0]
+    )
+    return sorted({place for place in re.findall(r"`([\w/.]+)`", table) if "/" in place})
+
+
+@pytest.mark.parametrize("door", list_doors())
+def test_a_change_goes_where_the_page_says(door: str) -> None:
+    assert (PACKAGE / door).exists()

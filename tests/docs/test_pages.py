@@ -143,7 +143,7 @@ def test_console_blocks_print_what_they_show(
 def test_the_test_of_a_law_of_ones_own_passes(tmp_path: Path) -> None:
     """A test session of its own starts."""
     write_files(find_files(ROOT / "docs" / "own-law.md"), tmp_path)
-    options = ("-m", "pytest", "-p", "turtlelog.pytest_plugin", "-p", "no:hypothesispytest")
+    options = ("-m", "pytest", "-p", "turtlelog.check.pytest_plugin", "-p", "no:hypothesispytest")
     assert " 1 passed" in run_python(*options, "test_my_law.py", folder=tmp_path)
 
 

@@ -9,7 +9,7 @@ from turtlelog.errors import LawError, ScenarioError
 from turtlelog.laws import Pose
 from turtlelog.laws.kanayama import PART as KANAYAMA, KanayamaParameters
 from turtlelog.laws.pure_pursuit import PART as PURE_PURSUIT, PurePursuitParameters
-from turtlelog.paths import Path
+from turtlelog.run.paths import Path
 from turtlelog.scenario import build_scenario
 from turtlelog.simulate.scenario_law import build_law
 

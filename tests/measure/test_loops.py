@@ -10,10 +10,10 @@ import pytest
 import turtlelog as tl
 from tests.measure.runs import make_straight_run, set_times
 from tests.strange_law import simulate_strange
-from turtlelog.angles import wrap_angle
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.loops import ControlLoop, Declaration
-from turtlelog.paths import Path
+from turtlelog.run.angles import wrap_angle
+from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.run.paths import Path
 
 STRANGE = simulate_strange()
 DRIVE = "examples/turn_and_drive.py:TurnAndDrive"

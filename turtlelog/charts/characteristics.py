@@ -14,7 +14,6 @@ from turtlelog.charts.curves import (
     read_distance_to_reference,
 )
 from turtlelog.charts.tracked_path import read_along_error
-from turtlelog.loops import PAUSE, ControlLoop, Declaration
 from turtlelog.measure import (
     MeasureSettings,
     Metric,
@@ -24,6 +23,7 @@ from turtlelog.measure import (
 from turtlelog.measure.metric import Missing
 from turtlelog.measure.response import Response, find_loop_samples, find_response
 from turtlelog.run import Run
+from turtlelog.run.loops import PAUSE, ControlLoop, Declaration
 
 ALONG_ERROR: Final = "along_track_error"
 TO_REFERENCE: Final = "distance_to_reference"

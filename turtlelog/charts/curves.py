@@ -10,13 +10,13 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.errors import ShowError
-from turtlelog.loops import DONE, PAUSE, PUSH_KEYS, REFERENCE_WORDS, ControlLoop, read_number
 from turtlelog.measure import find_first_stretch, list_signals, read_reference, read_signal
 from turtlelog.measure.references import project_on_line
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
+from turtlelog.run.angles import subtract_headings
+from turtlelog.run.loops import DONE, PAUSE, PUSH_KEYS, REFERENCE_WORDS, ControlLoop, read_number
 
 Values = NDArray[np.float64]
 

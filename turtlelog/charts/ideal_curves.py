@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turtlelog.charts.curves import Curve, Values, list_loops, read_curve
-from turtlelog.loops import ControlLoop
 from turtlelog.measure import find_first_stretch, read_reference, read_signal
 from turtlelog.run import Run
+from turtlelog.run.loops import ControlLoop
 from turtlelog.theory import compute_step_response
 
 _ALONG: Final = ("along_track",)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.loops import DONE, PAUSE
+from turtlelog.run.loops import DONE, PAUSE
 
 Color = tuple[int, int, int]
 

@@ -11,8 +11,8 @@ from turtlelog.charts.close_up import Label, Lettering, format_length
 from turtlelog.charts.curves import Curve, list_loops
 from turtlelog.measure import read_signal
 from turtlelog.measure.references import hold_reference, read_reference
-from turtlelog.paths import Path
 from turtlelog.run import Run
+from turtlelog.run.paths import Path
 
 Values = NDArray[np.float64]
 Point = tuple[float, float]

@@ -18,9 +18,9 @@ from turtlelog.check.result import CheckResult
 from turtlelog.display import format_number, show_angle
 from turtlelog.errors import CheckError, LibraryError, ShowError
 from turtlelog.escapes import escape_controls
+from turtlelog.files.urls import make_path
 from turtlelog.log import write_recording
 from turtlelog.measure import is_lawless, list_signals, read_signal
-from turtlelog.remote.urls import make_path
 from turtlelog.run import Run, slice_run
 
 if TYPE_CHECKING:

@@ -12,7 +12,6 @@ from turtlelog.check.formula_trace import RunEnding, find_ending
 from turtlelog.check.spec import READ_TEXTS
 from turtlelog.display import format_number
 from turtlelog.log import ReadChoice
-from turtlelog.loops import Declaration
 from turtlelog.measure import (
     Metric,
     MetricKind,
@@ -24,6 +23,7 @@ from turtlelog.measure import (
 )
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
 
 _OF_STEP: Final = ("overshoot", "settling_time", "saturated_share")
 _OF_MOVING: Final = ("rms_error", "largest_error", "saturated_share")

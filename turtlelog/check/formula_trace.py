@@ -20,9 +20,9 @@ from turtlelog.expressions import (
     iterate_nodes,
 )
 from turtlelog.log.recording.recovery_note import LOSS_NOTES, NO_LOSS
-from turtlelog.loops import PAUSE
 from turtlelog.measure import COMMANDED, list_signals, measure_run, read_signal
 from turtlelog.run import Run
+from turtlelog.run.loops import PAUSE
 
 
 class RunEnding(enum.Enum):

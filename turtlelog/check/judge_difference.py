@@ -17,7 +17,7 @@ from turtlelog.compare.difference import compare_metrics
 from turtlelog.compare.signal_comparison import compare_signals, explain_lack
 from turtlelog.display import format_number, format_pair
 from turtlelog.errors import CheckError
-from turtlelog.loops import Declaration
+from turtlelog.files.urls import make_path
 from turtlelog.measure import (
     Metric,
     find_metric_kind,
@@ -27,9 +27,9 @@ from turtlelog.measure import (
     measure_run,
     read_signal,
 )
-from turtlelog.remote.urls import make_path
 from turtlelog.replay import Difference, LawReplay, LoopReplay, PlantReplay, SignalDifference
 from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
 
 AnyTolerance: TypeAlias = Tolerance | Tolerances | str | Path | None
 AnyReference: TypeAlias = Run | ReferenceFile | Mapping[str, Metric] | str | Path

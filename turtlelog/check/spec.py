@@ -13,7 +13,6 @@ from turtlelog.escapes import escape_controls
 from turtlelog.expressions import Expression
 from turtlelog.log import ReadChoice
 from turtlelog.log.read_choice import TimeSource
-from turtlelog.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
 from turtlelog.measure import (
     ANY_LOOP,
     METRICS,
@@ -23,6 +22,7 @@ from turtlelog.measure import (
     list_ids_like,
 )
 from turtlelog.run.columns import Rebuilding, list_fields, rebuild
+from turtlelog.run.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import name_key
 

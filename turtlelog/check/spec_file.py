@@ -22,12 +22,12 @@ from turtlelog.compare import ALIGNMENTS, Tolerance
 from turtlelog.compare.alignment import could_be_alignment
 from turtlelog.errors import CheckError, CompareError, LogError
 from turtlelog.expressions import Expression, Until, iterate_nodes, parse_expression
+from turtlelog.files.text_files import describe_missing, parse_toml, read_text_file
+from turtlelog.files.urls import is_url, make_path
 from turtlelog.log import ReadChoice
 from turtlelog.log.read_choice import TimeSource, parse_goal
-from turtlelog.remote.urls import is_url, make_path
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import describe_value, name_key
-from turtlelog.text_files import describe_missing, parse_toml, read_text_file
 
 _KINDS: Final = ("signals", "metrics")
 _KNOWN: Final = (*_KINDS, "checks", "reference", "alignment", "read")

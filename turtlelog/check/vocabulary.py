@@ -17,7 +17,6 @@ from turtlelog.expressions import (
     fail_at,
     iterate_nodes,
 )
-from turtlelog.loops import DONE, NAME_PATTERN, Declaration
 from turtlelog.measure import (
     METRICS,
     SIGNALS,
@@ -29,6 +28,7 @@ from turtlelog.measure import (
     list_signals,
 )
 from turtlelog.run import Run
+from turtlelog.run.loops import DONE, NAME_PATTERN, Declaration
 from turtlelog.scenario import Scenario, flatten_scenario
 
 

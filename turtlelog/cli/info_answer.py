@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.info_summary import CONTROL, NOTHING_LEFT, ReadRun, Summary
-from turtlelog.cli.output import fill_lines, format_table
+from turtlelog.cli.output import fill_lines, fit_table
 from turtlelog.display import describe_count
 from turtlelog.escapes import escape_controls
 
@@ -128,7 +128,7 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
     lines = [_fill(f"{name}: ", _write_head(answer))]
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
     if topics and answer.topics:
-        lines += ["", format_table(_tabulate(answer))]
+        lines += ["", fit_table(_tabulate(answer))]
     if topics and answer.not_understood:
         texts = (escape_controls(f"  {text}") for text in answer.not_understood)
         lines += ["", "not readable", *texts]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import turtlelog as tl
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
+from turtlelog.files.urls import RemotePath
 from turtlelog.processes import count_bytes
-from turtlelog.remote.urls import RemotePath
 from turtlelog.run.ending import describe_goal_end, find_goal_error
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ import turtlelog as tl
 from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import TurtlelogError, UsageError
+from turtlelog.files.text_files import describe_missing
+from turtlelog.files.urls import RemotePath, make_path, parse_size, set_max_download
 from turtlelog.processes import FILE_S, choose_jobs
-from turtlelog.remote.urls import RemotePath, make_path, parse_size, set_max_download
-from turtlelog.text_files import describe_missing
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -262,7 +262,7 @@ class WorkOptions:
             return
         if self.jobs is not None:
             raise UsageError("--jobs: the cluster of --scheduler has its own; leave --jobs out")
-        from turtlelog.cluster import connect_cluster
+        from turtlelog.sweep.cluster import connect_cluster
 
         with connect_cluster(self.scheduler) as executor:
             yield executor

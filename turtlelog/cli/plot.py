@@ -31,7 +31,7 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import UsageError
-from turtlelog.remote.urls import RemotePath
+from turtlelog.files.urls import RemotePath
 
 if TYPE_CHECKING:
     from turtlelog import Run

@@ -21,7 +21,7 @@ from turtlelog.cli.options import (
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_verdicts
 from turtlelog.cli.replay_answer import (
     ReplayAnswer,
-    build_law,
+    answer_law_replay,
     build_loop,
     format_law,
     format_loop,
@@ -120,7 +120,11 @@ def _replay_law(
         trust_law=mode.trust_law,
         step_budget_s=choose_step_budget(mode.step_budget_ms),
     )
-    return build_law(file, run, found), format_law(file, run, found, details=mode.details), found
+    return (
+        answer_law_replay(file, run, found),
+        format_law(file, run, found, details=mode.details),
+        found,
+    )
 
 
 def _replay_loop(

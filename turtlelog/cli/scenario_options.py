@@ -13,7 +13,7 @@ from turtlelog.cli.list_names import complete_keys, complete_law
 from turtlelog.cli.options import MaxDownload, Place, TopicOptions, Whole, read_chosen_run
 from turtlelog.cli.output import print_note
 from turtlelog.errors import ScenarioError, UsageError
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Declaration, Scenario

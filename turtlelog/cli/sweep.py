@@ -29,7 +29,7 @@ from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_cha
 from turtlelog.cli.targets import require_new_target
 from turtlelog.display import describe_count, format_short
 from turtlelog.errors import SweepError, UsageError
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog.sweep import RowRecords, Sampling, Sweep, SweepPlan, SweepSummary
@@ -45,8 +45,8 @@ class PlanOptions:
 
     Attributes:
         grid: Vary a key, as in law.kp_linear=0.5:12:0.25 (both ends included; default step: 1),
-            or law.projection=bearing,heading. Given several times, every combination is a row, the
-            last key fastest.
+            or law.projection=bearing,heading. kp=1:12 varies all gains of the law together. Given
+            several times, every combination is a row, the last key fastest.
         zip_: Vary keys together, each value of one with that of the other; stands once for each.
         sample: Number of rows to draw instead: any number of A:B, one of A:B:STEP or of a list.
         seed: Seed of the drawn values. Default: 0.
@@ -85,7 +85,7 @@ class PlanOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TableOptions:
+class SweepTableOptions:
     """What is written.
 
     Attributes:
@@ -136,7 +136,7 @@ def sweep(
     base: ScenarioWord = None,
     /,
     *,
-    table: TableOptions,
+    table: SweepTableOptions,
     plan: PlanOptions | None = None,
     options: LawOptions | None = None,
     work: SweepOptions | None = None,
@@ -195,7 +195,7 @@ def _tell_late(late: str) -> None:
 
 def _prepare(
     base: str | None,
-    table: TableOptions,
+    table: SweepTableOptions,
     plan: PlanOptions,
     options: LawOptions | None,
     work: SweepOptions,
@@ -203,10 +203,7 @@ def _prepare(
     inputs = [] if base is None else [make_path(base)]
     require_new_target(table.output, inputs, suffix=".parquet")
     rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
-    for key in list_given_keys(options):
-        if key in rows.keys:
-            raise UsageError(f"--set: {key} is varied by --grid; leave one of them out")
-    return tl.sweep.prepare_sweep(
+    prepared = tl.sweep.prepare_sweep(
         load_changed_scenario(base, options),
         rows,
         metrics=patterns,
@@ -215,6 +212,10 @@ def _prepare(
         step_budget_s=choose_step_budget(work.step_budget_ms),
         source="--grid",
     )
+    for key in list_given_keys(options):
+        if key in prepared.plan.keys:
+            raise UsageError(f"--set: {key} is varied by --grid; leave one of them out")
+    return prepared
 
 
 def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:

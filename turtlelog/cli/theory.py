@@ -29,7 +29,7 @@ from turtlelog.cli.theory_loops import (
 )
 from turtlelog.cli.theory_tables import build_integrator
 from turtlelog.errors import TheoryError, UsageError
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

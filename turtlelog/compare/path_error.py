@@ -17,7 +17,7 @@ _MOST_POINTS: Final = 20_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PathError:
+class PathDeviation:
     """How far a run is from where a reference was, over the segment that both cover.
 
     Attributes:
@@ -37,7 +37,9 @@ class PathError:
     rms_apart_m: float
 
 
-def measure_path_error(reference: Run, run: Run, *, alignment: str = "first_sample") -> PathError:
+def measure_path_error(
+    reference: Run, run: Run, *, alignment: str = "first_sample"
+) -> PathDeviation:
     """Return how far a run is from a reference's path, and from the reference at equal times.
 
     Args:
@@ -64,7 +66,7 @@ def measure_path_error(reference: Run, run: Run, *, alignment: str = "first_samp
     beside = compute_path_distances(ours_m, path_m)
     apart = np.hypot(*(ours_m - theirs_m).T)
     step_s = np.diff(at_s)
-    return PathError(
+    return PathDeviation(
         largest_m=float(beside.max()),
         largest_at_s=float(at_s[beside.argmax()]),
         rms_m=compute_rms(step_s, beside, None),

@@ -14,7 +14,6 @@ from turtlelog.compare.ranking import Conditions, find_conditions
 from turtlelog.display import fit_line
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
-from turtlelog.loops import Declaration
 from turtlelog.measure import (
     Metric,
     Metrics,
@@ -28,6 +27,7 @@ from turtlelog.measure import (
 )
 from turtlelog.measure.metric import Status
 from turtlelog.run import Parameter, Run
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Start
 
 TEXTS: Final = ("name", "source", "stop_reason")

@@ -20,7 +20,6 @@ from turtlelog.compare.run_summary import (
 from turtlelog.compare.table import Cell, Column, Mark, Table
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import CompareError
-from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure import (
     MeasureSettings,
     Metric,
@@ -30,6 +29,7 @@ from turtlelog.measure import (
     measure_run,
 )
 from turtlelog.run import Parameter, Run
+from turtlelog.run.loops import ControlLoop, Declaration
 
 _MOST_DIFFERING: Final = 2
 """Columns of parameters in which runs differ."""

@@ -7,7 +7,6 @@ from typing import Any
 
 from turtlelog.arithmetic import to_ns
 from turtlelog.effects.delay import judge_delays
-from turtlelog.loops import PUSH_KEYS, Cause
 from turtlelog.parts import (
     NEVER_NS,
     Action,
@@ -22,6 +21,7 @@ from turtlelog.parts import (
     TurnSize,
     absent,
 )
+from turtlelog.run.loops import PUSH_KEYS, Cause
 
 _END_OF_TIME_S = 9e9
 """Later than any run [s], whose nanoseconds fit into 64 bits."""

@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Unpack, cast
 
 from turtlelog.errors import LogError
+from turtlelog.files.urls import make_path
 from turtlelog.log import importers, recording, ros2
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
 from turtlelog.log.engine.framing import MCAP0_MAGIC
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.info import RecordingInfo, read_info
+from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
     CHOSEN,
     ReadChoice,
@@ -20,7 +21,6 @@ from turtlelog.log.read_choice import (
     split_topic,
 )
 from turtlelog.log.recording.topics import COMMAND, POSE
-from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog.run import Run

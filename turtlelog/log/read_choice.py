@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, Literal, TypedDict
 
 from turtlelog.errors import LogError
-from turtlelog.remote.urls import RemotePath, make_path
+from turtlelog.files.urls import RemotePath, make_path
 
 TimeSource = Literal["auto", "log", "stamp"]
 """What times poses: the recorder's clock, their stamps mapped to it, or what the bag suggests."""

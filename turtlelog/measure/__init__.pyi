@@ -20,7 +20,7 @@ from .metric import (
     Missing as Missing,
     Status as Status,
 )
-from .metrics import (
+from .metric_registry import (
     ANY_LOOP as ANY_LOOP,
     METRICS as METRICS,
     choose_metrics as choose_metrics,

@@ -9,7 +9,6 @@ from typing import Final, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.loops import ControlLoop
 from turtlelog.measure.dead_time import DeadTime, find_dead_time
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
@@ -20,6 +19,7 @@ from turtlelog.measure.references import read_heading_reference
 from turtlelog.measure.response import Response, find_loop_samples, find_response
 from turtlelog.measure.signals import Signal, read_signal
 from turtlelog.run import Run, take_rows
+from turtlelog.run.loops import ControlLoop
 
 Values = NDArray[np.float64]
 _Value = TypeVar("_Value")

@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import Final, Literal, TypedDict, TypeVar, Unpack
 
 from turtlelog.display import fit_line
-from turtlelog.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import (
     REASONS,
@@ -27,6 +26,7 @@ from turtlelog.measure.metric import (
     read_outcome,
 )
 from turtlelog.measure.response import Response
+from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 
 Better = Literal["lower", "higher"] | None
 OfRun = Callable[[RunContext], Result]

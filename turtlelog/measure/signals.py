@@ -10,7 +10,6 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.display import (
     NamedValues,
     describe_count,
@@ -21,7 +20,6 @@ from turtlelog.display import (
 )
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
-from turtlelog.loops import STATE_PATTERN, Declaration
 from turtlelog.measure.references import (
     hold_samples,
     project_on_line,
@@ -29,6 +27,8 @@ from turtlelog.measure.references import (
     trace_poses,
 )
 from turtlelog.run import Run
+from turtlelog.run.angles import subtract_headings
+from turtlelog.run.loops import STATE_PATTERN, Declaration
 
 Values = NDArray[np.float64]
 

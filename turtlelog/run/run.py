@@ -16,8 +16,6 @@ from turtlelog.display import (
     format_short,
 )
 from turtlelog.errors import PathError, RunError
-from turtlelog.loops import PAUSE, Declaration
-from turtlelog.paths import Path, restore_path
 from turtlelog.run.columns import (
     Clock,
     CommandColumns,
@@ -27,7 +25,9 @@ from turtlelog.run.columns import (
     list_fields,
     rebuild,
 )
+from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.path_picture import format_path_svg
+from turtlelog.run.paths import Path, restore_path
 from turtlelog.run.slicing import locate_stretch, slice_run
 from turtlelog.run.tables import TABLES, build_arrow, build_pandas, build_xarray
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.declaration_json import format_declaration
 from turtlelog.errors import RunError
 from turtlelog.libraries import load_library
 from turtlelog.run.columns import PAIRS, CommandColumns, PoseColumns, SampleColumns
+from turtlelog.run.declaration_json import format_declaration
 
 if TYPE_CHECKING:
     from turtlelog.run.run import Run

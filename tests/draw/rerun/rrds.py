@@ -14,9 +14,9 @@ from rerun.chunk import RrdReader
 
 from turtlelog.draw.rerun.viewer import find_viewer
 from turtlelog.explain import Attribution, Contribution, Resolution
-from turtlelog.loops import Declaration
 from turtlelog.measure import measure_run, read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import get_preset
 from turtlelog.simulate import simulate_run
 

@@ -39,9 +39,9 @@ from turtlelog.draw.report.sections import (
 )
 from turtlelog.errors import ShowError
 from turtlelog.explain import Attribution
+from turtlelog.files.urls import make_path
 from turtlelog.libraries import load_library
 from turtlelog.measure import Metric, measure_run
-from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 from turtlelog.version import __version__
 

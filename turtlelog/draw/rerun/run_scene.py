@@ -9,13 +9,13 @@ import rerun as rr
 
 from turtlelog.charts import palette
 from turtlelog.charts.far_origin import move_near
-from turtlelog.draw.documents import describe_run
+from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.content import (
     Content,
     describe_content,
     find_corners,
-    find_largest,
+    find_largest_shown,
 )
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.ghosts import Ghost, build_ideal_ghost, draw_ghost, draw_key
@@ -23,10 +23,10 @@ from turtlelog.draw.rerun.layout import build_run_layout, is_small
 from turtlelog.draw.rerun.legends import name_legends
 from turtlelog.draw.rerun.marks import (
     Mark,
-    draw_events,
     draw_lines,
     draw_marks,
     draw_phases,
+    list_events,
     list_marks,
     list_responses,
 )
@@ -62,7 +62,7 @@ def write_run_rrd(
     Args:
         run: What to show.
         path: The .rrd file; replaced when the new one is complete.
-        documents: Markdown texts by title, shown as tabs; `describe_run` where None.
+        documents: Markdown texts by title, shown as tabs; `document_run` where None.
         size: Of the window that it is for [pixels], where known: in a small one legends, phases and
             documents give way to curves.
 
@@ -95,7 +95,7 @@ def build_run_scene(
     """Return what is drawn of a run; documents and size are those of `write_run_rrd`."""
     single = build_single(run)
     if documents is None:
-        documents = describe_run(run, metrics=single.metrics)
+        documents = document_run(run, metrics=single.metrics)
     documents = add_thinning(documents, [run])
     content = replace(single.describe(documents), is_small=is_small(size))
     return RunScene(single, content, documents)
@@ -209,10 +209,10 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
 
 def _draw_events(run_stream: RunStream, single: Single, content: Content) -> None:
     """Draw the events where the turtle was, across the plots, and as a log."""
-    run, largest = single.run, find_largest(content)
+    run, largest = single.run, find_largest_shown(content)
     plane.draw_event_places(run_stream, run)
     times_ns = sorted({event.time_ns for event in plane.list_placed(run)})
     for plot in single.list_lined():
         name, entity = single.names[plot], f"{plot}/{_EVENT_LINES}"
         draw_lines(run_stream, entity, name, palette.MAIN, times_ns, largest=largest)
-    draw_events(run_stream, run)
+    list_events(run_stream, run)

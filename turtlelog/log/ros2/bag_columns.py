@@ -7,12 +7,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar import compute_heading, compute_tilt
 from turtlelog.log.ros2.stamps import Stamps, read_stamps
+from turtlelog.run.angles import wrap_angle
 
 _ROWS_AT_ONCE: Final = 65_536
 

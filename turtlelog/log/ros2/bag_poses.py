@@ -8,7 +8,7 @@ import numpy as np
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.info import TopicInfo
+from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.read_choice import ReadChoice
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_columns import find_pose_shape

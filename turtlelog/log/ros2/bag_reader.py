@@ -14,7 +14,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.error_boundary import name_file
-from turtlelog.log.info import RecordingInfo, TopicInfo
+from turtlelog.log.file_info import RecordingInfo, TopicInfo
 from turtlelog.log.planar import describe_plane
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions, TimeSource
 from turtlelog.log.recording.topics import (

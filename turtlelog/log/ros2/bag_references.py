@@ -15,8 +15,8 @@ from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
 from turtlelog.log.ros2.bag_topics import choose_goal_topic, choose_path_topics, list_names
 from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, rotate
-from turtlelog.paths import LEAST_M, MOST_POINTS, Path
 from turtlelog.run import Run
+from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 
 Values = NDArray[np.float64]
 

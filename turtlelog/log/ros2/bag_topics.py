@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.info import TopicInfo
+from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.recording.topics import MEASURED, POSE64, SHAPED, VELOCITY64
 
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"

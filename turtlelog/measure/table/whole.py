@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.arithmetic import compiled_as
-from turtlelog.loops import ControlLoop
 from turtlelog.measure import path
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import (
@@ -41,6 +40,7 @@ from turtlelog.measure.table.commands import (
     measure_total_variation,
 )
 from turtlelog.measure.table.loop_metrics import LEFT_SOON, find_needed_hold
+from turtlelog.run.loops import ControlLoop
 
 Values = NDArray[np.float64]
 
