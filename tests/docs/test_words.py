@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from statistics import median
-from typing import Final
+from typing import Final, Literal
 
 import pytest
 
@@ -62,11 +62,11 @@ _SENTENCE: Final = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """A sentence, or a cell of a table, and the line in which it begins."""
+    """A sentence, a cell of a table or a printed line, and the line in which it begins."""
 
     line: int
     text: str
-    is_prose: bool = True
+    kind: Literal["sentence", "cell", "line"] = "sentence"
 
     def count_words(self) -> int:
         return sum(re.search(r"\w", word) is not None for word in self.text.split())
@@ -75,14 +75,14 @@ class Sentence:
 def list_sentences(text: str) -> list[Sentence]:
     """Return the sentences of Markdown outside of code, a run of inline code as one word."""
     found = []
-    for line, block, is_prose in _list_blocks(_blank_code(text)):
+    for line, block, kind in _list_blocks(_blank_code(text)):
         plain = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", re.sub(r"`[^`]*`", _hide, block))
         for match in _SENTENCE.finditer(plain):
             begin = match.start() + len(match[0]) - len(match[0].lstrip())
             sentence = " ".join(match[0].split())
             if sentence:
                 at = line + plain.count("\n", 0, begin)
-                found.append(Sentence(line=at, text=sentence, is_prose=is_prose))
+                found.append(Sentence(line=at, text=sentence, kind=kind))
     return found
 
 
@@ -96,21 +96,21 @@ def _blank_code(text: str) -> str:
     return re.sub(pattern, lambda found: "\n" * found[0].count("\n"), text, flags=re.M | re.S)
 
 
-def _list_blocks(text: str) -> Iterator[tuple[int, str, bool]]:
-    """Yield paragraphs, entries of lists and cells: their first line, text, whether it is prose."""
+def _list_blocks(text: str) -> Iterator[tuple[int, str, Literal["sentence", "cell"]]]:
+    """Yield paragraphs, entries of lists and cells: their first line, their text, what they are."""
     block: list[str] = []
     begin = 1
     for number, line in enumerate([*text.split("\n"), ""], 1):
         entry = re.match(r"\s*(?:[-*]|\d+\.) ", line)
         if not line.strip() or line.startswith(("#", "|", "![")) or entry:
             if block:
-                yield begin, "\n".join(block), True
+                yield begin, "\n".join(block), "sentence"
             block = []
         if line.startswith("|"):
             for cell in re.split(r"(?<!\\)\|", line.strip("|")):
-                yield number, cell, False
+                yield number, cell, "cell"
         elif line.startswith("!["):
-            yield number, line, False
+            yield number, line, "cell"
         elif line.strip() and not line.startswith("#"):
             begin = begin if block else number
             block.append(line[entry.end() :] if entry else line)
@@ -118,14 +118,17 @@ def _list_blocks(text: str) -> Iterator[tuple[int, str, bool]]:
 
 def list_printed(text: str) -> list[Sentence]:
     """Return the lines that the commands on a page print."""
-    lines = text.split("\n")
-    shown = []
+    found = []
     for match in re.finditer(r"^```(?:console|text)\n(.*?)^```$", text, re.M | re.S):
-        first = text.count("\n", 0, match.start(1))
-        for number in range(first, first + match[1].count("\n")):
-            if not lines[number].startswith("$ "):
-                shown.append(Sentence(line=number + 1, text=lines[number]))
-    return shown
+        lines = list_lines(match[1], first=text.count("\n", 0, match.start(1)) + 1)
+        found += [line for line in lines if not line.text.startswith("$ ")]
+    return found
+
+
+def list_lines(printed: str, first: int = 1) -> list[Sentence]:
+    """Return the lines that a command printed."""
+    lines = enumerate(printed.splitlines(), first)
+    return [Sentence(line=at, text=line, kind="line") for at, line in lines]
 
 
 def list_help(text: str) -> list[Sentence]:
@@ -139,16 +142,16 @@ def list_help(text: str) -> list[Sentence]:
     return list_sentences("\n".join(line.strip() for line in lines))
 
 
-def find_faults(sentences: list[Sentence], name: str) -> list[str]:
+def find_hard_words(sentences: list[Sentence], name: str) -> list[str]:
     """Return what is forbidden in sentences: where it is, and what to write."""
     faults = []
     for sentence in sentences:
         for pattern, words in INSTEAD.items():
             found = re.search(pattern, sentence.text, re.I)
-            if found and (sentence.is_prose or not pattern.startswith("^")):
+            if found and (sentence.kind == "sentence" or not pattern.startswith("^")):
                 faults.append(f"{name}:{sentence.line}: {found[0]!r}: write: {words}")
         count = sentence.count_words()
-        if count > LONGEST:
+        if count > LONGEST and sentence.kind != "line":
             beginning = " ".join(sentence.text.split()[:6])
             faults.append(f"{name}:{sentence.line}: {count} words: cut in two: {beginning} ...")
     return faults
@@ -157,21 +160,20 @@ def find_faults(sentences: list[Sentence], name: str) -> list[str]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_pages_are_in_plain_words(page: Path) -> None:
     text = page.read_text("utf-8")
-    printed = [line for line in list_printed(text) if line.count_words() <= LONGEST]
-    assert find_faults([*list_sentences(text), *printed], page.name) == []
+    assert find_hard_words([*list_sentences(text), *list_printed(text)], page.name) == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_sentences_of_a_page_are_short(page: Path) -> None:
     sentences = list_sentences(page.read_text("utf-8"))
-    counts = [one.count_words() for one in sentences if one.is_prose]
+    counts = [one.count_words() for one in sentences if one.kind == "sentence"]
     assert median(count for count in counts if count > 1) <= USUAL
 
 
 def test_help_is_in_plain_words(call: Call) -> None:
     """The modules of all commands are loaded, and their whole help is laid out."""
     helps = {name: call(name, "--help-all").out for name in app if not name.startswith("-")}
-    faults = [find_faults(list_help(text), f"turtlelog {name}") for name, text in helps.items()]
+    faults = [find_hard_words(list_help(text), f"turtlelog {name}") for name, text in helps.items()]
     assert [*chain.from_iterable(faults)] == []
 
 
@@ -208,7 +210,7 @@ EXAMPLES: Final = {
 @pytest.mark.parametrize(("pattern", "example"), [*zip(INSTEAD, EXAMPLES, strict=True)])
 def test_what_is_forbidden_is_found(pattern: str, example: str) -> None:
     for text in (example, EXAMPLES[example]):
-        faults = find_faults(list_sentences(f"First.\n\n{text}\n"), "page.md")
+        faults = find_hard_words(list_sentences(f"First.\n\n{text}\n"), "page.md")
         meant = f": write: {INSTEAD[pattern]}"
         found = [fault.startswith("page.md:3: ") for fault in faults if fault.endswith(meant)]
         assert found == ([True] if text == example else [])
@@ -217,7 +219,7 @@ def test_what_is_forbidden_is_found(pattern: str, example: str) -> None:
 @pytest.mark.parametrize(("words", "faults"), [(LONGEST, 0), (LONGEST + 1, 1)])
 def test_a_sentence_that_is_too_long_is_found(words: int, faults: int) -> None:
     text = f"Short.\n{'word ' * (words - 1)}`a b\nc`. Short.\n"
-    assert len(find_faults(list_sentences(text), "page.md")) == faults
+    assert len(find_hard_words(list_sentences(text), "page.md")) == faults
 
 
 def test_code_and_names_are_no_words() -> None:
@@ -234,6 +236,6 @@ def test_a_sentence_ends_at_its_point_and_not_at_an_initial() -> None:
 
 def test_what_commands_print_is_read() -> None:
     text = "A.\n\n```console\n$ turtlelog run as built\nrun: as built\n```\n"
-    assert find_faults(list_printed(text), "page.md") == [
+    assert find_hard_words(list_printed(text), "page.md") == [
         "page.md:5: 'as built': write: as recorded"
     ]
