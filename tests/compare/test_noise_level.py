@@ -79,6 +79,7 @@ def test_noise_beside_that_of_an_identified_robot_is_told(times: float) -> None:
 
 @pytest.mark.parametrize("key", ["plant__speed_gain", "plant__turn_gain"])
 def test_another_gain_with_the_same_noise_is_not_called_noise(key: str) -> None:
+    """Simulate 39 seeds of a minute: the band of the noise needs them all."""
     scenario = add_noise(make_scenario())
     run = simulate(add_noise(make_scenario(**{key: 0.8})), seed=4, duration_s=60.0)
     assert "noisier" not in {one.level for one in compare_robot(run, scenario).noise}

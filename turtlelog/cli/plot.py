@@ -293,14 +293,14 @@ def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list
         if str(word) in tl.PRESETS or (word.suffix.lower() == ".toml" and word.is_file())
     }
     if not scenarios:
-        return read_runs(words, topics) if words else []
+        return read_runs(words, topics, allow_no_poses=True) if words else []
     runs = []
     for word in words:
         if word in scenarios:
             with show_progress("simulating"):
                 runs.append(tl.simulate_run(tl.load_scenario(str(word))))
         else:
-            runs += read_runs([word], topics)
+            runs += read_runs([word], topics, allow_no_poses=True)
     return runs
 
 

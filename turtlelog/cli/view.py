@@ -109,6 +109,7 @@ def view(
     require_files(files)
     outputs = [save, picture.snapshot, movie.movie]
     _require_one_way(files, outputs, window)
+    _require_view(save)
     _require_picture(picture, movie)
     require_movie(movie, files)
     require_there(files)
@@ -141,6 +142,13 @@ def view(
                 _serve(rrds)
             elif save is None and picture.snapshot is None:
                 tl.open_viewer(rrds)
+
+
+def _require_view(save: Path | None) -> None:
+    """Refuse a picture or a movie where a view is written, and name the option that writes one."""
+    if save is not None and save.suffix in {".png", ".mp4", ".gif"}:
+        other = "--snapshot" if save.suffix == ".png" else "--movie"
+        raise UsageError(f"--save {save}: --save writes .rrd files; did you mean {other} {save}?")
 
 
 def _tell(written: Sequence[Path], runs: "Sequence[Run]") -> None:

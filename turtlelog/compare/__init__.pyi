@@ -54,6 +54,7 @@ from .run_summary import (
 )
 from .run_table import (
     UNLOCKS as UNLOCKS,
+    can_unlock as can_unlock,
     drop_absent as drop_absent,
     list_reasons as list_reasons,
     list_units as list_units,
