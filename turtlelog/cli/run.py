@@ -116,8 +116,8 @@ def run(
     viewer does not end it. If a law fails, the samples before the failure are written (exit code
     2).
 
-    A note on stderr says if a gain is above the stability limit of the theory, at the dead time
-    that the settings imply, and if the law ignores a goal, goal heading or path that was set.
+    Notes on stderr name a gain above the stability limit of the theory, at the dead time that the
+    settings imply, and a goal, goal heading or path that the law ignores.
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose

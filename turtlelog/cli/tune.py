@@ -42,9 +42,9 @@ class GoalOptions:
         minimise: A metric, or a formula of metrics and keys, that should be small.
         maximise: The same, that should be large.
         subject_to: What must hold, as in "rotate.overshoot <= 2"; may stand several times.
-        evaluations: How many candidates the search takes at most, about; otherwise 300 for each
-            key. The neighbourhood takes 50 more for each, again where it holds a better one.
-        seed: Of the search, and of what --monte-carlo draws; otherwise 0.
+        evaluations: Approximate number of candidates. Default: 300 for each key. The neighbourhood
+            takes 50 more for each key, and again if it contains a better one.
+        seed: Seed of the search and of --monte-carlo. Default: 0.
     """
 
     grid: Annotated[
@@ -95,7 +95,7 @@ class RobustnessOptions:
     """How the best values are tried where the loop is not quite the same.
 
     Attributes:
-        monte_carlo: Simulate so many variants of the best: of other seeds, where the scenario has
+        monte_carlo: Number of variants of the best to simulate: of other seeds, if the scenario has
             random effects, and with a transport delay of a tick more or less.
         spread: Draw a key of them, too, from a range, as in plant.turn_gain=0.9:1; may stand
             several times.
@@ -173,11 +173,11 @@ def tune(
     """Look for the values of a scenario's keys that are best, and say how far they can be trusted.
 
     Candidates are simulated, many at a time. Of two the better one fulfils the constraints; where
-    both do, the objective decides. Where a metric has no value, as the settling time of a run that
-    does not settle, the candidate is no success.
+    both do, the objective decides. A candidate without a value of a metric, such as the settling
+    time of a run that does not settle, is refused.
 
     Then each key is moved alone until the objective is a tenth worse or a constraint breaks. With
-    --monte-carlo variants of the best show how much it hangs on noise, delay and robot.
+    --monte-carlo variants of the best show how much it depends on noise, delay and robot.
 
     The exit code is 1 where no candidate fulfils the constraints.
 

@@ -56,7 +56,7 @@ class PictureOptions:
 
     Attributes:
         snapshot: Write a picture of the view to this .png file and open nothing; needs no display.
-        at: Time of the picture, from the first sample [s]; otherwise the end of the longest run.
+        at: Time of the picture, from the first sample [s]. Default: the end of the longest run.
         timeline: The timeline of --at and of a movie: sim_time, or for several runs also
             PHASE_time, which begins at a later phase of each, as translate_time.
         size: Width and height of the picture [pixels], at least 480x320; below 1000x700 legends,

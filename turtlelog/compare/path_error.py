@@ -18,7 +18,7 @@ _MOST_POINTS: Final = 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathDeviation:
-    """How far a run is from where a reference was, over the stretch that both cover.
+    """How far a run is from where a reference was, over the segment that both cover.
 
     Attributes:
         largest_m: Largest distance from the nearest point of the reference's path [m].

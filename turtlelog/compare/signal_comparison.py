@@ -146,7 +146,7 @@ def explain_lack(name: str, reference: Run, run: Run) -> str:
     sides = zip((reference, run), _read_signals(name, reference, run), strict=True)
     lacking = [who for who, held in sides if held is None]
     if not lacking:
-        return "there is no stretch in which both were commanded"
+        return "there is no segment in which both were commanded"
     reason = f"{' and '.join(who.name for who in lacking)} does not hold it"
     lawless = [who for who in lacking if name not in list_signals(who.declaration)]
     if not lawless:

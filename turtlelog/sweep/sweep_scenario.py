@@ -167,7 +167,7 @@ def _read_values(grid: Mapping[str, Iterable[Any]]) -> Iterator[KeyValues]:
             raise SweepError(f"grid: {key}: expected values, as in {example}, found {given!r:.60}")
         values = [unwrap_number(one) for one in given]
         if not values:
-            raise SweepError(f"grid: {key}: expected at least one value, found none")
+            raise SweepError(f"grid: {key}: has no values; give them as in {example}")
         is_text = choose_type(values) == "text"
         if None in values or (is_text and not all(isinstance(one, str) for one in values)):
             expected = "numbers, texts or truths alone"

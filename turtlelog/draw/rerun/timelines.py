@@ -238,7 +238,7 @@ def _describe_thinning(runs: Sequence[Run]) -> str:
         return ""
     kept = ["the first row", "the least and the greatest value", "the first row of a gap"]
     return (
-        f"Drawn are of {' and of '.join(drawn)} at most: of every stretch {join_words(kept)}"
+        f"Drawn are of {' and of '.join(drawn)} at most: of every part {join_words(kept)}"
         f"{_describe_borders(runs)}. What lies between is left out. Metrics are of all."
     )
 

@@ -278,8 +278,8 @@ def _describe(
     yield f"Scans of {topic}: {describe_count(count, 'scan')}{thinned}."
     if known < count:
         lost = describe_count(count - known, "scan")
-        verb = "has" if count - known == 1 else "have"
-        yield f"{lost} of {topic} {verb} no pose within 1 s and {'is' if verb == 'has' else 'are'} left out."
+        verbs = ("has", "is") if known == count - 1 else ("have", "are")
+        yield f"{lost} of {topic} {verbs[0]} no pose within 1 s and {verbs[1]} left out."
     for frame, carrier in carriers.items():
         if carrier is None:
             name = frame or "the scanner"
