@@ -90,7 +90,8 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Check": {
         "check": (
             "SPEC FILE...",
-            "Hold recordings to a specification: bounds, formulas over time, tolerances.",
+            "Check recordings against a specification: bounds, temporal-logic formulas,"
+            " tolerances.",
         ),
     },
     "Show": {

@@ -223,7 +223,7 @@ def change_scenario(
     """
     options = options or ScenarioOptions()
     if options.commands is not None:
-        run = read_chosen_run(options.commands, TopicOptions())
+        run = read_chosen_run(options.commands, TopicOptions(), allow_no_poses=True)
         scenario, declaration = tl.scenario.replay_commands(scenario, run), None
     changes = tl.scenario.parse_assignments(options.assignments or (), source="--set")
     if "law.kind" in changes:

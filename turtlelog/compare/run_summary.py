@@ -36,6 +36,7 @@ TEXTS: Final = ("name", "source", "stop_reason")
 
 HOLDINGS: Final[Mapping[str, Callable[[Run], bool]]] = MappingProxyType(
     {
+        "poses": lambda run: len(run.poses) > 0,
         "commands": lambda run: len(run.commands) > 0,
         "goal": lambda run: run.goal_xy_m is not None,
         "samples": lambda run: len(run.samples) > 0,
@@ -44,7 +45,7 @@ HOLDINGS: Final[Mapping[str, Callable[[Run], bool]]] = MappingProxyType(
         ),
     }
 )
-"""What metrics need besides poses: samples of a controller, commands, a goal, reported rates."""
+"""What metrics need: poses, samples of a controller, commands, a goal, reported rates."""
 
 
 def list_lacks(run: Run) -> tuple[str, ...]:
@@ -220,7 +221,7 @@ def summarise_measured(
         notes=run.notes,
         declaration=run.declaration,
         lacks=list_lacks(run),
-        conditions=find_conditions(run, known),
+        conditions=find_conditions(run, known) if len(run.poses) else None,
     )
 
 

@@ -289,6 +289,7 @@ class Missing:
 
 
 NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
+NO_POSES: Final = Missing(status=Status.ABSENT, reason="the recording holds no poses")
 ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
 
 

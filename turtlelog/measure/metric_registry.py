@@ -14,7 +14,7 @@ from turtlelog.display import NamedValues
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.measure_settings import MeasureSettings
-from turtlelog.measure.metric import Metric, Metrics, Missing, Result, Status
+from turtlelog.measure.metric import NO_POSES, Metric, Metrics, Missing, Result, Status
 from turtlelog.measure.registry import LOOP_METRICS, RUN_METRICS, MetricKind
 from turtlelog.run import Run
 from turtlelog.run.loops import ControlLoop, Declaration, is_loop_name
@@ -59,6 +59,16 @@ _ESSENTIAL_OF_MOTION: Final = (
     "run.largest_pose_gap",
 )
 """Of a robot of which nothing but its poses is known."""
+
+_ESSENTIAL_OF_COMMANDS: Final = (
+    *("run.duration", "run.sample_rate", "run.largest_gap"),
+    *(
+        f"run.{axis}_{figure}"
+        for axis in ("speed", "turn_rate")
+        for figure in ("effort", "total_variation", "largest_jump", "largest_slew_rate", "steps")
+    ),
+)
+"""Of a log of commands alone."""
 
 _ESSENTIAL_WITH_GOAL: Final = ("final.position_error", "run.time_to_goal")
 _ESSENTIAL_WITH_PATH: Final = ("run.cross_track_max", "run.cross_track_rms")
@@ -108,6 +118,8 @@ def is_lawless(run: Run) -> bool:
 def _list_of_motion(runs: Collection[Run]) -> tuple[str, ...]:
     if not runs:
         return ()
+    if not any(len(run.poses) for run in runs):
+        return _ESSENTIAL_OF_COMMANDS
     has_goal = any(run.goal_xy_m is not None for run in runs)
     has_path = any(run.path is not None for run in runs)
     has_commands = any(len(run.commands) for run in runs)
@@ -220,7 +232,7 @@ def measure_run(
     """Return the metrics of a run by id, in the order of `list_metrics(run.declaration)`.
 
     Args:
-        run: At least one pose; what it does not hold leaves a status in the metrics that need it.
+        run: What is measured; what it does not hold leaves a status in the metrics that need it.
         settings: Otherwise the usual ones.
         only: Ids or patterns of them (`translate.*`); nothing else is computed.
 
@@ -271,7 +283,10 @@ def miss_metric(declaration: Declaration, name: str) -> Metric:
 
 
 def _measure(context: RunContext, name: str, kind: MetricKind) -> Metric:
-    result = _require_finite(kind.compute, context)
+    if kind.needs_poses and not len(context.run.poses):
+        result: Result = NO_POSES
+    else:
+        result = _require_finite(kind.compute, context)
     if isinstance(result, Missing):
         return Metric(
             id=name, value=None, unit=kind.unit, status=result.status, reason=result.reason

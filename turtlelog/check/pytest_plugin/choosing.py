@@ -13,7 +13,7 @@ _FLAGS: Final = ("allow_partial", "trust_law")
 _SETTINGS: Final = (
     *_FLAGS,
     *("pose_topic", "command_topic", "path_topic", "pose_frame", "world_frame"),
-    *("goal", "time", "columns"),
+    *("robot", "wheel_joints", "wheels", "wheelbase", "goal", "time", "columns"),
 )
 """What the marker takes beside patterns: the fields of a `ReadChoice`, and whose code may run."""
 
@@ -52,6 +52,8 @@ def _require_settings(settings: Mapping[str, Any], place: str) -> None:
     kinds: dict[str, tuple[type | tuple[type, ...], str]] = {
         **dict.fromkeys(_FLAGS, (bool, "True or False")),
         "goal": ((tuple, list), "(x, y) or (x, y, heading)"),
+        "wheels": ((tuple, list), "(radius, track)"),
+        "wheelbase": ((int, float), "a length in m"),
         "columns": (Mapping, "a dictionary"),
     }
     for name, value in settings.items():
@@ -72,10 +74,10 @@ def name_recordings(paths: Sequence[Path], root: Path) -> list[str]:
 
 def find_stem(path: Path) -> str:
     """Return a file's name without its suffix; of FILE:TOPIC with the topic, fit for a file."""
-    head, colon, topic = path.as_posix().rpartition(":/")
-    if not colon or path.exists():
-        return path.stem
-    return f"{Path(head).stem}-{topic.replace('/', '-')}"
+    from turtlelog.log.read_choice import split_topic
+
+    head, topic = split_topic(path)
+    return path.stem if topic is None else f"{head.stem}-{topic.strip('/').replace('/', '-')}"
 
 
 def show_path(path: Path, root: Path) -> str:
@@ -120,9 +122,9 @@ def _find_files(pattern: str, folders: Sequence[Path]) -> list[Path]:
         found = sorted(Path(path) for path in glob.glob(whole, recursive=True))  # noqa: PTH207
         if found:
             return found
-    head, colon, topic = pattern.rpartition(":/")
-    if colon:  # FILE:TOPIC, each file of which it is one
-        return [path.parent / f"{path.name}:/{topic}" for path in _find_files(head, folders)]
+    head, colon, topic = pattern.rpartition(":")
+    if colon and head:  # FILE:TOPIC, each file of which it is one
+        return [path.parent / f"{path.name}:{topic}" for path in _find_files(head, folders)]
     return []
 
 

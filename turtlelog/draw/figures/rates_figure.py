@@ -143,7 +143,7 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
 
 
 def _tell_time(run: Run) -> str:
-    return f"time from the first {'sample' if len(run.samples) else 'pose'} [s]"
+    return f"time from the first {run.first_row} [s]"
 
 
 def lacks_commands(run: Run) -> bool:
