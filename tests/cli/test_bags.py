@@ -108,6 +108,11 @@ def test_a_bag_of_ros_1_is_read_by_every_command(
     assert is_refused == (command[0] == "replay")
 
 
+def test_info_says_that_a_bag_is_of_ros_1(call: Call, make_bag: MakeBag) -> None:
+    file = write_ros1(make_bag("a.mcap") / "old.bag")
+    assert call("info", file).out.startswith("old.bag: ROS 1 bag of a robot (not turtlesim), ")
+
+
 @commands
 def test_a_bag_of_ros_1_that_is_cut_is_told_with_what_repairs_it(
     call: Call, make_bag: MakeBag, command: list[str]
