@@ -274,7 +274,7 @@ def _describe(
     known: int,
 ) -> Iterator[str]:
     topic = messages[0].topic
-    thinned = "" if kept == count else f", {kept} of them shown"
+    thinned = "" if kept == known else f", {kept} of them shown"
     yield f"Scans of {topic}: {describe_count(count, 'scan')}{thinned}."
     if known < count:
         lost = describe_count(count - known, "scan")
