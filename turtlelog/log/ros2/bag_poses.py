@@ -13,7 +13,7 @@ from turtlelog.log.read_choice import ReadChoice
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_columns import find_pose_shape
 from turtlelog.log.ros2.bag_topics import (
-    TRANSFORMS,
+    TRANSFORM_TYPES,
     NoPosesError,
     Pick,
     choose_pose_topic,
@@ -68,7 +68,7 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
     if asked and choice.pose_topic is None:
         return _trace_poses(bag, _pick_transforms(topics), topics, choice)
     pick = _pick(bag, topics, choice.pose_topic)
-    if pick.topic.type == TRANSFORMS:
+    if pick.topic.type in TRANSFORM_TYPES:
         return _trace_poses(bag, pick, topics, choice)
     if asked:
         name = asked[0]
@@ -97,7 +97,7 @@ def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
     Raises:
         LogError: Where they cannot be read.
     """
-    held = [topic.topic for topic in topics if topic.type == TRANSFORMS and topic.count]
+    held = [topic.topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     place = home.rpartition("/")[0]
     own = [name for name in held if name.rpartition("/")[0] == place]
     names = own if any(not _is_static(name) for name in own) else held
@@ -142,7 +142,7 @@ def _holds_poses(bag: Bag, topic: str) -> bool:
 
 
 def _pick_transforms(topics: Collection[TopicInfo]) -> Pick:
-    fitting = [topic for topic in topics if topic.type == TRANSFORMS and topic.count]
+    fitting = [topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     moving = [topic for topic in fitting if not _is_static(topic.topic)]
     if not moving:
         raise LogError("no transforms (/tf)")
