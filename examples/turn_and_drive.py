@@ -6,10 +6,10 @@ turtlelog run --law examples/turn_and_drive.py:TurnAndDrive
 import math
 from dataclasses import dataclass
 
-from turtlelog.angles import subtract_headings
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.loops import ControlLoop, Declaration
-from turtlelog.paths import Path
+from turtlelog.run.angles import subtract_headings
+from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.run.paths import Path
 
 
 @dataclass(frozen=True, kw_only=True)

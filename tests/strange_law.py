@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import turtlelog as tl
-from turtlelog.angles import subtract_headings
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.loops import Cause, ControlLoop, Declaration
-from turtlelog.paths import Path as Track
+from turtlelog.run.angles import subtract_headings
+from turtlelog.run.loops import Cause, ControlLoop, Declaration
+from turtlelog.run.paths import Path as Track
 
 KIND: Final = f"{Path(__file__)}:StrangeLaw"
 """What a scenario's law.kind says of it."""

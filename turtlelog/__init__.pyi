@@ -9,22 +9,17 @@ from . import (
     draw as draw,
     explain as explain,
     expressions as expressions,
-    frames as frames,
     identify as identify,
     laws as laws,
     log as log,
-    loops as loops,
     measure as measure,
-    paths as paths,
     plants as plants,
     replay as replay,
     run as run,
-    runner as runner,
     scenario as scenario,
     simulate as simulate,
     sweep as sweep,
     theory as theory,
-    tune as tune,
 )
 from .check import (
     PartialLogError as PartialLogError,
@@ -104,10 +99,6 @@ from .log import (
     recover_recording as recover_recording,
     write_recording as write_recording,
 )
-from .loops import (
-    ControlLoop as ControlLoop,
-    Declaration as Declaration,
-)
 from .measure import (
     METRICS as METRICS,
     SIGNALS as SIGNALS,
@@ -127,6 +118,10 @@ from .run import (
     Run as Run,
     SampleColumns as SampleColumns,
 )
+from .run.loops import (
+    ControlLoop as ControlLoop,
+    Declaration as Declaration,
+)
 from .scenario import (
     PRESETS as PRESETS,
     Scenario as Scenario,
@@ -141,7 +136,7 @@ from .simulate import (
 from .sweep import (
     sweep_scenario as sweep_scenario,
 )
-from .tune import (
+from .sweep.tune import (
     tune_scenario as tune_scenario,
 )
 from .version import __version__ as __version__

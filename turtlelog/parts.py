@@ -18,7 +18,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
-from turtlelog.loops import Cause
+from turtlelog.run.loops import Cause
 
 ABSENT_BY_DEFAULT: Final[Mapping[str, bool]] = MappingProxyType({"absent_by_default": True})
 """Metadata of a key that a scenario's text leaves out while it has its default, so that adding it

@@ -20,7 +20,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from turtlelog.errors import ProcessError, RemoteError, describe_error, make_portable
-from turtlelog.remote.urls import RemotePath, make_path
+from turtlelog.files.urls import RemotePath, make_path
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future

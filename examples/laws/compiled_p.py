@@ -10,8 +10,8 @@ from typing import Any
 
 from turtlelog.arithmetic import hypot, wrap_angle
 from turtlelog.laws import Goal, LawPart
-from turtlelog.loops import ControlLoop, Declaration
-from turtlelog.paths import Path
+from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.run.paths import Path
 
 ALIGN = ControlLoop(
     name="align", signal="heading", command="turn_rate", reference="bearing_now", gain="law.kp"

@@ -6,10 +6,10 @@ turtlelog run --law examples/laws/p.py:P --kp 2
 import math
 from dataclasses import dataclass
 
-from turtlelog.angles import wrap_angle
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.loops import ControlLoop, Declaration
-from turtlelog.paths import Path
+from turtlelog.run.angles import wrap_angle
+from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.run.paths import Path
 
 ALIGN = ControlLoop(
     name="align", signal="heading", command="turn_rate", reference="bearing_now", gain="law.kp"

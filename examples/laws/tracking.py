@@ -6,10 +6,10 @@ turtlelog run --law examples/laws/tracking.py:Tracking --goal 5.5,5.5 --set law.
 import math
 from dataclasses import dataclass
 
-from turtlelog.angles import wrap_angle
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.loops import ControlLoop, Declaration
-from turtlelog.paths import Path
+from turtlelog.run.angles import wrap_angle
+from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.run.paths import Path
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,8 +5,8 @@ turtlelog run --law examples/laws/turn.py:turn_and_drive
 
 import math
 
-from turtlelog.angles import wrap_angle
 from turtlelog.laws import Goal, Pose
+from turtlelog.run.angles import wrap_angle
 
 
 def turn_and_drive(time_ns: int, pose: Pose, goal: Goal) -> tuple[float, float]:  # noqa: ARG001

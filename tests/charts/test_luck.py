@@ -8,7 +8,7 @@ from tests.known import known
 from tests.lucky_runs import METRIC, NOISY, attribute_lucky, measure_lucky
 from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import list_attribution_steps
-from turtlelog.charts.luck import LuckPicture, build_luck_picture, spread_labels
+from turtlelog.charts.luck_chart import LuckPicture, build_luck_picture, spread_labels
 from turtlelog.explain import Luck
 
 

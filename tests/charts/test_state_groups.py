@@ -11,7 +11,7 @@ from turtlelog.charts.state_groups import (
     find_state_unit,
     group_states,
 )
-from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.run.loops import ControlLoop, Declaration
 
 ROTATE = ControlLoop(name="rotate", signal="heading", command="turn_rate", reference="zero")
 DRIVE = ControlLoop(name="drive", signal="distance", command="speed", reference="zero")

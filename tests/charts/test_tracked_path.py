@@ -18,7 +18,7 @@ from turtlelog.charts.tracked_path import (
     read_way_to_reference,
 )
 from turtlelog.measure import read_signal
-from turtlelog.paths import Path, PathKind
+from turtlelog.run.paths import Path, PathKind
 
 KANAYAMA, PURSUIT = simulate_tracker("kanayama"), simulate_tracker("pure-pursuit")
 

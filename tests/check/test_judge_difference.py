@@ -7,7 +7,7 @@ from hypothesis import given, settings, strategies as st
 import turtlelog as tl
 from tests.compare.runs import change_rows, make_run
 from turtlelog.check import judge_replay
-from turtlelog.differences import Pairing, compare_pairing
+from turtlelog.replay.differences import Pairing, compare_pairing
 
 KP4 = tl.simulate_run(tl.load_scenario("paper-kp4"))
 KP1 = tl.simulate_run(tl.load_scenario("paper-kp1"))

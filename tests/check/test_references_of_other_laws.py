@@ -6,8 +6,8 @@ import numpy as np
 
 import turtlelog as tl
 from tests.strange_law import simulate_strange
-from turtlelog.loops import ControlLoop
 from turtlelog.run import Run
+from turtlelog.run.loops import ControlLoop
 
 ONE = simulate_strange()
 TWO = simulate_strange(law__gain_b=2.0, name="faster")

@@ -11,8 +11,8 @@ from tests.cli.test_info import MS, make_drive
 from tests.log.ros2.bags import START_NS, make_command, write_mcap
 from tests.log.ros2.test_unread_encodings import write_encoded
 from tests.log.runs import find_shared
+from turtlelog.log.live_run import run_live
 from turtlelog.log.recording import recorder
-from turtlelog.runner import run_live
 
 
 @pytest.fixture

@@ -211,7 +211,8 @@ def test_two_turtles_are_named(call: Call, tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "bag.mcap", turtles)
     (answer,) = call("info", path, "--json").json
     assert answer["summary"] == "turtlesim: /turtle1/pose at 62.5 Hz, no commands"
-    assert answer["notes"]["other_pose_topics"] == "/turtle2/pose"
+    assert answer["notes"]["robots"].startswith("turtle1 of turtle1, turtle2: ")
+    assert [robot["poses"] for robot in answer["robots"]] == ["/turtle1/pose", "/turtle2/pose"]
 
 
 @pytest.mark.parametrize(

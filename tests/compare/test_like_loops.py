@@ -6,7 +6,7 @@ import turtlelog as tl
 from tests.draw.laws import simulate_law, simulate_tracker
 from turtlelog.compare.like_loops import group_ids, group_loops, order_ids
 from turtlelog.laws import SequentialP
-from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.run.loops import ControlLoop, Declaration
 
 ROTATE = ControlLoop(name="rotate", signal="heading", command="turn_rate", reference="goal_bearing")
 TRANSLATE = ControlLoop(

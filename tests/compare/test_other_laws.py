@@ -9,8 +9,8 @@ from tests.strange_law import simulate_strange
 from turtlelog.compare.run_summary import list_usual_metrics
 from turtlelog.compare.signal_comparison import explain_lack
 from turtlelog.errors import CompareError
-from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.run import Run
+from turtlelog.run.loops import ControlLoop, Declaration
 
 ONE = simulate_strange()
 TWO = simulate_strange(law__gain_b=2.0, name="faster")

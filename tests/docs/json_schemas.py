@@ -37,6 +37,7 @@ ANSWERS: Final = {
     "replay": "replay_answer:LoopReplayAnswer",
     "replay --law": "replay_answer:LawReplayAnswer",
     "replay --plant": "replay_plant:PlantReplayAnswer",
+    "replay of commands alone": "replay_commands:CommandReplayAnswer",
     "list": "list_names:ListAnswer",
     "check": "check_answers:CheckAnswer",
     "plot": "plot:PlotAnswer",

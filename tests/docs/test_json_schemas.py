@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from tests.cli.conftest import Call, call as call, kp4 as kp4, kp10 as kp10
+from tests.cli.test_commands_alone import say_twist
 from tests.docs.json_schemas import (
     ANSWERS,
     PAGE,
@@ -16,6 +17,7 @@ from tests.docs.json_schemas import (
     format_schemas,
     know_types,
 )
+from tests.log.ros2.bags import write_mcap
 
 TYPED = {
     "run": ["run", "paper-kp4"],
@@ -34,6 +36,7 @@ TYPED = {
     "replay": ["replay", "KP4", "--set", "law.kp_linear=3", "--expect-equal"],
     "replay --law": ["replay", "KP4", "--law"],
     "replay --plant": ["replay", "KP4", "--plant"],
+    "replay of commands alone": ["replay", "commands.mcap"],
     "list": ["list", "causes"],
     "check": ["check", "KP4", "--expect", "rotate.overshoot <= 0"],
     "convert": ["convert", "KP4", "-o", "out.csv"],
@@ -65,6 +68,9 @@ def test_what_is_printed_has_the_fields_and_types_of_the_answer(
     files = {"KP4": kp4, "KP10": kp10}
     if "lagged.toml" in TYPED[typed]:
         Path("lagged.toml").write_text(call("scenario", "lagged").out)
+    if "commands.mcap" in TYPED[typed]:
+        write_mcap(Path("commands.mcap"), [say_twist(0.2, row=0)])
+        files["commands.mcap"] = Path("commands.mcap")
     if "TABLE" in TYPED[typed]:
         table = ("--grid", "law.kp_linear=1:2", "--metric", "run.duration", "-o", "TABLE.parquet")
         assert call("sweep", "textbook", *table).code == 0

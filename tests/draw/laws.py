@@ -8,8 +8,8 @@ from typing import Any, Final
 import turtlelog as tl
 from tests.strange_law import KIND as STRANGE
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.loops import ControlLoop, Declaration
-from turtlelog.paths import Path as Track
+from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.run.paths import Path as Track
 
 EXAMPLE: Final = f"{Path(__file__).parents[2] / 'examples' / 'turn_and_drive.py'}:TurnAndDrive"
 

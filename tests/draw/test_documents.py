@@ -1,12 +1,12 @@
 import turtlelog as tl
 from turtlelog.compare import summarise_run, tabulate_runs
-from turtlelog.draw.documents import describe_runs
+from turtlelog.draw.documents import document_runs
 from turtlelog.draw.table_formats import format_markdown
 
 
 def test_beside_pictures_runs_show_first_where_they_ended() -> None:
     runs = [tl.read_recording(f"recordings/paper/kp{kp}.mcap") for kp in (2, 10)]
-    text = describe_runs(runs)["Side by side"]
+    text = document_runs(runs)["Side by side"]
     heads = next(line for line in text.splitlines() if line.startswith("| run"))
     assert heads.split(" | ")[1:4] == [
         "Kp [1/s]",

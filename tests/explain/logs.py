@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from turtlelog.angles import wrap_angle
 from turtlelog.explain import Identification
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.run.angles import wrap_angle
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import simulate_run
 

@@ -7,10 +7,10 @@ from typing import ClassVar
 from msgspec.structs import replace
 
 from tests.strange_law import StrangeLaw
-from turtlelog.angles import subtract_headings
 from turtlelog.laws import Decision, Goal, Pose, SequentialP, SequentialPParameters
-from turtlelog.loops import Cause
-from turtlelog.paths import Path
+from turtlelog.run.angles import subtract_headings
+from turtlelog.run.loops import Cause
+from turtlelog.run.paths import Path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,9 +24,9 @@ from turtlelog.explain import (
 )
 from turtlelog.explain.hypothesis import find_dead_times, require_noise
 from turtlelog.explain.identification import LAW_KEYS
-from turtlelog.loops import Declaration
 from turtlelog.measure import DeadTime, measure_run
 from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import build_scenario, get_preset, nest_parameters, override_scenario
 from turtlelog.simulate import simulate_run
 

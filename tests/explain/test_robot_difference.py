@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tests.explain.robot_pairs import METRICS, draw_robot_pair
-from turtlelog.angles import wrap_angle
 from turtlelog.explain import ExplainedDifference, explain_difference
 from turtlelog.explain.difference_report import choose_told
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
+from turtlelog.run.angles import wrap_angle
 from turtlelog.run.columns import take_rows
 
 METRIC = METRICS["dead time"]

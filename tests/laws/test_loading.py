@@ -18,7 +18,7 @@ from turtlelog.laws import (
     find_law,
     name_law,
 )
-from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.run.loops import ControlLoop, Declaration
 
 LAW_TEXT = """
 from dataclasses import dataclass
@@ -214,7 +214,7 @@ def test_law_that_declares_something_else_each_time_is_refused(tmp_path: Path, p
 
     @classmethod
     def declare(cls, parameters, goal, path):
-        from turtlelog.loops import Declaration
+        from turtlelog.run.loops import Declaration
 
         cls.asked.append(goal)
         one_way = {{"two": (), "one": ()}}
@@ -230,7 +230,7 @@ def declare_names(tmp_path: Path, loop: str, state: str) -> Declaration:
     declare = f"""
     @classmethod
     def declare(cls, parameters, goal, path):
-        from turtlelog.loops import ControlLoop, Declaration
+        from turtlelog.run.loops import ControlLoop, Declaration
 
         loop = ControlLoop(
             name="{loop}", signal="heading", command="turn_rate", reference="goal_bearing"

@@ -9,7 +9,7 @@ from turtlelog.errors import LawError, ScenarioError
 from turtlelog.laws import Pose
 from turtlelog.laws.kanayama import PART as KANAYAMA, KanayamaParameters
 from turtlelog.laws.pure_pursuit import PART as PURE_PURSUIT, PurePursuitParameters
-from turtlelog.paths import Path
+from turtlelog.run.paths import Path
 from turtlelog.scenario import build_scenario
 from turtlelog.simulate.scenario_law import build_law
 
@@ -200,7 +200,6 @@ def test_tracker_comes_to_the_path(kind: str, start: tuple[float, float, float])
     run = tl.simulate_run(scenario)
     assert run.stop_reason == "path_end"
     late = tl.measure.read_signal(run, "cross_track")
-    assert late is not None
     assert np.abs(late.values[-len(late.values) // 4 :]).max() < 0.02
 
 

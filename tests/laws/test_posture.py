@@ -8,10 +8,10 @@ import pytest
 from numpy.typing import NDArray
 
 import turtlelog as tl
-from turtlelog.angles import wrap_angle
 from turtlelog.errors import LawError, ScenarioError
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.laws.posture import PART as POSTURE, PostureParameters
+from turtlelog.run.angles import wrap_angle
 
 PUBLISHED = {"law.gamma": 3.0, "law.k": 6.0, "law.h": 1.0}
 FREE = {

@@ -15,7 +15,7 @@ LAW_TEXT = """
 from dataclasses import dataclass
 
 from turtlelog.laws import Decision
-from turtlelog.loops import Declaration
+from turtlelog.run.loops import Declaration
 
 
 @dataclass(frozen=True)

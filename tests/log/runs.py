@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
-from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.run.angles import wrap_angle
+from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import simulate_run
 

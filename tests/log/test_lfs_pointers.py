@@ -9,8 +9,8 @@ from tests.cli.conftest import (
     Call,
     call as call,
 )
+from tests.files.range_server import RangeServer
 from tests.log.ros2.bags import write_metadata
-from tests.remote.range_server import RangeServer
 from turtlelog.errors import LogError
 
 POINTER = (

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.run.angles import wrap_angle
 
 Values = NDArray[np.float64]
 _NONE = np.zeros(0)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from tests.log.runs import find_shared, make_bare_run, simulate_preset
 from turtlelog import Run, read_run
-from turtlelog.angles import wrap_angle
 from turtlelog.measure.breaks import describe_breaks, find_gaps, find_jumps
 from turtlelog.run import PoseColumns
+from turtlelog.run.angles import wrap_angle
 
 Values = NDArray[np.float64]
 

@@ -7,7 +7,6 @@ import pytest
 from tests import sequential
 from tests.log.runs import find_shared
 from tests.simulate.random_scenarios import build_random
-from turtlelog.angles import wrap_angle
 from turtlelog.log import import_log
 from turtlelog.measure import (
     DeadTime,
@@ -20,6 +19,7 @@ from turtlelog.measure import (
 from turtlelog.plants import Turtle
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.run.angles import wrap_angle
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import simulate_run
 

@@ -9,10 +9,10 @@ import pytest
 import turtlelog as tl
 from tests.measure.driven import make_driven_run, respond
 from tests.measure.driven_robots import AT_20_HZ, drive, measure, read, tell
-from turtlelog.angles import wrap_angle
 from turtlelog.measure import Status
 from turtlelog.measure.rates import read_rates, thin_poses
 from turtlelog.measure.table.travel import compute_spectral_arc_length
+from turtlelog.run.angles import wrap_angle
 
 
 def test_an_arc_is_as_long_as_it_is_and_turns_as_far() -> None:

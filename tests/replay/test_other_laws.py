@@ -8,9 +8,9 @@ import pytest
 from tests.replay.changes import change_scenario, change_value
 from tests.strange_law import KIND, simulate_strange
 from turtlelog.errors import ScenarioError
-from turtlelog.loops import Declaration
 from turtlelog.replay import LawReplay, LoopReplay, replay_law, replay_loop
 from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import restore_scenario
 from turtlelog.simulate import simulate_run
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.run.loops import ControlLoop, Declaration
 
 KIND: Final = f"{Path(__file__)}:PidLaw"
 

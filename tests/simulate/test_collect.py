@@ -57,7 +57,7 @@ COUNTING_TEXT = """
 from dataclasses import dataclass
 
 from turtlelog.laws import Decision
-from turtlelog.loops import Declaration
+from turtlelog.run.loops import Declaration
 
 
 @dataclass(frozen=True)

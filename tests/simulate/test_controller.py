@@ -7,8 +7,8 @@ import pytest
 
 from turtlelog.errors import SimulationError
 from turtlelog.laws import Decision, Goal, Pose, SequentialPParameters
-from turtlelog.paths import Path
 from turtlelog.plants import TURTLESIM
+from turtlelog.run.paths import Path
 from turtlelog.scenario import Limits, LoopSettings, Scenario
 from turtlelog.simulate import PlainLoop, SampleRow, TickRow, loop
 

@@ -18,7 +18,6 @@ from tests.simulate.random_scenarios import (
     build_robot,
 )
 from tests.simulate.run_values import list_values
-from turtlelog.compiled_loops import CompiledLoops
 from turtlelog.errors import SimulationError
 from turtlelog.laws import find_law
 from turtlelog.plants import TURTLESIM, Plant
@@ -30,6 +29,7 @@ from turtlelog.scenario import (
     resolve_scenario,
 )
 from turtlelog.simulate import declare_scenario, simulate_many, simulate_run
+from turtlelog.simulate.compiled_loops import CompiledLoops
 from turtlelog.simulate.compiled_run import CompiledRunner
 from turtlelog.simulate.many import COST_S, find_loop, find_saving
 from turtlelog.simulate.settings import build_settings

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from turtlelog.laws.base import LawPart
-from turtlelog.loops import Declaration
+from turtlelog.run.loops import Declaration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +57,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.loops import Cause
+from turtlelog.run.loops import Cause
 from turtlelog.parts import Action, Complaint, Effect, Probability, absent
 
 

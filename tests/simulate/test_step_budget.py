@@ -14,8 +14,8 @@ from turtlelog.check.recording import SimulatedRuns
 from turtlelog.errors import SimulationError
 from turtlelog.laws import Decision, Pose
 from turtlelog.log import Recorder, read_recording
+from turtlelog.log.live_run import run_live
 from turtlelog.replay import replay_law
-from turtlelog.runner import run_live
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import (
     collect_run,
@@ -26,7 +26,7 @@ from turtlelog.simulate import (
 )
 from turtlelog.simulate.step_budget import StepBudget, StepBudgetError
 from turtlelog.sweep import prepare_sweep
-from turtlelog.tune import Candidates
+from turtlelog.sweep.tune import Candidates
 
 POSE = Pose(0.0, 0.0, 0.0)
 DECISION = Decision(speed_m_s=0.0, turn_rate_rad_s=0.0)

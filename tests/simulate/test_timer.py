@@ -8,10 +8,10 @@ import pytest
 
 from tests.effects_cases import build_case
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.loops import Declaration
-from turtlelog.paths import Path
 from turtlelog.plants import TURTLESIM
 from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
+from turtlelog.run.paths import Path
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import PlainLoop, SampleRow, TickRow, loop, simulate_run
 

@@ -10,12 +10,12 @@ import pytest
 
 from tests.effects_cases import EFFECTS
 from tests.simulate.random_scenarios import DRAWN_EFFECTS, build_other, build_random
-from turtlelog.compiled_loops import CompiledLoops
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.measure import measure_run
 from turtlelog.measure.metric import Status
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate import simulate_run
+from turtlelog.simulate.compiled_loops import CompiledLoops
 from turtlelog.simulate.many import COST_S
 from turtlelog.sweep import batch
 from turtlelog.sweep.batch import MeasuredRows, measure_rows

@@ -43,7 +43,7 @@ class CommandChange:
         return (values - self.before) / (self.after - self.before)
 
 
-def find_changes(command: Curve) -> list[CommandChange]:
+def find_command_changes(command: Curve) -> list[CommandChange]:
     """Return the large changes of a command in the order of time.
 
     Commands that follow each other in one direction are one change; a level that is held for

@@ -35,6 +35,8 @@ def _describe_range(values: Sequence[tuple[float, str]], unit: str) -> str:
 
 def describe_end(run: Run) -> str:
     """Return the distance to the goal at the end; of a run without a goal what it did."""
+    if not len(run.poses):
+        return f"commands for {run.duration_s:.3g} s, no poses"
     metric = choose_metric(run.declaration)
     found = _measure(run, metric, _DURATION, "run.path_length")
     value, duration_s = found[metric].value, found[_DURATION].value

@@ -92,10 +92,10 @@ def describe_restless(runs: Sequence[Run]) -> str:
     """Return the runs that never come to rest in words; empty where there are none."""
     numbers = sorted(find_restless(runs))
     scale = find_gain_scale(runs) if len(runs) > MANY else None
-    return join_names(numbers, name_runs(runs), scale)
+    return join_run_names(numbers, name_runs(runs), scale)
 
 
-def join_names(numbers: Sequence[int], names: Sequence[str], scale: GainScale | None) -> str:
+def join_run_names(numbers: Sequence[int], names: Sequence[str], scale: GainScale | None) -> str:
     """Return some of the runs of a picture in words.
 
     Where they are the last in order they are named by the value from which on they are.

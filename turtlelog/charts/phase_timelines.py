@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.loops import DONE, PAUSE
 from turtlelog.run import Run
+from turtlelog.run.loops import DONE, PAUSE
 
 Values = NDArray[np.float64]
 

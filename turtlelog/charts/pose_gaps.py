@@ -42,4 +42,5 @@ def list_seen_gaps(run: Run) -> list[tuple[float, float, str]]:
 
 
 def _find_least_ns(run: Run) -> float:
-    return _LEAST_SHARE * float(run.end_ns - run.poses.time_ns[0])
+    first_ns = [*run.poses.time_ns[:1].tolist(), run.start_ns][0]
+    return _LEAST_SHARE * float(run.end_ns - first_ns)

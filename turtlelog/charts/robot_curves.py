@@ -10,11 +10,11 @@ from turtlelog.charts.curves import Command, Curve, read_curve, select_rows
 from turtlelog.charts.pose_gaps import list_breaking_gaps
 from turtlelog.display import describe_count
 from turtlelog.errors import ReplayError
-from turtlelog.loops import COMMAND_UNITS
 from turtlelog.measure import find_outliers
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.replay.plant_ticks import find_breaks, read_motion
 from turtlelog.run import Run
+from turtlelog.run.loops import COMMAND_UNITS
 
 Values = NDArray[np.float64]
 

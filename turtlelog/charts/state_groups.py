@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.charts.palette import FEW
-from turtlelog.loops import COMMAND_WORDS, ControlLoop, Declaration
+from turtlelog.run.loops import COMMAND_WORDS, ControlLoop, Declaration
 
 _MOST_APART: Final = 3
 """More views beside each other would each be narrower than a legend."""

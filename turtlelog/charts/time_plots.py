@@ -32,8 +32,8 @@ from turtlelog.charts.plotted_curves import Column, CurveEntry, TimePlot
 from turtlelog.charts.robot_curves import part_curve, read_measured
 from turtlelog.charts.state_groups import find_state_unit
 from turtlelog.charts.tracked_path import read_along_error
-from turtlelog.loops import COMMAND_UNITS
 from turtlelog.run import Run
+from turtlelog.run.loops import COMMAND_UNITS
 
 _TOLERANCES: Final[Mapping[str, str]] = MappingProxyType(
     {"heading_error": "law.heading_tolerance_rad", "distance": "law.position_tolerance_m"}

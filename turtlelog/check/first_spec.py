@@ -12,18 +12,18 @@ from turtlelog.check.formula_trace import RunEnding, find_ending
 from turtlelog.check.spec import READ_TEXTS
 from turtlelog.display import format_number
 from turtlelog.log import ReadChoice
-from turtlelog.loops import Declaration
 from turtlelog.measure import (
     Metric,
     MetricKind,
+    find_signal,
     is_lawless,
     list_essential_metrics,
     list_metrics,
     measure_run,
-    read_signal,
 )
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
 
 _OF_STEP: Final = ("overshoot", "settling_time", "saturated_share")
 _OF_MOVING: Final = ("rms_error", "largest_error", "saturated_share")
@@ -89,6 +89,10 @@ def _list_read(read: ReadChoice) -> Iterator[str]:
     ]
     if read.goal is not None:
         lines.append(f"goal = [{', '.join(map(repr, read.goal))}]")
+    if read.wheels is not None:
+        lines.append(f"wheels = [{', '.join(map(repr, read.wheels))}]")
+    if read.wheelbase is not None:
+        lines.append(f"wheelbase = {read.wheelbase!r}")
     if read.time != ReadChoice().time:
         lines.append(f"time = {_quote(read.time)}")
     if read.columns:
@@ -136,7 +140,7 @@ def _list_of_motion(run: Run) -> Iterator[str]:
         yield "# always(abs(speed) <= ...): not read off, as part of the run is lost"
         return
     for name in ("speed", "turn_rate"):
-        signal = read_signal(run, name)
+        signal = find_signal(run, name)
         assert signal is not None
         yield from _list_bound(name, float(np.abs(signal.values).max()), signal.kind.unit)
 

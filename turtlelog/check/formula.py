@@ -36,9 +36,9 @@ from turtlelog.expressions import (
     iterate_nodes,
     parse_expression,
 )
-from turtlelog.loops import Declaration
 from turtlelog.measure import explain_no_signal, find_metric_kind, list_metrics, list_signals
 from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
 
 _NO_VALUE: Final = "no value: "
 

@@ -15,7 +15,7 @@ from turtlelog.check.trajectory_values import TRAJECTORY_VALUES, TrajectoryJudge
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
 from turtlelog.log import ReadChoice, read_as_chosen, read_trajectory, split_topic
 from turtlelog.log.ros2.bag import open_bag
-from turtlelog.log.ros2.bag_topics import TRANSFORMS
+from turtlelog.log.ros2.bag_topics import JOINTS, TRANSFORMS
 from turtlelog.measure import SIGNALS, find_metric_kind
 from turtlelog.run import Run
 
@@ -129,6 +129,8 @@ def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
     }
     has_frames = TRANSFORMS in {kind for _, kind in held}
     changes |= {} if has_frames else {"pose_frame": None, "world_frame": None}
+    if JOINTS not in {kind for _, kind in held}:
+        changes |= {"wheel_joints": None, "wheels": None}
     # A recording of ours tells its own goal.
     changes |= {"goal": None} if is_own else {}
     return replace(choice, allow_partial=False, **changes)

@@ -29,11 +29,11 @@ from turtlelog.check.vocabulary import (
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError, MissingValueError
 from turtlelog.expressions import parse_expression
+from turtlelog.files.urls import make_path
 from turtlelog.identify import AxisModel, Estimate, RobotModel, identify_robot
 from turtlelog.laws import AnyLaw, Law, LawPart
 from turtlelog.log import ReadChoice, ReadOptions, read_as_chosen, write_recording
 from turtlelog.measure import Metric, find_metric_kind, list_ids_like, list_metrics
-from turtlelog.remote.urls import make_path
 from turtlelog.replay import LawReplay, replay_law
 from turtlelog.run import Run
 from turtlelog.scenario import (

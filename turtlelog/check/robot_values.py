@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Final
 
 from turtlelog.measure import Metric
-from turtlelog.measure.metric import Status
+from turtlelog.measure.metric import NO_POSES, Status
 from turtlelog.run import Run
 
 _AXES: Final = ("speed", "turn_rate")
@@ -44,6 +44,17 @@ def measure_robot(run: Run, names: Iterable[str]) -> dict[str, Metric]:
     names = [*names]
     if not names:
         return {}
+    if not len(run.poses):
+        return {
+            name: Metric(
+                id=name,
+                value=None,
+                unit=find_robot_unit(name),
+                status=NO_POSES.status,
+                reason=NO_POSES.reason,
+            )
+            for name in names
+        }
     from turtlelog.identify import identify_robot  # few checks need it
 
     model = identify_robot(run)

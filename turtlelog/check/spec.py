@@ -14,7 +14,6 @@ from turtlelog.escapes import escape_controls
 from turtlelog.expressions import Expression
 from turtlelog.log import ReadChoice
 from turtlelog.log.read_choice import TimeSource
-from turtlelog.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
 from turtlelog.measure import (
     ANY_LOOP,
     METRICS,
@@ -24,6 +23,7 @@ from turtlelog.measure import (
     list_ids_like,
 )
 from turtlelog.run.columns import Rebuilding, list_fields, rebuild
+from turtlelog.run.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import name_key
 
@@ -240,6 +240,18 @@ def _build_read() -> dict[str, Any]:
                 "maxItems": 3,
                 "description": "x, y [m] and perhaps the heading [rad].",
             },
+            "wheels": {
+                "type": "array",
+                "items": {"type": "number", "exclusiveMinimum": 0},
+                "minItems": 2,
+                "maxItems": 2,
+                "description": "Radius of the wheels, and the distance between them [m].",
+            },
+            "wheelbase": {
+                "type": "number",
+                "exclusiveMinimum": 0,
+                "description": "Distance of the axles [m], for Ackermann commands.",
+            },
             "time": {
                 "enum": [*get_args(TimeSource)],
                 "description": "What times poses: the recorder, their stamps, or as is best.",
@@ -256,10 +268,12 @@ def _build_read() -> dict[str, Any]:
 READ_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "pose_topic": "Poses.",
-        "command_topic": "Commands: Twist or TwistStamped.",
+        "command_topic": "Commands: Twist, TwistStamped, or Ackermann's with a wheelbase.",
+        "robot": "Of several robots in a bag the one of this name.",
         "path_topic": "The path to be followed: nav_msgs/Path.",
         "pose_frame": "The robot's frame, of poses from transforms.",
         "world_frame": "The frame in which poses from transforms are given.",
+        "wheel_joints": "Joints of the left and the right wheel, whose odometry poses are.",
     }
 )
 """Keys of `[read]` that are texts, and what they name."""

@@ -25,12 +25,12 @@ from turtlelog.compare.alignment import could_be_alignment
 from turtlelog.compare.trajectory_comparison import ALIGN_IN
 from turtlelog.errors import CheckError, CompareError, LogError
 from turtlelog.expressions import Expression, Until, iterate_nodes, parse_expression
+from turtlelog.files.text_files import describe_missing, parse_toml, read_text_file
+from turtlelog.files.urls import is_url, make_path
 from turtlelog.log import ReadChoice
-from turtlelog.log.read_choice import TimeSource, parse_goal
-from turtlelog.remote.urls import is_url, make_path
+from turtlelog.log.read_choice import TimeSource, parse_goal, parse_wheelbase, parse_wheels
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import describe_value, name_key
-from turtlelog.text_files import describe_missing, parse_toml, read_text_file
 
 _KINDS: Final = ("signals", "metrics")
 _KNOWN: Final = (*_KINDS, "checks", "reference", "alignment", "trajectory", "read")
@@ -313,7 +313,7 @@ def _parse_read(table: Any, source: str) -> ReadChoice:
     place = f"{source}: read"
     if not isinstance(table, Mapping):
         raise CheckError(f"{place}: expected a table, found {describe_value(table)}")
-    known = [*READ_TEXTS, "goal", "time", "columns"]
+    known = [*READ_TEXTS, "goal", "wheels", "wheelbase", "time", "columns"]
     for key in table:
         if key not in known:
             raise CheckError(f"{place}.{name_key(key)}: {describe_unknown_key(key, known)}")
@@ -329,6 +329,8 @@ def _parse_read(table: Any, source: str) -> ReadChoice:
     return ReadChoice(
         **texts,
         goal=_read_goal(table, place),
+        wheels=_read_wheels(table, place),
+        wheelbase=_read_wheelbase(table, place),
         time=time,
         columns={name: _read_text(columns, name, f"{place}.columns") or "" for name in columns},
     )
@@ -346,6 +348,31 @@ def _read_goal(table: Mapping[str, Any], place: str) -> tuple[float, ...] | None
         found = describe_value(goal)
         raise CheckError(f"{place}.goal: expected {expected}, found {found}") from err
     return tuple(map(float, goal))
+
+
+def _read_wheels(table: Mapping[str, Any], place: str) -> tuple[float, float] | None:
+    wheels = table.get("wheels")
+    if wheels is None:
+        return None
+    is_list = isinstance(wheels, list) and all(type(value) in {int, float} for value in wheels)
+    try:
+        return parse_wheels(tuple(wheels) if is_list else ())
+    except LogError as err:
+        expected = "[radius, track] above 0 in m"
+        found = describe_value(wheels)
+        raise CheckError(f"{place}.wheels: expected {expected}, found {found}") from err
+
+
+def _read_wheelbase(table: Mapping[str, Any], place: str) -> float | None:
+    value = table.get("wheelbase")
+    if value is None:
+        return None
+    try:
+        return parse_wheelbase(value if type(value) in {int, float} else 0.0)
+    except LogError as err:
+        expected = "a length above 0 in m"
+        found = describe_value(value)
+        raise CheckError(f"{place}.wheelbase: expected {expected}, found {found}") from err
 
 
 def _read_text(table: Mapping[str, Any], key: str, place: str) -> str | None:

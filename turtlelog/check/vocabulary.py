@@ -18,7 +18,6 @@ from turtlelog.expressions import (
     fail_at,
     iterate_nodes,
 )
-from turtlelog.loops import DONE, NAME_PATTERN, Declaration
 from turtlelog.measure import (
     METRICS,
     SIGNALS,
@@ -30,6 +29,7 @@ from turtlelog.measure import (
     list_signals,
 )
 from turtlelog.run import Run
+from turtlelog.run.loops import DONE, NAME_PATTERN, Declaration
 from turtlelog.scenario import Scenario, flatten_scenario
 
 OTHER_VALUES: Final = frozenset({*ROBOT_VALUES, *TRAJECTORY_VALUES})

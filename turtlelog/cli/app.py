@@ -29,7 +29,7 @@ from turtlelog.cli.output import (
 from turtlelog.cli.progress import end_progress
 from turtlelog.cli.usage_errors import describe_usage_error, find_split_pair
 from turtlelog.errors import TurtlelogError, UsageError, describe_unknown
-from turtlelog.remote.urls import RemoteNote, limit_downloads
+from turtlelog.files.urls import RemoteNote, limit_downloads
 from turtlelog.version import __version__
 
 _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
@@ -90,7 +90,8 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Check": {
         "check": (
             "SPEC FILE...",
-            "Hold recordings to a specification: bounds, formulas over time, tolerances.",
+            "Check recordings against a specification: bounds, temporal-logic formulas,"
+            " tolerances.",
         ),
     },
     "Show": {

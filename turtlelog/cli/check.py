@@ -41,7 +41,7 @@ class FirstSpecOptions:
     Attributes:
         expect: Hold recordings to this formula instead of a specification; may be repeated.
         init: Write a first specification from this good run; see -o.
-        output: The .toml file that --init writes; otherwise it is printed. Without --init the
+        output: The .toml file that --init writes. Default: print it. Without --init the
             .parquet table of verdicts: files that have not changed since it was written, and are
             held to the same specification, are not read again.
         schema: Print the JSON Schema of specification files, for editors.
@@ -63,7 +63,7 @@ def check(
     formats: FormatOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> int:
-    """Hold recordings to a specification: bounds, formulas over time, tolerances.
+    """Check recordings against a specification: bounds, temporal-logic formulas, tolerances.
 
     The exit code is 0 where nothing fails, 1 where a check fails or cannot be
     decided, and 2 where the specification or its reference cannot be read. A

@@ -9,7 +9,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import fill_lines, format_table, print_json, print_tables, print_verdicts
+from turtlelog.cli.output import fill_lines, fit_table, print_json, print_tables, print_verdicts
 from turtlelog.display import format_number, format_short, show_angle
 from turtlelog.escapes import escape_controls
 
@@ -197,7 +197,7 @@ def _join(
     rest: Iterable[str],
 ) -> str:
     """Return the verdict and its parts, an empty line between them."""
-    blocks = [format_table(table).strip("\n") for table in tables]
+    blocks = [fit_table(table).strip("\n") for table in tables]
     ends = [fill_lines(lines, indent=2)] if lines else []
     ends += ["\n".join(map(escape_controls, following))] if (following := [*rest]) else []
     return "\n\n".join([conclude(counted, files), *blocks, *ends])

@@ -329,7 +329,7 @@ def read_to_judge(path: Path, choice: "ReadChoice") -> "tuple[Run, dict[str, str
     from turtlelog.log.recording.recovery_note import LOSS_NOTES
 
     # A recording that is not whole fails its check, which says so.
-    run = tl.log.read_as_chosen(path, replace(choice, allow_partial=True))
+    run = tl.log.read_as_chosen(path, replace(choice, allow_partial=True, allow_no_poses=True))
     told = {name: text for name, text in run.notes.items() if name not in LOSS_NOTES}
     return run, told
 

@@ -12,7 +12,7 @@ from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog.compare import (
-        PathError,
+        PathDeviation,
         Ranking,
         RobotComparison,
         RunComparison,
@@ -233,7 +233,7 @@ def _list_next(
 
 def format_reference(
     first: "RunSummary",
-    found: "Sequence[tuple[RunSummary, RunComparison, PathError]]",
+    found: "Sequence[tuple[RunSummary, RunComparison, PathDeviation]]",
     *,
     shows_signals: bool,
 ) -> str:
@@ -275,7 +275,7 @@ def _show(value_m: float) -> str:
     return format_number(round(value_m, 9), "m")  # less is rounding
 
 
-def list_errors(errors: "Mapping[str, PathError]", reference: str) -> Iterator[str]:
+def list_errors(errors: "Mapping[str, PathDeviation]", reference: str) -> Iterator[str]:
     """Yield which run is furthest from the path of the reference, then how far each is."""
     name, worst = max(errors.items(), key=lambda one: one[1].largest_m)
     at = f"by at most {_show(worst.largest_m)}, at {worst.largest_at_s:.2f} s"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from turtlelog import Metric, Run
     from turtlelog.compare import (
-        PathError,
+        PathDeviation,
         RunComparison,
         RunSummary,
         Table,
@@ -32,7 +32,7 @@ class _Compared:
 
     summary: "RunSummary"
     comparison: "RunComparison"
-    path_error: "PathError"
+    path_error: "PathDeviation"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +196,7 @@ class _HeldRun:
     notes: tuple[str, ...]
     signals: list[_HeldSignal]
     metrics: list[_HeldMetric]
-    path_error: "PathError"
+    path_error: "PathDeviation"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

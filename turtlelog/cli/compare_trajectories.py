@@ -16,7 +16,7 @@ from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
     fill_lines,
-    format_table,
+    fit_table,
     print_error,
     print_json,
     print_note,
@@ -215,7 +215,7 @@ def _print(
             [
                 fill_lines(heads, indent=2),
                 "",
-                format_table(_shorten(table)),
+                fit_table(_shorten(table)),
                 fill_lines([*told, *table.notes, f"Picture: {hint}.pdf"], indent=2),
             ]
         )

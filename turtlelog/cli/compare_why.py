@@ -34,7 +34,7 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_pictures
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.escapes import escape_controls
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -253,7 +253,9 @@ def format_why(
 
 def _list_cells(found: "ExplainedDifference", one: "Change") -> tuple[str, ...]:
     size = tl.explain.format_change(found, one)
-    undone = "" if one.undone is None else f"undone: {tl.explain.format_size(found, one.undone)}"
+    undone = (
+        "" if one.undone is None else f"undone: {tl.explain.format_magnitude(found, one.undone)}"
+    )
     settings = shorten("; ".join(_list_settings(one)), _LONGEST, placeholder=" ...")
     return one.name, size, settings, undone
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.explain_motion import MotionAnswer
-from turtlelog.cli.output import fill_lines, format_table
+from turtlelog.cli.output import fill_lines, fit_table
 from turtlelog.cli.replay_answer import build_pose_error
 from turtlelog.escapes import escape_controls
 
@@ -315,7 +315,7 @@ def format_identification(found: "Identification") -> str:
         ),
         rows=tuple(rows),
     )
-    return "\n".join([format_table(table), *([_fill(notes), ""] if notes else [])])
+    return "\n".join([fit_table(table), *([_fill(notes), ""] if notes else [])])
 
 
 def _name_unknown(names: list[str]) -> str:
@@ -349,7 +349,7 @@ def format_causes(found: "Attribution") -> str:
         columns=tuple(columns),
         rows=tuple(line for row in rows for line in _break_row(row)),
     )
-    return format_table(table)
+    return fit_table(table)
 
 
 def _break_row(row: list[Any]) -> list[tuple[Any, ...]]:

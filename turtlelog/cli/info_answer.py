@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.info_summary import CONTROL, NOTHING_LEFT, ReadRun, Summary
-from turtlelog.cli.output import fill_lines, format_table
+from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary
+from turtlelog.cli.output import fill_lines, fit_table
 from turtlelog.display import describe_count
 from turtlelog.escapes import escape_controls
 
@@ -18,11 +18,27 @@ if TYPE_CHECKING:
 _MOST_ENTRIES: Final = 8
 """Of a list that is printed: a sequence of commands has thousands. JSON has all of them."""
 
-_POSES: Final = "turtlesim/msg/Pose"
-_COMMANDS: Final = "geometry_msgs/msg/Twist"
+_ROWS: Final = {
+    "pose": "/turtle1/pose",
+    "controller sample": "/turtle1/control",
+    "command": "/turtle1/cmd_vel",
+}
+"""Topics of a recording of ours by what it is said to hold; others have the same types."""
+
+_OF_COMMANDS: Final = ("metrics", "check", "plot", "replay")
+"""What can be done with commands alone."""
 
 _AXES: Final = (("law.kp_angular", "turning"), ("law.kp_linear", "driving"))
 """Gains of the sequential laws, and what they are for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotTopics:
+    """A robot among several of a bag: its name, and its topics of poses and commands."""
+
+    name: str
+    poses: str | None
+    commands: str | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +65,7 @@ class InfoAnswer:
         not_understood: Topics whose messages cannot become columns, each with the reason.
         notes: Remarks by name.
         run: What its poses and commands are; None if they were not read.
+        robots: Those of a bag of several; --robot NAME chooses one.
     """
 
     file: str
@@ -70,6 +87,7 @@ class InfoAnswer:
     not_understood: tuple[str, ...]
     notes: Mapping[str, str]
     run: ReadRun | None
+    robots: tuple[RobotTopics, ...] = ()
 
 
 def build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> InfoAnswer:
@@ -94,13 +112,26 @@ def build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> In
         not_understood=recording.not_understood,
         notes={**recording.notes, **summary.notes},
         run=summary.run,
+        robots=() if recording.format_version is not None else _list_robots(recording),
+    )
+
+
+def _list_robots(recording: "RecordingInfo") -> tuple[RobotTopics, ...]:
+    return tuple(
+        RobotTopics(
+            name=robot.name,
+            poses=None if robot.poses is None else robot.poses.topic,
+            commands=None if robot.commands is None else robot.commands.topic,
+        )
+        for robot in tl.log.ros2.find_robots(recording.topics)
     )
 
 
 def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...]:
     """Return what is absent: which topics are commands is known where the run was read."""
-    has_commands = summary.run is None or summary.run.has_commands
-    more = [] if has_commands else ["commands"]
+    run = summary.run
+    more = [] if run is None or run.has_poses else ["poses"]
+    more += [] if run is None or run.has_commands else ["commands"]
     if summary.run is None and recording.format_version is None:
         more += _list_missing_types(recording)
     return tuple(dict.fromkeys([*more, *recording.absent]))
@@ -128,7 +159,7 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
     lines = [_fill(f"{name}: ", _write_head(answer))]
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
     if topics and answer.topics:
-        lines += ["", format_table(_tabulate(answer))]
+        lines += ["", fit_table(_tabulate(answer))]
     if topics and answer.not_understood:
         texts = (escape_controls(f"  {text}") for text in answer.not_understood)
         lines += ["", "not readable", *texts]
@@ -169,12 +200,26 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     if run is not None:
         rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
         yield from ((key, text) for key, text in rows.items() if text)
+    yield from _describe_robots(answer)
     yield from _describe_durations(answer)
     if not answer.summary.endswith(NOTHING_LEFT):
         reason = (answer.stop_reason or "").replace("_", " ")
         told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
         yield from [("ended", told)] if told else []
     yield from ((key.replace("_", " "), _tell_note(text)) for key, text in answer.notes.items())
+
+
+def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    """Yield the robots of a bag of several, the first of many, with their topics."""
+    counts = {topic.topic: topic.count for topic in answer.topics}
+    for robot in answer.robots[:_MOST_ENTRIES]:
+        held = {"poses": robot.poses, "commands": robot.commands}
+        parts = [
+            f"{what} {topic}, {describe_count(counts[topic], 'message')}"
+            for what, topic in held.items()
+            if topic is not None
+        ]
+        yield f"robot {robot.name}", "; ".join(parts)
 
 
 def _tell_note(text: str) -> str:
@@ -191,8 +236,8 @@ def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     yield "duration", f"{answer.duration_s:.3f} s, from the first to the last {what}"
     if answer.run is None:
         return
-    first = "sample" if answer.run.has_samples else "pose"
-    last = "row" if answer.run.has_samples else "pose or command"
+    first = answer.run.first_row
+    last = {"sample": "row", "pose": "pose or command", "command": "one"}[first]
     length = f"{answer.run.duration_s:.3f} s, from the first {first} to the last {last}"
     yield "run.duration", length
 
@@ -223,8 +268,8 @@ def _list_own(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     if has_goal and "path.kind" not in known:
         yield "goal", f"({known['goal.x_m']:g}, {known['goal.y_m']:g}) m"
     counts = {
-        noun: sum(topic.count for topic in answer.topics if topic.type == kind)
-        for kind, noun in ((_POSES, "pose"), (CONTROL, "controller sample"), (_COMMANDS, "command"))
+        noun: sum(found.count for found in answer.topics if found.topic == topic)
+        for noun, topic in _ROWS.items()
     }
     if any(counts.values()):
         yield "data", ", ".join(describe_count(count, noun) for noun, count in counts.items())
@@ -255,7 +300,7 @@ def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterato
         can = ["metrics", "check", "compare", "view", "plot"]
         can[1:1] = ["identify"] if answer.run.has_commands else []
         can[1:1] = ["explain"] if answer.run.has_samples else []
-        yield f"You can: {', '.join(can)}"
+        yield f"You can: {', '.join(can if answer.run.has_poses else _OF_COMMANDS)}"
     more = [] if topics or not answer.topics else ["Topics: --topics"]
     more += [] if parameters or not answer.parameters else ["Scenario: --parameters"]
     if more:

@@ -1,5 +1,6 @@
 """What a file is, in one sentence, and what would unlock what it lacks."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -8,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import turtlelog as tl
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
+from turtlelog.files.urls import RemotePath
 from turtlelog.processes import count_bytes
-from turtlelog.remote.urls import RemotePath
 from turtlelog.run.ending import describe_goal_end, find_goal_error
 
 if TYPE_CHECKING:
@@ -38,7 +39,17 @@ _STEADY: Final = 3.0
 
 _TOLD: Final = (
     *("clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
-    *("reported_rates", "leaps", "other_pose_topics", "other_frames", "other_command_topics"),
+    *(
+        "robots",
+        "heading",
+        "origin",
+        "wheels",
+        "reported_rates",
+        "leaps",
+        "other_pose_topics",
+        "other_frames",
+        "other_command_topics",
+    ),
 )
 """Notes of a run on the bag that it was read from."""
 
@@ -60,7 +71,7 @@ class ReadRun:
     Attributes:
         kind: Whose poses these are.
         duration_s: The metric `run.duration` [s].
-        poses: Topic, rate and number of the poses; the rate if it is steady.
+        poses: Topic, rate and number of the poses; the rate if it is steady; empty without any.
         commands: Likewise; empty if there are none.
         samples: Number of samples of a controller.
     """
@@ -77,9 +88,19 @@ class ReadRun:
         return bool(self.commands)
 
     @property
+    def has_poses(self) -> bool:
+        """Whether there are poses."""
+        return bool(self.poses)
+
+    @property
     def has_samples(self) -> bool:
         """Whether there are samples of a controller."""
         return self.samples > 0
+
+    @property
+    def first_row(self) -> str:
+        """What its duration counts from: the first `sample`, or else `pose`, or `command`."""
+        return "sample" if self.samples else "pose" if self.poses else "command"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +146,7 @@ def summarise(
         note = f"not looked at, {large}: info --clock does"
         return Summary(text=_summarise_topics(info, ""), notes={"clock": note})
     try:
-        run = tl.log.read_as_chosen(path, choice)
+        run = tl.log.read_as_chosen(path, replace(choice, allow_no_poses=True))
     except TurtlelogError as err:
         if replace(choice, allow_partial=False) != tl.log.ReadChoice():
             raise  # what was asked for is not there
@@ -198,21 +219,57 @@ def _is_poses(topic: "TopicInfo") -> bool:
 
 def _summarise_topics(info: "RecordingInfo", reason: str) -> str:
     """Return what the topics alone tell, and why the poses could not be read."""
-    if not any(_is_poses(topic) and not topic.reason for topic in info.topics):
-        unread = tl.log.ros2.describe_unread_topics(info.topics)
-        return f"no poses that can be read: {unread}" if unread else _summarise_others(info)
+    try:
+        tl.log.ros2.select_robot(info.topics, None)
+    except LogError as err:
+        return str(err)
     try:
         chosen = tl.log.ros2.choose_pose_topic(info.topics, None).topic
+    except tl.log.ros2.NoPosesError as err:
+        if err.is_unread:
+            return f"no poses that can be read: {err}"
+        is_undecided = _is_undecided(info, "")
+        return f"commands without poses; {reason}" if is_undecided else _summarise_others(info)
     except LogError as err:
         return f"poses, of which none is chosen: {reason or err}"
-    if reason:
-        return f"poses on {chosen.topic}, which cannot be read: {reason}"
+    if reason and not _is_undecided(info, chosen.topic):
+        fault = "give no poses" if chosen.type == _TRANSFORMS else "cannot be read"
+        noun = "transforms" if chosen.type == _TRANSFORMS else "poses"
+        return f"{noun} on {chosen.topic}, which {fault}: {reason}"
     kind = "turtlesim" if chosen.type.startswith("turtlesim") else "a robot"
     rate = ""
     if info.duration_s and chosen.count >= _FEWEST_RATED:
         rate = f", {_format_hz(chosen.count / info.duration_s)} on the average"
-    end = "" if kind == "turtlesim" else "; not turtlesim"
-    return f"{kind}: {describe_count(chosen.count, 'pose')} on {chosen.topic}{rate}{end}"
+    parts = [f"{kind}: {describe_count(chosen.count, 'pose')} on {chosen.topic}{rate}"]
+    parts += [] if kind == "turtlesim" else ["not turtlesim"]
+    return "; ".join(filter(None, [*parts, reason]))
+
+
+def _is_undecided(info: "RecordingInfo", pose_topic: str) -> bool:
+    """Return whether nothing tells which topic holds the commands."""
+    try:
+        tl.log.ros2.choose_command_topic(info.topics, None, pose_topic=pose_topic)
+    except LogError:
+        return True
+    return False
+
+
+_SENSORS: Final[Mapping[str, str]] = {
+    "sensor_msgs/msg/Imu": "an IMU",
+    "sensor_msgs/msg/MagneticField": "a magnetometer",
+    "sensor_msgs/msg/LaserScan": "a laser scanner",
+    "sensor_msgs/msg/PointCloud2": "a scanner of points",
+    "sensor_msgs/msg/Image": "a camera",
+    "sensor_msgs/msg/CompressedImage": "a camera",
+    "sensor_msgs/msg/Range": "a range sensor",
+    "sensor_msgs/msg/NavSatFix": "a satellite receiver",
+    "sensor_msgs/msg/JointState": "joints",
+    "geometry_msgs/msg/Twist": "commands",
+    "geometry_msgs/msg/TwistStamped": "commands",
+    "geometry_msgs/msg/PoseStamped": "goals",
+    "tf2_msgs/msg/TFMessage": "fixed transforms",
+}
+"""What topics that hold no poses of a robot are, by their types."""
 
 
 def _summarise_others(info: "RecordingInfo") -> str:
@@ -220,16 +277,46 @@ def _summarise_others(info: "RecordingInfo") -> str:
     present = sorted((topic for topic in info.topics if topic.count), key=lambda one: -one.count)
     if not present:
         return "no poses, nothing to measure: there are no messages"
-    names = [f"{topic.topic} ({topic.type or 'no type'})" for topic in present[:_SHOWN_TOPICS]]
+    shown = present[:_SHOWN_TOPICS]
+    if any(topic.type in _SENSORS for topic in shown):
+        names = [_describe_other(topic) for topic in shown]
+    else:
+        names = [f"{topic.topic} ({topic.type or 'no type'})" for topic in shown]
+        names[0] = f"messages on {names[0]}"
     more = len(present) - len(names)
     others = [f"{more} more"] if more > 0 else []
-    return f"no poses, nothing to measure: messages on {join_words([*names, *others])}"
+    return f"no poses, nothing to measure: {join_words([*names, *others])}"
+
+
+def _describe_other(topic: "TopicInfo") -> str:
+    what = _SENSORS.get(topic.type, "messages")
+    return f"{what} on {topic.topic} ({topic.type or 'no type'})"
 
 
 def _list_needs(info: "RecordingInfo") -> tuple[str, ...]:
-    if any(map(_is_poses, info.topics)) or tl.log.ros2.describe_unread_topics(info.topics):
-        return ()
-    return ("to be measured it needs nav_msgs/msg/Odometry, geometry_msgs/msg/PoseStamped or /tf",)
+    try:
+        tl.log.ros2.choose_pose_topic(info.topics, None)
+    except tl.log.ros2.NoPosesError as err:
+        if not err.is_unread and not _is_undecided(info, ""):
+            return (_NEEDED, *_list_options(info))
+    except LogError:
+        pass  # there are several
+    return ()
+
+
+def _list_options(info: "RecordingInfo") -> "Iterator[str]":
+    """Yield what options make poses and commands of messages that need them."""
+    bags = tl.log.ros2
+    held = {topic.type for topic in info.topics if topic.count}
+    if bags.JOINTS in held:
+        yield bags.NEEDS_WHEELS
+    if held & {*bags.ACKERMANN_TYPES}:
+        yield bags.NEEDS_WHEELBASE
+
+
+_NEEDED: Final = (
+    "to be measured it needs nav_msgs/msg/Odometry, geometry_msgs/msg/PoseStamped or /tf"
+)
 
 
 def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
@@ -277,16 +364,29 @@ def _describe_rows(run: "Run", note: str, time_ns: "NDArray[Any]") -> str:
 
 def _describe_kind(run: "Run") -> str:
     """Return whose poses these are, or what kind of a file without topics it is."""
+    if not len(run.poses):
+        return "commands without poses"
     pose_type = run.notes.get("pose_topic", "").partition("(")[2].rstrip(")")
     if not _name_topic(run, "pose_topic"):
         return "a log of a controller" if len(run.samples) else "poses in a table"
     if not pose_type.startswith("turtlesim"):
-        return "a robot"
+        return "an IMU, which turns in one place" if _is_imu(run) else "a robot"
     is_turtlesim = tl.replay.moves_as_turtlesim(run)
     return "turtlesim" if is_turtlesim else f"a robot that publishes {pose_type}"
 
 
+_IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\\d)])")
+
+
+def _is_imu(run: "Run") -> bool:
+    """Return whether poses are an IMU's by name, without a way and without commands."""
+    is_named = _IMU.search(_name_topic(run, "pose_topic")) is not None
+    return is_named and not len(run.commands) and not (run.poses.xy_m != run.poses.xy_m[0]).any()
+
+
 def _describe_run(run: "Run") -> str:
+    if not len(run.poses):
+        return f"no poses, {_describe_commands(run)}"
     pose_topic, kind = _name_topic(run, "pose_topic"), _describe_kind(run)
     rate = _describe_rate(run.poses.time_ns)
     amount = rate if rate and pose_topic else describe_count(len(run.poses), "pose")
@@ -344,6 +444,10 @@ def _list_missing(run: "Run", info: "RecordingInfo") -> "Iterator[str]":
     """Yield what a bag lacks; of a table that has no commands nothing can add them."""
     if len(run.samples):
         return
-    for lack in tl.compare.list_lacks(run):
-        if lack in tl.compare.UNLOCKS and (lack != "commands" or info.topics):
+    lacks = tl.compare.list_lacks(run)
+    for lack in lacks:
+        is_told = lack in tl.compare.UNLOCKS and tl.compare.can_unlock(lack, lacks)
+        if lack == "commands" and lack in run.notes:
+            yield f"no {run.notes[lack]}"
+        elif is_told and (lack != "commands" or info.topics):
             yield f"no {tl.compare.UNLOCKS[lack]}"

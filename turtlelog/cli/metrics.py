@@ -2,7 +2,7 @@
 
 from array import array
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -147,16 +147,15 @@ def metrics(
         all_: Show every metric, not only the essential ones.
     """
     require_files(files)
-    measuring, topics = measuring or MeasureOptions(), topics or ReadingOptions()
+    measuring = measuring or MeasureOptions()
+    choice = replace((topics or ReadingOptions()).build_choice(), allow_no_poses=True)
     kind = (formats or FormatOptions()).choose()
     patterns = measuring.list_patterns()
     folders = folders or FolderOptions()
     if folders.output is not None:
         if kind not in {"txt", "json"}:
             raise UsageError("--output: takes --json, no other format")
-        plan = tl.sweep.plan_metric_table(
-            measuring.build_settings(), only=patterns, topics=topics.build_choice()
-        )
+        plan = tl.sweep.plan_metric_table(measuring.build_settings(), only=patterns, topics=choice)
         found = folders.find(files)
         return _tell(tabulate(found, folders.output, plan, work=folders), kind)
     files = folders.list_files(files)
@@ -169,7 +168,7 @@ def metrics(
             files,
             settings,
             only=essential if is_short else patterns,
-            topics=topics.build_choice(),
+            topics=choice,
             jobs=place,
             with_parameters=False,
         )
@@ -183,7 +182,6 @@ def metrics(
             if not any(found.metrics for found in held):
                 _refuse_patterns(patterns, [found.declaration for found in held])
             if is_short:
-                choice = topics.build_choice()
                 held = list(tl.compare.complete_summaries(held, settings, topics=choice))
                 print_essential(held, kind)
             else:

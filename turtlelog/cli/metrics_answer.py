@@ -184,6 +184,8 @@ def _describe_end(summary: "RunSummary") -> str:
     length, off = show("run.path_length"), show("run.cross_track_max")
     position, heading = show("final.position_error"), show("final.heading_error")
     duration = show("run.duration")
+    if "poses" in summary.lacks:
+        return f"commands for {duration}, no poses"
     if position is not None and not _ignores_goal(summary):
         turned = "" if heading is None else f", heading error {heading},"
         return f"ends {position} from the goal{turned} after {duration}"
@@ -340,6 +342,8 @@ def _list_next(summary: "RunSummary", count: int) -> list[str]:
     more = f"All {count} metrics with their ids: --all"
     if not summary.is_lawless:
         first = f"Why? turtlelog explain {file}"
+    elif "poses" in summary.lacks:
+        first = f"Where they lead: turtlelog replay {file}"
     elif "commands" not in summary.lacks:
         first = f"Dead time and time constants: turtlelog identify {file}"
     else:
@@ -350,7 +354,7 @@ def _list_next(summary: "RunSummary", count: int) -> list[str]:
 
 def _list_rates(summaries: "Sequence[RunSummary]") -> Iterator[str]:
     """Yield where the measured rates of bags come from."""
-    lawless = [found for found in summaries if found.is_lawless]
+    lawless = [found for found in summaries if found.is_lawless and "poses" not in found.lacks]
     reporting = sum("rates" not in found.lacks for found in lawless)
     if reporting and reporting == len(lawless):
         yield "Measured rates are those that the robot reports."

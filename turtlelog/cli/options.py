@@ -12,10 +12,11 @@ from cyclopts import Group, Parameter, Token
 import turtlelog as tl
 from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
-from turtlelog.errors import TurtlelogError, UsageError
+from turtlelog.errors import LogError, TurtlelogError, UsageError
+from turtlelog.files.text_files import describe_missing
+from turtlelog.files.urls import RemotePath, make_path, parse_size, set_max_download
+from turtlelog.log.read_choice import parse_wheelbase, parse_wheels
 from turtlelog.processes import FILE_S, choose_jobs
-from turtlelog.remote.urls import RemotePath, make_path, parse_size, set_max_download
-from turtlelog.text_files import describe_missing
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -103,12 +104,17 @@ class TopicOptions:
     Attributes:
         pose_topic: Poses; FILE:TOPIC says the same for one file. Otherwise types and names decide,
             and a line on stderr says what is read.
-        command_topic: Commands: Twist or TwistStamped.
+        robot: Of several robots in a bag (/robot1/odom, /robot2/odom) the one of this name.
+        command_topic: Commands: Twist, TwistStamped, or Ackermann's with --wheelbase.
         path_topic: The path to be followed: nav_msgs/Path.
         pose_frame: The robot's frame, of poses from transforms (/tf).
         world_frame: The frame in which poses from transforms are given.
         time: What times poses: the recorder (log), their stamps mapped to its clock (stamp), or
             the stamps where they are usable (auto).
+        wheel_joints: Take the poses from these joints of sensor_msgs/JointState, the wheels of a
+            differential drive, as in wheel_left_joint,wheel_right_joint.
+        wheels: Radius of these wheels and distance between them [m], as in 0.033,0.16.
+        wheelbase: Distance of the axles [m], with which Ackermann commands become turn rates.
         column: The column of a table that holds t, x, y, heading or another quantity, as in
             "heading=yaw [deg]"; may stand several times.
         partial: Read what an unfinished or damaged recording still holds.
@@ -117,11 +123,15 @@ class TopicOptions:
     """
 
     pose_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
+    robot: Annotated[str | None, Parameter(metavar="NAME")] = None
     command_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
     path_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
     pose_frame: Annotated[str | None, Parameter(metavar="FRAME")] = None
     world_frame: Annotated[str | None, Parameter(metavar="FRAME")] = None
     time: Literal["auto", "log", "stamp"] = "auto"
+    wheel_joints: Annotated[str | None, Parameter(metavar="LEFT,RIGHT")] = None
+    wheels: Annotated[str | None, Parameter(metavar="RADIUS,TRACK")] = None
+    wheelbase: Annotated[str | None, Parameter(metavar="L")] = None
     column: Annotated[list[str] | None, Parameter(metavar="NAME=COLUMN")] = None
     partial: Partial = False
     max_download: MaxDownload = None
@@ -134,11 +144,15 @@ class TopicOptions:
         """
         return tl.log.ReadChoice(
             pose_topic=self.pose_topic,
+            robot=self.robot,
             command_topic=self.command_topic,
             path_topic=self.path_topic,
             pose_frame=self.pose_frame,
             world_frame=self.world_frame,
             time=self.time,
+            wheel_joints=self.wheel_joints,
+            wheels=None if self.wheels is None else _parse_wheels(self.wheels),
+            wheelbase=None if self.wheelbase is None else _parse_length(self.wheelbase),
             columns=dict(map(_split_column, self.column or ())),
             allow_partial=self.partial,
         )
@@ -150,8 +164,8 @@ class ReadingOptions(TopicOptions):
     """The same, and the goal of a robot whose file holds none.
 
     Attributes:
-        goal: Where the robot was to go [m], and its heading there [deg], as in 2,10 or 2,10,90;
-            takes the place of the bag's own.
+        goal: The robot's goal [m], and the heading there [deg], as in 2,10 or 2,10,90. It replaces
+            the bag's own.
     """
 
     goal: Annotated[str | None, Parameter(metavar="X,Y[,DEG]", allow_leading_hyphen=True)] = None
@@ -179,6 +193,22 @@ def list_reading_words(options: ReadingOptions) -> list[str]:
     return words
 
 
+def _parse_wheels(text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+        return parse_wheels(values)
+    except (ValueError, LogError) as err:
+        expected = "RADIUS,TRACK above 0 in metres, as in 0.033,0.16"
+        raise UsageError(f"--wheels {text[:60]}: must be {expected}") from err
+
+
+def _parse_length(text: str) -> float:
+    try:
+        return parse_wheelbase(float(text))
+    except (ValueError, LogError) as err:
+        raise UsageError(f"--wheelbase {text[:60]}: must be a length above 0 in metres") from err
+
+
 def _split_column(text: str) -> tuple[str, str]:
     name, sign, column = text.partition("=")
     if not (sign and name.strip() and column.strip()):
@@ -196,17 +226,27 @@ def _parse_aim(text: str) -> tuple[float, ...]:
     return (*values[:2], *map(math.radians, values[2:]))
 
 
-def read_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "list[Run]":
-    """Return the runs of recordings, bags, other recorders' files and the paper's logs."""
-    return list(iterate_runs(paths, topics))
+def read_runs(
+    paths: Sequence[Path], topics: TopicOptions | None = None, *, allow_no_poses: bool = False
+) -> "list[Run]":
+    """Return the runs of recordings, bags, other recorders' files and the paper's logs.
+
+    Args:
+        paths: Of the files.
+        topics: What of them is read.
+        allow_no_poses: Whether a bag of commands alone is read.
+    """
+    return list(iterate_runs(paths, topics, allow_no_poses=allow_no_poses))
 
 
-def iterate_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "Iterator[Run]":
+def iterate_runs(
+    paths: Sequence[Path], topics: TopicOptions | None = None, *, allow_no_poses: bool = False
+) -> "Iterator[Run]":
     """Yield runs as `read_runs` returns them, one by one: none is kept here."""
     require_files(paths)
     topics = topics or TopicOptions()
     for path in iterate_files(paths):
-        yield read_chosen_run(path, topics)
+        yield read_chosen_run(path, topics, allow_no_poses=allow_no_poses)
 
 
 def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
@@ -214,9 +254,10 @@ def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
     yield from watch_files(paths, len(paths))
 
 
-def read_chosen_run(path: Path, topics: TopicOptions) -> "Run":
+def read_chosen_run(path: Path, topics: TopicOptions, *, allow_no_poses: bool = False) -> "Run":
     """Return the run of a file, and print what there is to note of it."""
-    run = tl.log.read_as_chosen(path, topics.build_choice())
+    choice = replace(topics.build_choice(), allow_no_poses=allow_no_poses)
+    run = tl.log.read_as_chosen(path, choice)
     print_run_notes(path, run.notes)
     return run
 
@@ -262,7 +303,7 @@ class WorkOptions:
             return
         if self.jobs is not None:
             raise UsageError("--jobs: the cluster of --scheduler has its own; leave --jobs out")
-        from turtlelog.cluster import connect_cluster
+        from turtlelog.sweep.cluster import connect_cluster
 
         with connect_cluster(self.scheduler) as executor:
             yield executor

@@ -127,8 +127,7 @@ def print_lines(lines: Iterable[str]) -> None:
 def print_tables(tables: "Sequence[Table]", kind: str) -> None:
     """Print tables in a format, an empty line between them."""
     texts = (
-        format_table(table) if kind == "txt" else tl.draw.format_table(table, kind)
-        for table in tables
+        fit_table(table) if kind == "txt" else tl.draw.format_table(table, kind) for table in tables
     )
     print_text("\n".join(texts), is_data=kind == "csv")
 
@@ -205,7 +204,7 @@ def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
     return []
 
 
-def format_table(table: "Table", *, indent: int = 0) -> str:
+def fit_table(table: "Table", *, indent: int = 0) -> str:
     """Return a table that fits a line."""
     return tl.draw.format_table(table, width=find_width() - indent)
 
@@ -246,7 +245,7 @@ def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
 
 _OF_SOURCE: Final = (
     *("chosen", "clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
-    *("reported_rates", "leaps"),
+    *("heading", "wheels", "reported_rates", "leaps"),
 )
 
 

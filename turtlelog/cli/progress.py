@@ -78,7 +78,7 @@ class Progress:
                     return
 
     def _describe(self) -> str:
-        from turtlelog.compiled_loops import COMPILING
+        from turtlelog.simulate.compiled_loops import COMPILING
 
         text = self._label
         if self._total is not None:

@@ -21,7 +21,7 @@ from turtlelog.cli.options import (
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_verdicts
 from turtlelog.cli.replay_answer import (
     ReplayAnswer,
-    build_law,
+    answer_law_replay,
     build_loop,
     format_law,
     format_loop,
@@ -32,6 +32,7 @@ from turtlelog.cli.replay_choice import (
     require_sound,
     settle_file,
 )
+from turtlelog.cli.replay_commands import CommandReplayAnswer, replay_commands
 from turtlelog.cli.replay_plant import build_plant, format_plant
 from turtlelog.cli.scenario_options import ScenarioOptions
 from turtlelog.cli.targets import require_new_target
@@ -60,7 +61,8 @@ def replay(
     By default its scenario is simulated again in closed loop, with the changes of --set, and
     compared tick by tick and sample by sample. --law gives a law the recorded poses and compares
     its commands. --plant drives turtlesim, or the robot model of the recording, with the recorded
-    commands. Times count from the first sample, or from the first pose without samples.
+    commands. Times count from the first sample, or from the first pose without samples. The
+    commands of a bag without poses drive turtlesim, or the robot model of --scenario.
 
     A law that is not built in is code. The code of --law FILE:Class, --set law.kind=FILE:Class and
     of a scenario file given by name runs. The code of a law that only the recording names runs with
@@ -72,8 +74,9 @@ def replay(
     ends with a verdict as that of `turtlelog check`, and the exit code is 1 if it is FAIL.
 
     Args:
-        file: A recording (.mcap), a ROS 2 bag of turtlesim, or a log of the paper.
-        output: Write the run of the closed loop to this .mcap file.
+        file: A recording (.mcap), a ROS 2 bag of turtlesim or of commands alone, or a log of the
+            paper.
+        output: Write the run of the closed loop, or the path of commands alone, to this .mcap file.
         json: Print one JSON object instead of tables.
     """
     require_there([] if file is None else [file])
@@ -81,8 +84,11 @@ def replay(
     require_sound(mode, changes, output)
     file, kind = settle_file(file, mode)
     require_new_target(output, [file], suffix=".mcap")
-    (run,) = read_runs([file], topics)
+    (run,) = read_runs([file], topics, allow_no_poses=True)
     with name_as_typed(file, run):
+        if not len(run.poses):
+            _print(*replay_commands(file, run, mode, changes, output), json=json)
+            return EXIT_FINE
         if mode.plant:
             answer, text, found = _replay_plant(file, run)
         else:
@@ -98,11 +104,15 @@ def replay(
         failed = verdict == "FAIL"
         answer = replace(answer, verdict=verdict.value, results=build_results(results))
         text = f"{text}\n\n{format_results(results, files=1)}"
+    _print(answer, text, json=json)
+    return EXIT_FAILED if failed else EXIT_FINE
+
+
+def _print(answer: ReplayAnswer | CommandReplayAnswer, text: str, *, json: bool) -> None:
     if json:
         print_json(answer)
     else:
         print_verdicts(text)
-    return EXIT_FAILED if failed else EXIT_FINE
 
 
 def _replay_plant(file: Path, run: "Run") -> _Answer:
@@ -120,7 +130,11 @@ def _replay_law(
         trust_law=mode.trust_law,
         step_budget_s=choose_step_budget(mode.step_budget_ms),
     )
-    return build_law(file, run, found), format_law(file, run, found, details=mode.details), found
+    return (
+        answer_law_replay(file, run, found),
+        format_law(file, run, found, details=mode.details),
+        found,
+    )
 
 
 def _replay_loop(

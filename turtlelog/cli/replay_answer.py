@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import ResultAnswer
-from turtlelog.cli.output import fill_lines, format_table
+from turtlelog.cli.output import fill_lines, fit_table
 from turtlelog.display import describe_count, format_pair, show_angle
 from turtlelog.escapes import escape_controls
 
@@ -200,7 +200,7 @@ def build_pose_error(error: "PoseError") -> PoseErrorAnswer:
     return PoseErrorAnswer(x=error.x_m, y=error.y_m, heading=error.heading_rad)
 
 
-def build_law(file: Path, run: "Run", found: "LawReplay") -> LawReplayAnswer:
+def answer_law_replay(file: Path, run: "Run", found: "LawReplay") -> LawReplayAnswer:
     """Return the answer of a replay through a law."""
     return LawReplayAnswer(
         file=str(file),
@@ -326,7 +326,7 @@ def _format_signals(
     """Return the table of signals, or how many differ and how to see them."""
     if details:
         rest = fill_lines(_describe_rest(found.signals, found.absent))
-        return f"\n{format_table(_tabulate(run, found.signals, title))}\n{rest}".rstrip()
+        return f"\n{fit_table(_tabulate(run, found.signals, title))}\n{rest}".rstrip()
     differing = sum(signal.largest > 0.0 or signal.differing > 0 for signal in found.signals)
     return f"{differing} of {describe_count(len(found.signals), 'signal')} differ: --details"
 
@@ -458,7 +458,7 @@ def _build_changes(recorded: "Run", replayed: "Run") -> list[MetricChange]:
 def format_changes(recorded: "Run", replayed: "Run") -> str:
     """Return the essential metrics of both, and the difference."""
     was, now = _measure_both(recorded, replayed)
-    return format_table(
+    return fit_table(
         tl.compare.Table(
             title="Metrics of the recording and of the replay",
             columns=tuple(

@@ -11,7 +11,7 @@ from turtlelog.cli.options import StepBudgetMs
 from turtlelog.cli.output import print_note
 from turtlelog.cli.scenario_options import ScenarioOptions, change_scenario, name_by_changes
 from turtlelog.errors import UsageError
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario

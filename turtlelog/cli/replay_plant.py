@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.output import fill_lines, format_table
+from turtlelog.cli.output import fill_lines, fit_table
 from turtlelog.cli.replay_answer import (
     GapAnswer,
     JumpAnswer,
@@ -138,7 +138,7 @@ def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:
         ),
     )
     breaks = list_breaks(run, found)
-    parts = [fill_lines(sentences), "", format_table(segments)]
+    parts = [fill_lines(sentences), "", fit_table(segments)]
     return "\n".join([*parts, *breaks]).rstrip()
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import describe_metrics, fill_lines, format_table
+from turtlelog.cli.output import describe_metrics, fill_lines, fit_table
 from turtlelog.display import describe_count
 
 if TYPE_CHECKING:
@@ -67,4 +67,4 @@ def format_run(run: "Run") -> str:
     """Return the essential metrics as a table."""
     only = tl.measure.list_essential_metrics(run.declaration)
     named = replace(run, name=_split_name(run)[0])
-    return format_table(tl.compare.tabulate_metrics([named], only=only))
+    return fit_table(tl.compare.tabulate_metrics([named], only=only))

@@ -13,7 +13,7 @@ from turtlelog.cli.list_names import complete_keys, complete_law
 from turtlelog.cli.options import MaxDownload, Place, TopicOptions, Whole, read_chosen_run
 from turtlelog.cli.output import print_note
 from turtlelog.errors import ScenarioError, UsageError
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Declaration, Scenario
@@ -223,7 +223,7 @@ def change_scenario(
     """
     options = options or ScenarioOptions()
     if options.commands is not None:
-        run = read_chosen_run(options.commands, TopicOptions())
+        run = read_chosen_run(options.commands, TopicOptions(), allow_no_poses=True)
         scenario, declaration = tl.scenario.replay_commands(scenario, run), None
     changes = tl.scenario.parse_assignments(options.assignments or (), source="--set")
     if "law.kind" in changes:

@@ -9,8 +9,8 @@ from typing import Final
 
 import turtlelog as tl
 from turtlelog.errors import RemoteError, UsageError
+from turtlelog.files.urls import RemotePath
 from turtlelog.libraries import load_library
-from turtlelog.remote.urls import RemotePath
 
 _LIBRARIES: Final = MappingProxyType({".html": "bokeh", ".parquet": "pyarrow", ".rrd": "rerun"})
 """What writes files of a suffix, where a slim installation lacks it."""
@@ -108,7 +108,7 @@ def _require_writable(target: Path, inputs: Sequence[Path]) -> None:
 
 def _require_url(target: RemotePath, inputs: Sequence[Path]) -> None:
     """Refuse a URL that nothing can be written to, or that is an input."""
-    from turtlelog.remote.requests import require_writable
+    from turtlelog.files.requests import require_writable
 
     require_writable(target.url)
     if any(tl.log.split_topic(path)[0] == target for path in inputs):

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import turtlelog as tl
 from turtlelog.cli.theory_gains import NO_OVERSHOOT, RecommendedGains, tell_step
-from turtlelog.cli.theory_tables import Pole, build_poles, tell_pole
+from turtlelog.cli.theory_tables import PlanePole, build_poles, tell_pole
 from turtlelog.display import join_words
-from turtlelog.loops import SIGNAL_WORDS
+from turtlelog.run.loops import SIGNAL_WORDS
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
@@ -54,7 +54,7 @@ class PidAnswer:
     process: "Process"
     tau_s: float
     settling_time_s: float
-    poles: list[Pole]
+    poles: list[PlanePole]
     stable: bool
     stable_gains: "Sequence[tuple[float, float]]"
     overshoots: bool

@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pole:
+class PlanePole:
     """A pole in the plane of z."""
 
     re: float
     im: float
 
 
-def build_poles(poles: "NDArray[np.complex128]") -> list[Pole]:
+def build_poles(poles: "NDArray[np.complex128]") -> list[PlanePole]:
     """Return poles for JSON."""
-    return [Pole(re=float(pole.real), im=float(pole.imag)) for pole in poles]
+    return [PlanePole(re=float(pole.real), im=float(pole.imag)) for pole in poles]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +37,7 @@ class GainAnswer:
     tau_s: float
     settling_time_s: float
     exact_settling_time_s: float
-    poles: list[Pole]
+    poles: list[PlanePole]
     stable: bool
     overshoots: bool
     damping_ratio: float | None
@@ -50,7 +50,7 @@ class GainAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GainLimits:
+class GainBounds:
     """The gains at which overshoot and instability begin, at a dead time."""
 
     dead_time_ticks: int
@@ -92,7 +92,7 @@ class IntegratorAnswer:
     stability_gain: float
     plant: PlantAnswer
     gains: list[GainAnswer]
-    limits: list[GainLimits]
+    limits: list[GainBounds]
     recommended: list[RecommendedGains]
     kept_kp: float | None
 
@@ -112,7 +112,7 @@ def build_integrator(
         plant=_build_plant(),
         gains=[_build_loop(loop) for loop in loops],
         limits=[
-            GainLimits(dead_time_ticks=ticks, overshoot_gain=overshoot, stability_gain=stability)
+            GainBounds(dead_time_ticks=ticks, overshoot_gain=overshoot, stability_gain=stability)
             for ticks, (overshoot, stability) in limits.items()
         ],
         recommended=recommended,

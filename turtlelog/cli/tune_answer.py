@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.output import fill_lines, format_table
+from turtlelog.cli.output import fill_lines, fit_table
 from turtlelog.display import describe_count, format_number
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
     from turtlelog.scenario import Scenario
-    from turtlelog.tune import KeyRange, Neighbourhood, SearchedKey, Spread, Tuned, TuningGoal
+    from turtlelog.sweep.tune import KeyRange, Neighbourhood, SearchedKey, Spread, Tuned, TuningGoal
 
 
 @dataclass(slots=True, kw_only=True)
@@ -186,9 +186,9 @@ def format_answer(answer: Answer) -> str:
     tables = [_tabulate_best(answer)]
     if answer.tuned.best.constraints:
         tables.append(_tabulate_constraints(answer))
-    texts = [format_table(table) for table in tables]
+    texts = [fit_table(table) for table in tables]
     if answer.spread is not None:
-        texts.append(format_table(_tabulate_spread(answer, answer.spread)))
+        texts.append(fit_table(_tabulate_spread(answer, answer.spread)))
     return "\n".join([fill_lines([_conclude(answer)]), "", *texts])
 
 

@@ -11,8 +11,8 @@ import turtlelog as tl
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
+    fit_table,
     flush_stdout,
-    format_table,
     print_error,
     print_note,
 )
@@ -107,7 +107,7 @@ def describe_change(run: "Run", before: "Run") -> str:
     rows = [(*row[:-1], "" if row[-1] == row[-2] else row[-1]) for row in table.rows]
     if all(row[-1] == "" for row in rows):
         return "No metric changed."
-    return format_table(replace(table, rows=tuple(rows)))
+    return fit_table(replace(table, rows=tuple(rows)))
 
 
 def _wait_for_save(files: Sequence[Path], seen: _Texts, is_over: Callable[[], bool]) -> Path | None:

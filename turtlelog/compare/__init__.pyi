@@ -11,12 +11,13 @@ from .measured_files import (
     complete_summaries as complete_summaries,
     summarise_files as summarise_files,
 )
+from .noise_level import NoiseLevel as NoiseLevel
 from .paper_tables import (
     tabulate_table1 as tabulate_table1,
     tabulate_whole_runs as tabulate_whole_runs,
 )
 from .path_error import (
-    PathError as PathError,
+    PathDeviation as PathDeviation,
     measure_path_error as measure_path_error,
 )
 from .ranking import (
@@ -53,6 +54,7 @@ from .run_summary import (
 )
 from .run_table import (
     UNLOCKS as UNLOCKS,
+    can_unlock as can_unlock,
     drop_absent as drop_absent,
     list_reasons as list_reasons,
     list_units as list_units,

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import CompareError, suggest_names
-from turtlelog.loops import NAME_PATTERN
 from turtlelog.measure import Signal
 from turtlelog.run import Run
+from turtlelog.run.loops import NAME_PATTERN
 
 Times = NDArray[np.int64]
 

@@ -8,7 +8,6 @@ from turtlelog.compare.alignment import CommonClock, align_runs
 from turtlelog.compare.signal_comparison import compare_aligned_signals, share_track
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.compare.tube import Tolerance
-from turtlelog.differences import SignalDifference
 from turtlelog.display import fit_line, format_answer, format_html, show_angle
 from turtlelog.measure import (
     SIGNALS,
@@ -18,6 +17,7 @@ from turtlelog.measure import (
     measure_run,
     miss_metric,
 )
+from turtlelog.replay.differences import SignalDifference
 from turtlelog.run import Run
 
 

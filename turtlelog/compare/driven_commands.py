@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.errors import CompareError
 from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
 from turtlelog.run import CommandColumns, Run
+from turtlelog.run.angles import subtract_headings
 from turtlelog.run.columns import take_rows
 from turtlelog.scenario import Scenario
 from turtlelog.simulate.streams import RANDOM_KEYS, list_streams

@@ -7,7 +7,7 @@ follow a reference. Loops of one law are never mixed: a run has both.
 
 from collections.abc import Iterable, Sequence
 
-from turtlelog.loops import RESERVED, ControlLoop, Declaration
+from turtlelog.run.loops import RESERVED, ControlLoop, Declaration
 
 _Kind = tuple[str, str, bool]
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from turtlelog.compare.run_summary import RunSummary, summarise_measured
 from turtlelog.errors import CompareError, TurtlelogError
 from turtlelog.log import ReadChoice, read_as_chosen
-from turtlelog.loops import Declaration
 from turtlelog.measure import MeasureSettings, choose_metrics, measure_run
 from turtlelog.processes import map_in_processes
 from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

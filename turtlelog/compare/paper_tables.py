@@ -7,9 +7,9 @@ from typing import Final
 from turtlelog.compare.like_loops import group_loops
 from turtlelog.compare.run_names import name_runs, order_by_gain
 from turtlelog.compare.table import Cell, Column, Table
-from turtlelog.loops import ControlLoop
 from turtlelog.measure import list_metrics, measure_run
 from turtlelog.run import Run
+from turtlelog.run.loops import ControlLoop
 from turtlelog.theory import compute_settling_time, compute_time_constant
 
 PAPER_ERRORS: Final[Mapping[float, tuple[float, float]]] = MappingProxyType(

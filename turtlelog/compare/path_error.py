@@ -7,7 +7,7 @@ import numpy as np
 
 from turtlelog.compare.alignment import align_runs
 from turtlelog.compare.tube import lay_grid, read_rows
-from turtlelog.measure import read_signal
+from turtlelog.measure import find_signal
 from turtlelog.measure.path import compute_path_distances
 from turtlelog.measure.step_response import compute_rms
 from turtlelog.run import Run
@@ -17,8 +17,8 @@ _MOST_POINTS: Final = 20_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PathError:
-    """How far a run is from where a reference was, over the stretch that both cover.
+class PathDeviation:
+    """How far a run is from where a reference was, over the segment that both cover.
 
     Attributes:
         largest_m: Largest distance from the nearest point of the reference's path [m].
@@ -37,7 +37,9 @@ class PathError:
     rms_apart_m: float
 
 
-def measure_path_error(reference: Run, run: Run, *, alignment: str = "first_sample") -> PathError:
+def measure_path_error(
+    reference: Run, run: Run, *, alignment: str = "first_sample"
+) -> PathDeviation:
     """Return how far a run is from a reference's path, and from the reference at equal times.
 
     Args:
@@ -51,7 +53,7 @@ def measure_path_error(reference: Run, run: Run, *, alignment: str = "first_samp
     clock = align_runs(reference, run, alignment)
     columns = []
     for name in ("x", "y"):
-        theirs, ours = (read_signal(who, name) for who in (reference, run))
+        theirs, ours = (find_signal(who, name) for who in (reference, run))
         assert theirs is not None
         assert ours is not None
         placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
@@ -64,7 +66,7 @@ def measure_path_error(reference: Run, run: Run, *, alignment: str = "first_samp
     beside = compute_path_distances(ours_m, path_m)
     apart = np.hypot(*(ours_m - theirs_m).T)
     step_s = np.diff(at_s)
-    return PathError(
+    return PathDeviation(
         largest_m=float(beside.max()),
         largest_at_s=float(at_s[beside.argmax()]),
         rms_m=compute_rms(step_s, beside, None),

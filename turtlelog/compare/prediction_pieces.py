@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.identify.axis_motion import AXES, get_commands
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import subtract_headings
 from turtlelog.scenario import Scenario
 
 Values = NDArray[np.float64]
@@ -85,7 +85,7 @@ def drop_jumps(cut: Rows, jumps: Rows) -> tuple[Rows, int]:
     return cut[:, inside == 0], int(np.count_nonzero(inside))
 
 
-def find_jumps(run: Run, simulated: PoseColumns, scenario: Scenario) -> Rows:
+def find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario) -> Rows:
     """Return the rows of poses to which no robot can have come from the pose before."""
     poses = run.poses
     if len(poses) < 2:

@@ -5,13 +5,13 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from turtlelog.angles import wrap_angle
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.measure import is_lawless
-from turtlelog.paths import closes_by_itself
 from turtlelog.run import Run
+from turtlelog.run.angles import wrap_angle
 from turtlelog.run.ending import allow_position
+from turtlelog.run.paths import closes_by_itself
 
 if TYPE_CHECKING:
     from turtlelog.compare.run_summary import RunSummary

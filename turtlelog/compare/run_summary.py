@@ -14,7 +14,6 @@ from turtlelog.compare.ranking import Conditions, find_conditions
 from turtlelog.display import fit_line
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
-from turtlelog.loops import Declaration
 from turtlelog.measure import (
     Metric,
     Metrics,
@@ -28,6 +27,7 @@ from turtlelog.measure import (
 )
 from turtlelog.measure.metric import Status
 from turtlelog.run import Parameter, Run
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Start
 
 TEXTS: Final = ("name", "source", "stop_reason")
@@ -36,6 +36,7 @@ TEXTS: Final = ("name", "source", "stop_reason")
 
 HOLDINGS: Final[Mapping[str, Callable[[Run], bool]]] = MappingProxyType(
     {
+        "poses": lambda run: len(run.poses) > 0,
         "commands": lambda run: len(run.commands) > 0,
         "goal": lambda run: run.goal_xy_m is not None,
         "samples": lambda run: len(run.samples) > 0,
@@ -44,7 +45,7 @@ HOLDINGS: Final[Mapping[str, Callable[[Run], bool]]] = MappingProxyType(
         ),
     }
 )
-"""What metrics need besides poses: samples of a controller, commands, a goal, reported rates."""
+"""What metrics need: poses, samples of a controller, commands, a goal, reported rates."""
 
 
 def list_lacks(run: Run) -> tuple[str, ...]:
@@ -220,7 +221,7 @@ def summarise_measured(
         notes=run.notes,
         declaration=run.declaration,
         lacks=list_lacks(run),
-        conditions=find_conditions(run, known),
+        conditions=find_conditions(run, known) if len(run.poses) else None,
     )
 
 

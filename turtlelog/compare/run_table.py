@@ -20,7 +20,6 @@ from turtlelog.compare.run_summary import (
 from turtlelog.compare.table import Cell, Column, Mark, Table
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import CompareError
-from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure import (
     MeasureSettings,
     Metric,
@@ -30,6 +29,7 @@ from turtlelog.measure import (
     measure_run,
 )
 from turtlelog.run import Parameter, Run
+from turtlelog.run.loops import ControlLoop, Declaration
 
 _MOST_DIFFERING: Final = 2
 """Columns of parameters in which runs differ."""
@@ -271,12 +271,19 @@ def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
     return [
         f"No {unlock}."
         for lack, unlock in UNLOCKS.items()
-        if all(lack in one.lacks for one in summaries)
+        if all(lack in one.lacks and can_unlock(lack, one.lacks) for one in summaries)
     ]
+
+
+def can_unlock(lack: str, lacks: Sequence[str]) -> bool:
+    """Return whether something that is added where it lacks would help: a goal needs poses."""
+    return lack != "goal" or "poses" not in lacks
 
 
 UNLOCKS: Final = MappingProxyType(
     {
+        "poses": "poses: a recorded Odometry, PoseStamped or /tf adds the path, measured rates and"
+        " how the robot follows its commands",
         "commands": "commands: a recorded Twist or TwistStamped (--command-topic TOPIC) adds lags,"
         " tracking errors and steps",
         "goal": "goal: --goal X,Y adds final.position_error and run.time_to_goal",

@@ -13,15 +13,15 @@ from turtlelog.compare.tube import (
     Grid,
     GridValues,
     Tolerance,
+    find_deciding_values,
     find_limit,
-    find_nearest,
     lay_grid,
     measure_distance,
     read_rows,
 )
-from turtlelog.differences import Difference, SignalDifference as SignalDifference
 from turtlelog.errors import find_near, join_names
-from turtlelog.measure import SIGNALS, Signal, list_signal_units, list_signals, read_signal
+from turtlelog.measure import SIGNALS, Signal, find_signal, list_signal_units, list_signals
+from turtlelog.replay.differences import Difference, SignalDifference as SignalDifference
 from turtlelog.run import Run
 
 _OF_TRACK: Final = frozenset({"along_track", "cross_track"})
@@ -99,7 +99,7 @@ def trace_tube(
         return None
     rows = read_rows(ours, grid)
     half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
-    nearest = find_nearest(theirs, rows, tolerance, half_width=half_width)
+    nearest = find_deciding_values(theirs, rows, tolerance, half_width=half_width)
     turns = np.zeros(len(nearest))
     if theirs.kind.compared_as == "angle":
         turns = 2.0 * np.pi * np.round((rows.values - nearest) / (2.0 * np.pi))
@@ -110,7 +110,7 @@ def trace_tube(
         kind = dataclasses.replace(theirs.kind, compared_as="number")
         number = dataclasses.replace(theirs, kind=kind)
         low, high = (
-            find_nearest(
+            find_deciding_values(
                 number,
                 GridValues(grid=grid, values=np.full(len(nearest), beyond)),
                 tolerance,
@@ -146,7 +146,7 @@ def explain_lack(name: str, reference: Run, run: Run) -> str:
     sides = zip((reference, run), _read_signals(name, reference, run), strict=True)
     lacking = [who for who, held in sides if held is None]
     if not lacking:
-        return "there is no stretch in which both were commanded"
+        return "there is no segment in which both were commanded"
     reason = f"{' and '.join(who.name for who in lacking)} does not hold it"
     lawless = [who for who in lacking if name not in list_signals(who.declaration)]
     if not lawless:
@@ -210,7 +210,7 @@ def _measure_rows(
 ) -> SignalDifference:
     """Return how far a run's rows are from the reference's signal, both on the clock."""
     half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
-    nearest = find_nearest(reference, rows, tolerance, half_width=half_width)
+    nearest = find_deciding_values(reference, rows, tolerance, half_width=half_width)
     off = measure_distance(reference, rows.values, nearest)
     limit = find_limit(reference, nearest, tolerance)
     outside = off > limit
@@ -249,7 +249,7 @@ def _join_phases(reference: Run, run: Run) -> list[str]:
 def _read_signals(name: str, reference: Run, run: Run) -> tuple[Signal | None, Signal | None]:
     """Return a signal of both, None of one that does not hold it; phases by one numbering."""
     theirs, ours = (
-        read_signal(who, name) if name in list_signals(who.declaration) else None
+        find_signal(who, name) if name in list_signals(who.declaration) else None
         for who in (reference, run)
     )
     if theirs is None or ours is None or ours.kind.compared_as != "label":

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
 from turtlelog.errors import CompareError
 from turtlelog.measure import Signal
+from turtlelog.run.angles import wrap_angle
 
 Values = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -110,7 +110,7 @@ def read_rows(run: Signal, grid: Grid) -> GridValues:
     return GridValues(grid=grid, values=run.values[grid.run_row])
 
 
-def find_nearest(
+def find_deciding_values(
     reference: Signal, rows: GridValues, tolerance: Tolerance, *, half_width: int = 0
 ) -> Values:
     """Return the value of the reference that decides over each row, shape of the rows.

@@ -1,4 +1,4 @@
-from .documents import describe_run as describe_run
+from .documents import document_run as document_run
 from .figures import (
     FIGURES as FIGURES,
     Page as Page,

@@ -19,14 +19,14 @@ from turtlelog.compare.run_names import name_runs
 from turtlelog.display import describe_count
 from turtlelog.draw.table_formats import format_markdown
 from turtlelog.escapes import escape_markdown
-from turtlelog.loops import PAUSE
 from turtlelog.measure import Metric, find_first_stretch, list_essential_metrics, measure_run
 from turtlelog.run import Parameter, Run
+from turtlelog.run.loops import PAUSE
 
 _HEADS: Final[Mapping[str, str]] = {"final": "At the end", "run": "The whole run"}
 
 
-def describe_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Mapping[str, str]:
+def document_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Mapping[str, str]:
     """Return the documents of one run by title: metrics, and what is known of its scenario.
 
     Args:
@@ -40,14 +40,14 @@ def describe_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Ma
     }
 
 
-def describe_runs(
+def document_runs(
     runs: Sequence[Run],
     *,
     metrics: Sequence[Mapping[str, Metric]] | None = None,
 ) -> Mapping[str, str]:
     """Return the documents of a comparison by title: the runs side by side, metrics, Table 1.
 
-    The arguments are those of `describe_run`, for several runs.
+    The arguments are those of `document_run`, for several runs.
     """
     metrics = [measure_run(run) for run in runs] if metrics is None else metrics
     pairs = zip(runs, metrics, strict=True)

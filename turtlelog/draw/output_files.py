@@ -5,8 +5,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from turtlelog.errors import LogError, ShowError
+from turtlelog.files.urls import make_path
 from turtlelog.log import replace_when_complete
-from turtlelog.remote.urls import make_path
 
 
 @contextmanager

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from turtlelog.arithmetic import clip, least, most
-from turtlelog.loops import Cause
 from turtlelog.parts import Action, Effect, Positive, absent
+from turtlelog.run.loops import Cause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from turtlelog.arithmetic import to_ns
-from turtlelog.loops import Cause
 from turtlelog.parts import Action, Complaint, Effect, Ticks, Time, absent
+from turtlelog.run.loops import Cause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,6 @@ from typing import Any
 
 from turtlelog.arithmetic import to_ns
 from turtlelog.effects.delay import judge_delays
-from turtlelog.loops import PUSH_KEYS, Cause
 from turtlelog.parts import (
     NEVER_NS,
     Action,
@@ -22,6 +21,7 @@ from turtlelog.parts import (
     TurnSize,
     absent,
 )
+from turtlelog.run.loops import PUSH_KEYS, Cause
 
 _END_OF_TIME_S = 9e9
 """Later than any run [s], whose nanoseconds fit into 64 bits."""
@@ -91,7 +91,7 @@ def _note(scenario: Any) -> Iterator[str]:
     names = [name for name in ("from_s", "to_s") if getattr(push, name) != getattr(usual, name)]
     if names and not PART.acts(scenario):
         keys = " and ".join(f"disturbance.{name}" for name in names)
-        yield f"{keys}: there is no push and no noise to begin or end"
+        yield f"{keys}: there is no disturbance and no noise to begin or end"
 
 
 PART = Effect(
@@ -114,7 +114,7 @@ PART = Effect(
             name="disturbance",
             kind="effect",
             neutral=dict.fromkeys(PUSH_KEYS, 0.0),
-            meaning="nothing pushes the robot",
+            meaning="nothing disturbs the robot",
         ),
     ),
     added=(

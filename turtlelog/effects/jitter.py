@@ -6,8 +6,8 @@ from typing import Any
 
 from turtlelog.arithmetic import nearest_int
 from turtlelog.effects.delay import judge_delays
-from turtlelog.loops import Cause
 from turtlelog.parts import Action, Complaint, Effect, Stream, Time, absent
+from turtlelog.run.loops import Cause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.loops import Cause
 from turtlelog.parts import Action, Effect, Probability, Stream, absent
+from turtlelog.run.loops import Cause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.loops import Cause
 from turtlelog.parts import Action, Complaint, Effect, Probability, Size, Stream, absent
+from turtlelog.run.loops import Cause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

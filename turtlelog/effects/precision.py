@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from turtlelog.loops import Cause
 from turtlelog.parts import Effect
+from turtlelog.run.loops import Cause
 
 FLOAT64: Final = 1
 """The second of `pose_precision`."""

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from turtlelog.loops import Cause
 from turtlelog.parts import Count, Effect
+from turtlelog.run.loops import Cause
 
 NEWEST: Final = 1
 """The second of `queue_policy`."""

@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from turtlelog.loops import Cause
 from turtlelog.parts import MAY_BE_INFINITE, Action, Effect, Positive
+from turtlelog.run.loops import Cause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

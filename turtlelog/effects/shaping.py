@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from turtlelog.arithmetic import round_to_step
-from turtlelog.loops import Cause
 from turtlelog.parts import Action, Complaint, Effect, Size, Time, absent
+from turtlelog.run.loops import Cause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

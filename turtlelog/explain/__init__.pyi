@@ -1,3 +1,14 @@
+from .answer_words import (
+    choose_named as choose_named,
+    format_contribution as format_contribution,
+    format_value as format_value,
+    write_cause_head as write_cause_head,
+    write_headline as write_headline,
+    write_main as write_main,
+    write_reasons as write_reasons,
+    write_sentences as write_sentences,
+    write_value as write_value,
+)
 from .attribute import (
     attribute_run as attribute_run,
     attribute_scenario as attribute_scenario,
@@ -5,8 +16,8 @@ from .attribute import (
 )
 from .attribution import (
     Attribution as Attribution,
+    CausePart as CausePart,
     Contribution as Contribution,
-    Part as Part,
     Resolution as Resolution,
     SeedRange as SeedRange,
     StartRange as StartRange,
@@ -24,7 +35,7 @@ from .departure import (
 )
 from .difference_report import (
     format_change as format_change,
-    format_size as format_size,
+    format_magnitude as format_magnitude,
     name_change as name_change,
 )
 from .explained_difference import (
@@ -45,7 +56,7 @@ from .identification import (
     Finding as Finding,
     Identification as Identification,
 )
-from .identify import (
+from .identify_scenario import (
     identify_run as identify_run,
 )
 from .law_identification import (
@@ -62,17 +73,6 @@ from .motion_facts import (
     MotionFacts as MotionFacts,
     Periods as Periods,
     read_motion_facts as read_motion_facts,
-)
-from .report import (
-    choose_named as choose_named,
-    format_contribution as format_contribution,
-    format_value as format_value,
-    write_cause_head as write_cause_head,
-    write_headline as write_headline,
-    write_main as write_main,
-    write_reasons as write_reasons,
-    write_sentences as write_sentences,
-    write_value as write_value,
 )
 from .resimulation import (
     Resimulation as Resimulation,

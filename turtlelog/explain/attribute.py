@@ -32,7 +32,7 @@ from turtlelog.explain.game import (
 )
 from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import LOOP_KEYS, Certainty, Finding, Identification
-from turtlelog.explain.identify import identify_run
+from turtlelog.explain.identify_scenario import identify_run
 from turtlelog.explain.seeds import describe_alone, divide_over_seeds
 from turtlelog.explain.shapley import (
     Worth,
@@ -42,9 +42,9 @@ from turtlelog.explain.shapley import (
 )
 from turtlelog.explain.starts import vary_start
 from turtlelog.laws import LAWS, find_law, list_causes
-from turtlelog.loops import Cause, Declaration
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run
+from turtlelog.run.loops import Cause, Declaration
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Final
 
-from turtlelog.angles import wrap_angle
 from turtlelog.display import fit_line, format_answer, format_html
-from turtlelog.loops import Declaration
 from turtlelog.measure import list_metrics
+from turtlelog.run.angles import wrap_angle
 from turtlelog.run.ending import allow_position
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 
 _SHARE: Final = 0.01
@@ -174,7 +174,7 @@ class ValueSet:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class CausePart:
     """A cause's part of what all of them add, over starts; 1 is all of it.
 
     Attributes:
@@ -212,7 +212,7 @@ class StartRange:
     high: float
     without_value: int
     is_wide: bool
-    parts: tuple[Part, ...] = ()
+    parts: tuple[CausePart, ...] = ()
     without_all: tuple[float, float] | None = None
 
 
@@ -302,7 +302,7 @@ class Attribution:
 
     def __post_init__(self) -> None:
         """Say what the values come to."""
-        from turtlelog.explain.report import write_sentences
+        from turtlelog.explain.answer_words import write_sentences
 
         this_seed = None
         if self.seeds is not None and self.resimulated is not None:
@@ -348,7 +348,7 @@ class Attribution:
         return fit_line(f"<Attribution of {self.metric}: {size}: {cause}>")
 
     def _repr_html_(self) -> str:
-        from turtlelog.explain.report import write_headline
+        from turtlelog.explain.answer_words import write_headline
 
         unit = self.unit
         heads = ["cause", f"contribution [{unit}]", f"without it alone [{unit}]", "means"]

@@ -12,8 +12,8 @@ from typing import Any, Final
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ExplainError, describe_unknown
 from turtlelog.laws import find_law, list_causes, list_sample_counters, name_law
-from turtlelog.loops import Cause
 from turtlelog.run import Run
+from turtlelog.run.loops import Cause
 from turtlelog.scenario import (
     Scenario,
     flatten_scenario,

@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from turtlelog.differences import (
+from turtlelog.replay.differences import (
     Difference,
     Pairing,
     compare_pairing,
@@ -14,7 +14,7 @@ from turtlelog.differences import (
 )
 from turtlelog.replay.run_pairs import (
     compare_ends,
-    count_rows,
+    count_recorded_rows,
     find_count_difference,
     has_ticks,
     pair_by_sample,
@@ -89,7 +89,7 @@ def _pair(first: Run, second: Run) -> Iterator[Pairing]:
 
 def _compare_counts(first: Run, second: Run) -> Iterator[Difference | None]:
     by_tick = has_ticks(first) and has_ticks(second)
-    for name, count in count_rows(first, second, by_tick=by_tick).items():
+    for name, count in count_recorded_rows(first, second, by_tick=by_tick).items():
         found = find_count_difference(first, name, count)
         if found is not None:
             end_ns = min(first.end_ns, second.end_ns)

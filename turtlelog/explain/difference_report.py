@@ -94,13 +94,13 @@ def write_headline(found: "ExplainedDifference") -> str:
     if first.as_logged is None or second.as_logged is None:
         return f"{found.metric}: {_write_side(found, first)}; {_write_side(found, second)}."
     apart = second.as_logged - first.as_logged
-    sizes = [format_size(found, one) for one in (first.as_logged, second.as_logged)]
+    sizes = [format_magnitude(found, one) for one in (first.as_logged, second.as_logged)]
     if abs(apart) <= _SAME * max(abs(first.as_logged), abs(second.as_logged)):
         moves = f"is {sizes[0]} in both runs"
     else:
         moves = f"{'rose' if apart > 0.0 else 'fell'} from {sizes[0]} to {sizes[1]}"
     if is_negligible(found) and found.contributions:
-        size = f"{format_size(found, found.resolution.size)} ({found.resolution.reason})"
+        size = f"{format_magnitude(found, found.resolution.size)} ({found.resolution.reason})"
         return f"{found.metric} {moves}: no change adds more than the resolution, {size}."
     told = "; ".join(filter(None, (_write_parts(found), *_write_chance(found))))
     return f"{found.metric} {moves}{f': {told}' if told else ''}."
@@ -141,7 +141,7 @@ def _write_chance(found: "ExplainedDifference") -> list[str]:
 def _write_side(found: "ExplainedDifference", side: "Side") -> str:
     if side.as_logged is None:
         return f"{side.name} has no value ({side.reason})"
-    return f"{side.name} has {format_size(found, side.as_logged)}"
+    return f"{side.name} has {format_magnitude(found, side.as_logged)}"
 
 
 def _write_resimulated(found: "ExplainedDifference") -> str:
@@ -151,9 +151,9 @@ def _write_resimulated(found: "ExplainedDifference") -> str:
     known = [(a, b) for a, b in pairs if a is not None and b is not None]
     if len(known) < 2 or all(abs(a - b) <= _SAME * abs(a) for a, b in known):
         return ""
-    values = [format_size(found, value) for _, value in known]
+    values = [format_magnitude(found, value) for _, value in known]
     if found.unexplained is not None:
-        left = format_size(found, abs(found.unexplained))
+        left = format_magnitude(found, abs(found.unexplained))
         return f"The robots' models have {values[0]} and {values[1]}: {left} is not explained."
     return f"Simulated again it is {values[0]} and {values[1]}."
 
@@ -188,18 +188,18 @@ def write_part(found: "ExplainedDifference", one: "Change") -> str:
 
 def _write_move(found: "ExplainedDifference", size: float, *, is_many: bool) -> str:
     verb, end = ("add", "") if size >= 0.0 else ("take", " away")
-    return f"{verb}{'' if is_many else 's'} {format_size(found, abs(size))}{end}"
+    return f"{verb}{'' if is_many else 's'} {format_magnitude(found, abs(size))}{end}"
 
 
 def format_change(found: "ExplainedDifference", one: "Change") -> str:
     """Return a contribution with its sign, unit, and standard error if it has one."""
     size = one.contribution or 0.0
     if one.low is not None and one.high is not None:
-        low, high = (format_size(found, end) for end in (one.low, one.high))
+        low, high = (format_magnitude(found, end) for end in (one.low, one.high))
         spread = f" ({low} to {high})"
     else:
         spread = f" +- {one.standard_error:.2g}" if one.standard_error else ""
-    return f"{'+' if size >= 0.0 else ''}{format_size(found, size)}{spread}"
+    return f"{'+' if size >= 0.0 else ''}{format_magnitude(found, size)}{spread}"
 
 
 def name_change(one: "Change") -> str:
@@ -228,7 +228,7 @@ def is_negligible(found: "ExplainedDifference") -> bool:
     return max([*sizes, abs(found.difference or 0.0)]) <= found.resolution.size
 
 
-def format_size(found: "ExplainedDifference", value: float) -> str:
+def format_magnitude(found: "ExplainedDifference", value: float) -> str:
     """Return a value with its unit, in as many decimals as all values of this answer."""
     text = f"{value:.{_count_decimals(found)}f}"
     if not float(text):
@@ -290,7 +290,7 @@ def _write_together(found: "ExplainedDifference") -> str:
     parts = []
     for one in large:
         names = join_words([name_change(changes[name]) for name in one.causes])
-        size = format_size(found, abs(one.value))
+        size = format_magnitude(found, abs(one.value))
         both = "both" if len(one.causes) == 2 else "all"
         parts.append(
             f"{size} arises only if {names} {both} act"
@@ -336,7 +336,7 @@ def _write_starts(found: "ExplainedDifference") -> str:
 
 
 def _format_span(found: "ExplainedDifference", low: float, high: float) -> str:
-    least, most = format_size(found, low), format_size(found, high)
+    least, most = format_magnitude(found, low), format_magnitude(found, high)
     return most if least == most else f"{least} to {most}"
 
 
@@ -364,7 +364,7 @@ def write_effects(found: "ExplainedDifference") -> str:
 
 
 def _write_shift(found: "ExplainedDifference", one: "EffectShift") -> str:
-    return f"{one.cause} {'+' if one.shift >= 0.0 else ''}{format_size(found, one.shift)}"
+    return f"{one.cause} {'+' if one.shift >= 0.0 else ''}{format_magnitude(found, one.shift)}"
 
 
 def _write_idle(found: "ExplainedDifference") -> str:

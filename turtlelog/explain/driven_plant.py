@@ -13,7 +13,6 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings, wrap_angle
 from turtlelog.explain.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.resimulation import number_poses
 from turtlelog.explain.trace import Trace, Values
@@ -21,8 +20,9 @@ from turtlelog.explain.trace_breaks import list_breaks
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.measure.motion import FEWEST_DIFFERENT, OFF_GRID
 from turtlelog.measure.way_fits import COARSE
-from turtlelog.paths import Path
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
+from turtlelog.run.angles import subtract_headings, wrap_angle
+from turtlelog.run.paths import Path
 from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start, Target
 from turtlelog.simulate import iterate_ticks
 

@@ -15,7 +15,7 @@ from turtlelog.explain.identification import (
     fit_value,
     miss,
 )
-from turtlelog.explain.trace import estimate_noise, find_grain
+from turtlelog.explain.trace import estimate_trace_noise, find_resolution
 
 Values = NDArray[np.float64]
 
@@ -197,9 +197,9 @@ class PoseNoise:
 def measure_pose_noise(values: Values) -> PoseNoise:
     """Return the noise of logged coordinates, shape (n, axes)."""
     return PoseNoise(
-        size=estimate_noise(values),
-        least=estimate_noise(values, order=4),
-        grain=max(find_grain(column) for column in values.T),
+        size=estimate_trace_noise(values),
+        least=estimate_trace_noise(values, order=4),
+        grain=max(find_resolution(column) for column in values.T),
     )
 
 

@@ -25,10 +25,10 @@ from turtlelog.explain.causes import (
 )
 from turtlelog.explain.law_identification import describe_phase
 from turtlelog.laws import LAWS
-from turtlelog.loops import Cause
 from turtlelog.measure import measure_run
 from turtlelog.processes import count_cores, map_in_processes
 from turtlelog.run import Run
+from turtlelog.run.loops import Cause
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_many
 

@@ -34,7 +34,7 @@ from turtlelog.explain.resimulation import (
     find_end_s,
     list_rows,
 )
-from turtlelog.explain.search import Fits, drive_loop, search_loop
+from turtlelog.explain.setting_search import Fits, drive_loop, search_loop
 from turtlelog.explain.trace import (
     Trace,
     Values,
@@ -43,11 +43,11 @@ from turtlelog.explain.trace import (
 from turtlelog.explain.trace_breaks import describe_breaks, mark_breaks, space_out
 from turtlelog.explain.unseen import take_seconds
 from turtlelog.laws import LAWS
-from turtlelog.loops import PAUSE, RESERVED, ControlLoop
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.measure.dead_time import LARGEST_TICKS, shows_lag
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import CUT_SHORT, Run
+from turtlelog.run.loops import PAUSE, RESERVED, ControlLoop
 from turtlelog.scenario import (
     DEFAULT_LAW,
     Scenario,
@@ -174,7 +174,7 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
         **_describe_limits(run),
         **({} if fits is None else _describe_fits(trace, fits, find_lag_slack(run, dead_times))),
         **({} if recorded.scenario is None else take_seconds(recorded.scenario)),
-        "stop_reason": describe_stop(run, recorded),
+        "stop_reason": describe_stop_rule(run, recorded),
     }
     return Identification(
         name=run.name,
@@ -320,7 +320,7 @@ def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
     return find_exactly(largest, f"{int(clipped.sum())} of {len(sent)} commands are there")
 
 
-def describe_stop(run: Run, recorded: RecordedScenario) -> Finding:
+def describe_stop_rule(run: Run, recorded: RecordedScenario) -> Finding:
     """Return which rule ended the run, as it is recorded and simulated again."""
     if run.stop_reason == _TIME_IS_UP:
         return find_exactly(_TIME_IS_UP, "as recorded: no rule of the law had ended the run")

@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.angles import wrap_angle
 from turtlelog.explain.gain_fit import (
     CommandFit,
     Reproduce,
@@ -25,8 +24,9 @@ from turtlelog.explain.identification import (
     miss,
 )
 from turtlelog.explain.trace import Trace, Values
-from turtlelog.loops import DONE, PAUSE
 from turtlelog.measure.way_fits import CERTAIN
+from turtlelog.run.angles import wrap_angle
+from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.scenario import DEFAULT_LAW
 
 ROTATE: Final = "rotate"

@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.angles import subtract_headings
 from turtlelog.explain.gain_fit import find_quantile
 from turtlelog.explain.identification import (
     LOOP_KEYS,
@@ -21,9 +20,10 @@ from turtlelog.explain.identification import (
 )
 from turtlelog.explain.loop_guesses import PAUSE_KEY
 from turtlelog.explain.resimulation import list_lost_commands, read_pause
-from turtlelog.explain.search import START_KEYS, Fits
+from turtlelog.explain.setting_search import START_KEYS, Fits
 from turtlelog.explain.trace import Trace
 from turtlelog.plants.turtlesim import TICK_S
+from turtlelog.run.angles import subtract_headings
 
 _HELD_AND_BURST: Final = ("pause.held_turn_rate_rad_s", "pause.burst")
 

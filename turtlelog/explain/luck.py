@@ -19,7 +19,7 @@ from turtlelog.explain.attribute import attribute_run
 from turtlelog.explain.attribution import Attribution, choose_metric
 from turtlelog.explain.game import SEEDS, Outcome, Play, ScenarioGame, Work, iterate_outcomes
 from turtlelog.explain.identification import Identification
-from turtlelog.explain.identify import identify_run
+from turtlelog.explain.identify_scenario import identify_run
 from turtlelog.explain.starts import (
     find_steady_span,
     ranges_over,

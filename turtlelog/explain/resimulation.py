@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.replay import PoseError
 from turtlelog.run import Run
+from turtlelog.run.angles import subtract_headings
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import (
     PlainLoop,

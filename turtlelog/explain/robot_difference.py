@@ -30,10 +30,10 @@ from turtlelog.explain.robot_parts import (
 from turtlelog.explain.sampled_orders import ORDERS, sample_game
 from turtlelog.identify.axis_motion import NAMES, Axis
 from turtlelog.identify.axis_values import NORMAL_95
-from turtlelog.loops import Cause, Declaration
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.run.columns import take_rows
+from turtlelog.run.loops import Cause, Declaration
 
 _MOST_EXACT: Final = 5
 """Parts whose combinations are all driven, with every draw: some thousand times."""

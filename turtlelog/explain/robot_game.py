@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
 from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, Work
 from turtlelog.explain.robot_parts import (
     COMMANDS,
@@ -23,9 +22,10 @@ from turtlelog.explain.robot_parts import (
 from turtlelog.identify.axis_motion import AXES, Axis
 from turtlelog.identify.motion_prediction import predict_response
 from turtlelog.identify.robot_model import AxisModel
-from turtlelog.loops import Cause
 from turtlelog.measure import measure_run
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import wrap_angle
+from turtlelog.run.loops import Cause
 
 Values = NDArray[np.float64]
 Times = NDArray[np.int64]

@@ -14,12 +14,12 @@ import numpy as np
 
 from turtlelog.identify.axis_motion import AXES, Axis, measure_steps, read_axis_motion
 from turtlelog.identify.axis_values import NORMAL_95
-from turtlelog.identify.held_response import HeldCommands
+from turtlelog.identify.held_response import HeldInput
 from turtlelog.identify.robot_identification import identify_robot
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotModel
 from turtlelog.identify.robot_noise import measure_rate_noise, measure_sensing_noise
-from turtlelog.loops import Cause
 from turtlelog.run import Run
+from turtlelog.run.loops import Cause
 
 COMMANDS: Final = "commands"
 NOISE: Final = "noise"
@@ -62,7 +62,7 @@ _DRIVES: Final = ("run.speed_", "run.measured_speed_")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Noise:
+class LogNoise:
     """How noisy a robot is, as far as its log shows.
 
     Attributes:
@@ -91,8 +91,8 @@ class RobotLog:
 
     run: Run
     model: RobotModel
-    noise: Noise = field(default_factory=Noise)
-    commands: Mapping[Axis, HeldCommands]
+    noise: LogNoise = field(default_factory=LogNoise)
+    commands: Mapping[Axis, HeldInput]
 
 
 def read_robot_log(run: Run) -> RobotLog:
@@ -103,7 +103,7 @@ def read_robot_log(run: Run) -> RobotLog:
     return RobotLog(
         run=run,
         model=model,
-        noise=Noise(
+        noise=LogNoise(
             position_m=0.0 if sensing is None else sensing.position.size,
             heading_rad=0.0 if sensing is None else sensing.heading.size,
             **{axis: 0.0 if noise is None else noise.size for axis, noise in rates.items()},

@@ -13,7 +13,7 @@ from turtlelog.errors import ScenarioError
 from turtlelog.explain.causes import draws_random
 from turtlelog.explain.game import Coalition, Outcome, Play, ScenarioGame, Work
 from turtlelog.laws import find_law, list_causes
-from turtlelog.loops import Cause
+from turtlelog.run.loops import Cause
 from turtlelog.scenario import (
     Scenario,
     build_scenario,

@@ -27,7 +27,7 @@ from turtlelog.explain.explained_difference import (
 )
 from turtlelog.explain.game import SEEDS, Play, Work, iterate_outcomes
 from turtlelog.explain.hypothesis import LONGEST_S, check_recorded_scenario, require_trust
-from turtlelog.explain.identify import identify_run
+from turtlelog.explain.identify_scenario import identify_run
 from turtlelog.explain.robot_difference import explain_robots, is_robot_log
 from turtlelog.explain.run_changes import ChangeGame, find_changes, set_values
 from turtlelog.explain.sampled_orders import ORDERS, sample_game
@@ -41,9 +41,9 @@ from turtlelog.explain.starts import (
 from turtlelog.explain.trace import trace_run
 from turtlelog.explain.trace_breaks import mark_breaks
 from turtlelog.laws import LAWS
-from turtlelog.loops import Cause
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run
+from turtlelog.run.loops import Cause
 from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.explain.attribution import Part, StartRange, find_sample_period_s
+from turtlelog.explain.attribution import CausePart, StartRange, find_sample_period_s
 from turtlelog.explain.game import ScenarioGame, list_coalitions
 from turtlelog.explain.shapley import compute_contributions
 from turtlelog.run import Run
@@ -121,7 +121,7 @@ def vary_start(
     )
 
 
-def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple[Part, ...]:
+def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple[CausePart, ...]:
     """Return the lowest and highest part of each cause; none unless all add alike."""
     parts = []
     for game in games:
@@ -136,6 +136,6 @@ def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple
         parts.append([contribution / total for contribution in contributions.values()])
     lows, highs = np.min(parts, axis=0).tolist(), np.max(parts, axis=0).tolist()
     return tuple(
-        Part(cause=name, low=low, high=high)
+        CausePart(cause=name, low=low, high=high)
         for name, low, high in zip(causes, lows, highs, strict=True)
     )

@@ -100,12 +100,12 @@ class Trace:
     @property
     def grain_m(self) -> float:
         """Step in which positions are logged [m]."""
-        return max(find_grain(self.xy_m[:, 0]), find_grain(self.xy_m[:, 1]))
+        return max(find_resolution(self.xy_m[:, 0]), find_resolution(self.xy_m[:, 1]))
 
     @property
     def grain_rad(self) -> float:
         """Step in which headings are logged [rad]."""
-        return find_grain(self.heading_rad)
+        return find_resolution(self.heading_rad)
 
     @property
     def coarse_steps(self) -> tuple[float, float, float]:
@@ -175,7 +175,7 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
     )
 
 
-def find_grain(values: Values) -> float:
+def find_resolution(values: Values) -> float:
     """Return the step that all values are multiples of, or the spacing of their 32-bit floats.
 
     0 where they have more bits and no common step.
@@ -183,7 +183,7 @@ def find_grain(values: Values) -> float:
     return find_common_step(values) or find_spacing(values)
 
 
-def estimate_noise(values: Values, order: int = 2) -> float:
+def estimate_trace_noise(values: Values, order: int = 2) -> float:
     """Return the standard deviation of noise, from what neighbours do not have in common.
 
     The median of second differences of normal noise is 0.6745 times the root of 6 of it. Of a

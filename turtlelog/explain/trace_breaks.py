@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
-from turtlelog.explain.trace import Trace, Values, estimate_noise
-from turtlelog.loops import PLANT_KEYS, read_number
+from turtlelog.explain.trace import Trace, Values, estimate_trace_noise
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
+from turtlelog.run.angles import subtract_headings
+from turtlelog.run.loops import PLANT_KEYS, read_number
 
 _NOISE_STEPS: Final = 8.0
 """Standard deviations of noise beyond which a step is a jump: once in 1e15 steps without one."""
@@ -139,9 +139,9 @@ def _number_rows(trace: Trace, jumps: tuple[int, ...]) -> NDArray[np.int64]:
     number = np.ones(len(trace), dtype=np.int64)
     number[0] = 0
     moved, turned = _measure_steps(trace)
-    least_m = _MOVES * np.sqrt(2.0) * estimate_noise(trace.xy_m) + trace.grain_m
+    least_m = _MOVES * np.sqrt(2.0) * estimate_trace_noise(trace.xy_m) + trace.grain_m
     unwrapped = np.unwrap(trace.heading_rad)[:, None]
-    least_rad = _MOVES * np.sqrt(2.0) * estimate_noise(unwrapped) + trace.grain_rad
+    least_rad = _MOVES * np.sqrt(2.0) * estimate_trace_noise(unwrapped) + trace.grain_rad
     for row in sorted(rows):
         near = [
             step
@@ -174,4 +174,6 @@ def _measure_steps(trace: Trace) -> tuple[Values, Values]:
 
 
 def _find_slack(values: Values, grain: float) -> float:
-    return _NOISE_STEPS * float(np.sqrt(2.0)) * estimate_noise(values) + 2.0 * grain + _ROUNDING
+    return (
+        _NOISE_STEPS * float(np.sqrt(2.0)) * estimate_trace_noise(values) + 2.0 * grain + _ROUNDING
+    )

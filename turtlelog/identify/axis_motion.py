@@ -8,8 +8,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
-from turtlelog.identify.held_response import HeldCommands, Values, hold_commands
+from turtlelog.identify.held_response import HeldInput, Values, hold_commands
 from turtlelog.identify.silent_stops import (
     SilentStop,
     find_doubtful,
@@ -17,6 +16,7 @@ from turtlelog.identify.silent_stops import (
     insert_stops,
 )
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import subtract_headings
 
 Axis = Literal["speed", "turn_rate"]
 AXES: Final[tuple[Axis, ...]] = ("speed", "turn_rate")
@@ -62,7 +62,7 @@ class AxisMotion:
     time_s: Values
     first: NDArray[np.int64]
     moved: Values
-    commands: HeldCommands
+    commands: HeldInput
     stops: tuple[SilentStop, ...] = ()
 
     @property
@@ -132,7 +132,7 @@ def _stands(moved: Values, duration_s: Values, largest: float) -> bool:
     return total_s > 0.0 and abs(float(moved.sum())) <= _STANDING * largest * total_s
 
 
-def _find_active(commands: HeldCommands, begins_s: Values, ends_s: Values) -> NDArray[np.bool_]:
+def _find_active(commands: HeldInput, begins_s: Values, ends_s: Values) -> NDArray[np.bool_]:
     """Return in which steps a command other than 0 acts, or did not long ago."""
     ends_at = np.append(commands.time_s[1:], np.inf)
     moving = np.flatnonzero(commands.value)
@@ -147,7 +147,7 @@ def _select(
     time_s: Values,
     first: NDArray[np.int64],
     moved: Values,
-    commands: HeldCommands,
+    commands: HeldInput,
     stops: tuple[SilentStop, ...] = (),
 ) -> AxisMotion:
     """Keep the poses that some steps lie between."""

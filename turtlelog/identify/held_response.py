@@ -46,7 +46,7 @@ class Places:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HeldCommands:
+class HeldInput:
     """The commands of one axis, each of which holds until the next one.
 
     Attributes:
@@ -74,7 +74,7 @@ class HeldCommands:
         return Places(held=held, since_s=since_s, value=value, slope=slope, way=way)
 
 
-def hold_commands(time_s: Values, value: Values, before: float) -> HeldCommands:
+def hold_commands(time_s: Values, value: Values, before: float) -> HeldInput:
     """Return commands that hold, without those that repeat the one before.
 
     Args:
@@ -89,14 +89,14 @@ def hold_commands(time_s: Values, value: Values, before: float) -> HeldCommands:
     return _integrate_commands(time_s, value, np.zeros(len(value)))
 
 
-def _integrate_commands(time_s: Values, value: Values, slope: Values) -> HeldCommands:
+def _integrate_commands(time_s: Values, value: Values, slope: Values) -> HeldInput:
     held_s = np.diff(time_s)
     steps = (value[:-1] + 0.5 * slope[:-1] * held_s) * held_s
     way = np.concatenate([[0.0], np.cumsum(steps)])
-    return HeldCommands(time_s=time_s, value=value, slope=slope, way=way)
+    return HeldInput(time_s=time_s, value=value, slope=slope, way=way)
 
 
-def limit_changes(commands: HeldCommands, slowness: float) -> HeldCommands:
+def limit_changes(commands: HeldInput, slowness: float) -> HeldInput:
     """Return commands that change no faster than a limit: of each a ramp, and what it leads to.
 
     Args:
@@ -122,8 +122,8 @@ def limit_changes(commands: HeldCommands, slowness: float) -> HeldCommands:
 
 
 def limit_within(
-    commands: HeldCommands, slowness: float, lag_s: float, most: float = math.inf
-) -> HeldCommands:
+    commands: HeldInput, slowness: float, lag_s: float, most: float = math.inf
+) -> HeldInput:
     """Return what a lag must be asked for so that its rate, or the rate's change, has a limit.
 
     rate' = clip((command - rate) / lag, +-limit) is a lag behind clip(command, rate +- limit lag):
@@ -165,8 +165,8 @@ def limit_within(
 
 
 def shape_commands(
-    commands: HeldCommands, *, tightness: float, reverse: float, friction: float, deadband: float
-) -> HeldCommands:
+    commands: HeldInput, *, tightness: float, reverse: float, friction: float, deadband: float
+) -> HeldInput:
     """Return commands as a robot takes them that does not take all alike.
 
     Args:
@@ -187,7 +187,7 @@ def shape_commands(
 class LaggedResponse:
     """The response to commands of a robot with certain lags and a gain of 1."""
 
-    def __init__(self, commands: HeldCommands, lag_s: float, product_s2: float = 0.0) -> None:
+    def __init__(self, commands: HeldInput, lag_s: float, product_s2: float = 0.0) -> None:
         """Prepare it.
 
         Args:
@@ -231,7 +231,7 @@ def _split(lag_s: float, product_s2: float) -> list[tuple[Any, Any]]:
     return [(long_s / (long_s - short_s), long_s), (short_s / (short_s - long_s), short_s)]
 
 
-def _list_transients(commands: HeldCommands, lag_s: Any) -> NDArray[Any]:
+def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
     """Return by how much the rate of a first-order lag differs from each command as it begins.
 
     It fades by a factor until the next command, which adds its own: a linear recurrence, solved by

@@ -7,7 +7,7 @@ import numpy as np
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import Axis, AxisMotion, measure_steps, read_axis_motion
-from turtlelog.identify.held_response import HeldCommands, Values
+from turtlelog.identify.held_response import HeldInput, Values
 from turtlelog.identify.robot_model import AxisModel
 from turtlelog.run import Run
 
@@ -93,7 +93,7 @@ def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Va
 
 
 def predict_response(
-    model: AxisModel, commands: HeldCommands, time_s: Values
+    model: AxisModel, commands: HeldInput, time_s: Values
 ) -> tuple[Values, Values]:
     """Return the same of given commands.
 

@@ -14,9 +14,9 @@ from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS, Axis, get_commands
 from turtlelog.identify.robot_model import AxisModel, RobotModel
 from turtlelog.identify.robot_noise import Noise, measure_rate_noise, measure_sensing_noise
-from turtlelog.loops import LIMIT_KEYS, PLANT_KEYS
 from turtlelog.plants import LAGGED
 from turtlelog.run import Run
+from turtlelog.run.loops import LIMIT_KEYS, PLANT_KEYS
 from turtlelog.scenario import Scenario, format_scenario, get_preset, override_scenario
 
 _DIGITS: Final = 6

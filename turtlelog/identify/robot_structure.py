@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Final, Literal
 
 from turtlelog.identify.held_response import (
-    HeldCommands,
+    HeldInput,
     LaggedResponse,
     limit_changes,
     limit_within,
@@ -93,9 +93,7 @@ class Structure:
         """Whether the commands that act depend on the further parameters."""
         return self not in {FIRST_ORDER, SECOND_ORDER}
 
-    def respond(
-        self, commands: HeldCommands, lag_s: float, extras: Sequence[float]
-    ) -> LaggedResponse:
+    def respond(self, commands: HeldInput, lag_s: float, extras: Sequence[float]) -> LaggedResponse:
         """Return the response to commands, with a lag and the further parameters."""
         values = dict(zip(self.names, extras, strict=True))
         if len(self.names) > len(_OF_ORDER[self.order]) or self.deadband:

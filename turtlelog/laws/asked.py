@@ -8,8 +8,8 @@ from typing import Any, ClassVar, Final
 
 from turtlelog.errors import LawError
 from turtlelog.laws.base import Decision, Goal, LawPart, Pose
-from turtlelog.path_pieces import PathNumbers
-from turtlelog.paths import Path
+from turtlelog.run.path_pieces import PathNumbers
+from turtlelog.run.paths import Path
 
 
 @dataclass(slots=True)

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
 import msgspec
 
-from turtlelog.loops import Cause, Declaration
 from turtlelog.parts import (
     ABSENT_BY_DEFAULT as ABSENT_BY_DEFAULT,
     MAY_BE_INFINITE as MAY_BE_INFINITE,
 )
-from turtlelog.paths import Path
+from turtlelog.run.loops import Cause, Declaration
+from turtlelog.run.paths import Path
 
 if TYPE_CHECKING:
     from turtlelog.laws.asked import AskedLaw

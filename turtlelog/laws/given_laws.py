@@ -15,7 +15,7 @@ from turtlelog.errors import LawError
 from turtlelog.laws.base import Goal, LawPart, Pose
 from turtlelog.laws.loading import LAWS
 from turtlelog.laws.short_laws import NoParameters
-from turtlelog.paths import Path
+from turtlelog.run.paths import Path
 
 SESSION: Final = "session:"
 """Begins the kind of such a law."""

@@ -16,9 +16,9 @@ from turtlelog.display import NamedValues
 from turtlelog.errors import LawError, TurtlelogError, describe_error, describe_unknown
 from turtlelog.expressions.tokens import KEYWORDS
 from turtlelog.laws.base import AnyLaw, Goal, LawPart
-from turtlelog.loops import Cause, Declaration
 from turtlelog.parts import load_parts
-from turtlelog.paths import Path as TrackedPath
+from turtlelog.run.loops import Cause, Declaration
+from turtlelog.run.paths import Path as TrackedPath
 
 _PROTOCOL: Final = "docs/own-law.md describes what a law is"
 

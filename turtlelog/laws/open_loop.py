@@ -11,8 +11,8 @@ from msgspec import Meta
 from turtlelog.arithmetic import count_begun
 from turtlelog.errors import ParameterError
 from turtlelog.laws.base import Goal, LawPart, Row
-from turtlelog.loops import Declaration
-from turtlelog.paths import Path
+from turtlelog.run.loops import Declaration
+from turtlelog.run.paths import Path
 
 _TICK_S: Final = 0.016
 """One tick of turtlesim [s], which is the usual period of the controller."""
@@ -168,7 +168,7 @@ _SIGNALS: Final = ("sequence", "impulse", "step", "ramp", "prbs")
 
 
 @dataclass(slots=True, kw_only=True)
-class Signal:
+class CommandSignal:
     """What an open loop sends, in the nanoseconds in which the clocks count.
 
     Attributes:
@@ -207,7 +207,7 @@ class OpenLoopState:
     first_ns: int = -1
 
 
-def build_signal(parameters: OpenLoopParameters) -> Signal:
+def build_signal(parameters: OpenLoopParameters) -> CommandSignal:
     """Return the signal of an open loop."""
     values = parameters.complete()
     axis = values.get("axis", "both")
@@ -216,7 +216,7 @@ def build_signal(parameters: OpenLoopParameters) -> Signal:
     rows = len(values.get("time_s", ()))
     if parameters.signal == "prbs":
         rows = int(2 ** values["order"] - 1)
-    return Signal(
+    return CommandSignal(
         kind=_SIGNALS.index(parameters.signal),
         rows=rows,
         moves_speed=axis != "turn_rate",
@@ -331,6 +331,6 @@ PART: Final = LawPart(
     counts_samples=(),
     list_unused=lambda _: ("path",),
     prepare=build_signal,
-    Numbers=Signal,
+    Numbers=CommandSignal,
     build_table=build_table,
 )

@@ -12,9 +12,9 @@ from typing import Any, Final
 from turtlelog.arithmetic import called, least, wrap_angle
 from turtlelog.errors import LawError
 from turtlelog.laws.base import Goal
-from turtlelog.loops import ControlLoop, Declaration
-from turtlelog.path_pieces import Point, find_on_first_lap, follow, locate
-from turtlelog.paths import Path
+from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.run.path_pieces import Point, find_on_first_lap, follow, locate
+from turtlelog.run.paths import Path
 
 STOPS: Final = ("path_end",)
 PATH_END: Final = 1

@@ -12,9 +12,9 @@ from msgspec import Meta
 
 from turtlelog.arithmetic import called, hypot, most, wrap_angle
 from turtlelog.laws.base import TOLERANCE, Goal, LawPart
-from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.parts import MAY_BE_INFINITE
-from turtlelog.paths import Path
+from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.run.paths import Path
 
 _DRIVE, _TURN = 0, 1
 """Phases by their number in the declaration."""

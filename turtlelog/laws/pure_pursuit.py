@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from turtlelog.laws.base import LawPart
 from turtlelog.laws.path_tracking import STOPS, TrackingState, declares, find_target
-from turtlelog.path_pieces import find_ahead
+from turtlelog.run.path_pieces import find_ahead
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

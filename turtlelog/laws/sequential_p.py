@@ -12,9 +12,9 @@ from turtlelog.errors import LawError
 from turtlelog.laws.base import TOLERANCE, Goal, LawPart, Row
 from turtlelog.laws.schedule import DISTANCE, GainSchedule
 from turtlelog.laws.sequential import SCHEDULED, STOPS, SequentialNumbers, SequentialState, step
-from turtlelog.loops import PAUSE, Cause, ControlLoop, Declaration
 from turtlelog.parts import ABSENT_BY_DEFAULT, MAY_BE_INFINITE
-from turtlelog.paths import Path
+from turtlelog.run.loops import PAUSE, Cause, ControlLoop, Declaration
+from turtlelog.run.paths import Path
 
 ROTATE: Final = "rotate"
 TRANSLATE: Final = "translate"

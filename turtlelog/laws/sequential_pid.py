@@ -19,9 +19,9 @@ from turtlelog.laws.sequential_p import (
     list_unused,
     prepare,
 )
-from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.parts import ABSENT_BY_DEFAULT
-from turtlelog.paths import Path
+from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.run.paths import Path
 
 _STATES: Final[Mapping[str, str]] = MappingProxyType(
     {

@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 from turtlelog.laws.base import Goal, Law, Pose
-from turtlelog.paths import Path
+from turtlelog.run.paths import Path
 
 
 @dataclass(frozen=True)

@@ -23,14 +23,18 @@ from .exporters import (
     export_rosbag2 as export_rosbag2,
     export_tum as export_tum,
 )
+from .file_info import (
+    RecordingInfo as RecordingInfo,
+    TopicInfo as TopicInfo,
+    read_info as read_info,
+)
 from .importers import (
     import_log as import_log,
     import_plain_table as import_plain_table,
 )
-from .info import (
-    RecordingInfo as RecordingInfo,
-    TopicInfo as TopicInfo,
-    read_info as read_info,
+from .live_run import (
+    Sink as Sink,
+    run_live as run_live,
 )
 from .read_choice import (
     CHOSEN as CHOSEN,
@@ -56,7 +60,9 @@ from .recovery import (
     recover_recording as recover_recording,
 )
 from .ros2 import (
+    Surroundings as Surroundings,
     read_bag as read_bag,
+    read_surroundings as read_surroundings,
 )
 from .trajectories import (
     read_trajectory as read_trajectory,

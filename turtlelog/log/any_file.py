@@ -6,22 +6,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Unpack, cast
 
 from turtlelog.errors import LogError
+from turtlelog.files.urls import make_path
 from turtlelog.log import importers, recording, ros2
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
 from turtlelog.log.engine.framing import MCAP0_MAGIC
 from turtlelog.log.engine.opening import ROS1_MAGIC
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.info import RecordingInfo, read_info
+from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
     CHOSEN,
     ReadChoice,
     ReadOptions,
+    match_topic,
     parse_goal,
     split_topic,
 )
 from turtlelog.log.recording.topics import COMMAND, POSE
-from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog.run import Run
@@ -73,7 +74,8 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
     if is_log:
         return _aim(path, importers.import_other(path, choice.columns), choice)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
-    asked = choice.pose_topic, choice.command_topic
+    pairs = (choice.pose_topic, POSE.name), (choice.command_topic, COMMAND.name)
+    asked = [None if name is None else match_topic(name, {usual}) for name, usual in pairs]
     is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
     others = choice.path_topic, choice.pose_frame, choice.world_frame
     # What should be a recording, and is no MCAP file, is told so.
@@ -192,9 +194,10 @@ def _describe_unused(choice: ReadChoice) -> str:
 
 
 def _require_topic(info: RecordingInfo, topic: str) -> RecordingInfo:
-    if all(found.topic != topic for found in info.topics):
-        names = ", ".join(found.topic for found in info.topics)[:300] or "none"
-        raise LogError(f"{info.file}: expected a topic {topic}, found {names}")
+    names = {found.topic for found in info.topics}
+    if match_topic(topic, names) not in names:
+        listed = ", ".join(found.topic for found in info.topics)[:300] or "none"
+        raise LogError(f"{info.file}: expected a topic {topic}, found {listed}")
     return info
 
 

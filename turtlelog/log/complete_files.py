@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from turtlelog.errors import LogError
+from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log.error_boundary import name_file
-from turtlelog.remote.urls import RemotePath, make_path
 
 
 @contextmanager
@@ -76,7 +76,7 @@ def remove_leftovers(folder: Path) -> None:
 def _put_when_complete(path: RemotePath) -> Iterator[Path]:
     """Yield a temporary name on this computer; the file is put behind the URL at the end."""
     with name_file(path, expected="a place that can be written"):
-        from turtlelog.remote.requests import require_writable
+        from turtlelog.files.requests import require_writable
 
         require_writable(path.url)
     try:

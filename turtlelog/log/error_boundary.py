@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from turtlelog.errors import LogError, TurtlelogError, describe_error
-from turtlelog.remote.urls import RemotePath, make_path
-from turtlelog.text_files import LFS_POINTER, describe_missing
+from turtlelog.files.text_files import LFS_POINTER, describe_missing
+from turtlelog.files.urls import RemotePath, make_path
 
 _DEFECTS = (AssertionError, AttributeError, ImportError, NameError)
 

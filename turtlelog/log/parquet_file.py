@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from turtlelog.errors import LogError
+from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.libraries import load_library
 from turtlelog.log.engine.limits import SMALL_FILE, grow_bound
 from turtlelog.log.error_boundary import DamageError, open_file
@@ -18,7 +19,6 @@ from turtlelog.log.parquet_counts import (
     iterate_pages,
     read_footer_claims,
 )
-from turtlelog.remote.urls import RemotePath, make_path
 
 MOST_ROWS: Final = 350_000
 """Rows of a small file: libraries leave 120 MB of its memory, and commands take up to 310 bytes a

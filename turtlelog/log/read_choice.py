@@ -1,13 +1,13 @@
 """What to read of a file that may be meant in several ways: topics, frames, clock, goal."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Final, Literal, TypedDict
 
 from turtlelog.errors import LogError
-from turtlelog.remote.urls import RemotePath, make_path
+from turtlelog.files.urls import RemotePath, make_path
 
 TimeSource = Literal["auto", "log", "stamp"]
 """What times poses: the recorder's clock, their stamps mapped to it, or what the bag suggests."""
@@ -23,8 +23,13 @@ class ReadOptions(TypedDict, total=False):
     world_frame: str | None
     goal: tuple[float, ...] | None
     time: TimeSource
+    robot: str | None
+    wheel_joints: str | None
+    wheels: tuple[float, ...] | None
+    wheelbase: float | None
     columns: Mapping[str, str]
     allow_partial: bool
+    allow_no_poses: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,9 +44,16 @@ class ReadChoice:
         world_frame: The frame in which poses from transforms are given.
         goal: x, y [m] and, where one is asked for, heading [rad]; None: as the file says.
         time: What times poses.
+        robot: Of several robots in a bag the one whose topics or frames have this name, as
+            `robot2` of `/robot2/odom`.
+        wheel_joints: Names of the left and the right wheel in sensor_msgs/JointState, as in
+            `wheel_left_joint,wheel_right_joint`: poses are the odometry of these wheels.
+        wheels: Radius of the wheels, and the distance between them [m].
+        wheelbase: Distance of the axles [m], which turns Ackermann commands into turn rates.
         columns: Of a plain table, by what they hold (`t`, `x`, `y`, `heading` ...): the name of the
             column, with its unit in brackets where the name does not tell (`yaw [deg]`).
         allow_partial: Read what an unfinished or damaged recording still holds.
+        allow_no_poses: Read a bag of commands alone, as a run without poses.
     """
 
     pose_topic: str | None = None
@@ -51,8 +63,13 @@ class ReadChoice:
     world_frame: str | None = None
     goal: tuple[float, ...] | None = None
     time: TimeSource = "auto"
+    robot: str | None = None
+    wheel_joints: str | None = None
+    wheels: tuple[float, ...] | None = None
+    wheelbase: float | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     allow_partial: bool = False
+    allow_no_poses: bool = False
 
     def override(self, other: "ReadChoice") -> "ReadChoice":
         """Return this choice with all that another one asks for; columns of both."""
@@ -72,18 +89,26 @@ CHOSEN: Final = "chosen"
 def split_topic(path: str | Path) -> tuple[Path, str | None]:
     """Return the file and the topic of its poses in FILE:TOPIC, as in `bag:/odom_kf`.
 
-    A file of the whole name comes first, and what is no file before the colon is no FILE:TOPIC.
+    A file of the whole name comes first, and what is no file before the colon is no FILE:TOPIC. The
+    topic may lack its leading slash.
     """
     path = make_path(path)
     if isinstance(path, RemotePath):
         return path.split_topic()
     text = path.as_posix()
-    head, colon, _ = text.rpartition(":/")
+    head, colon, _ = text.rpartition(":")
     while colon and not path.exists():
-        if Path(head).exists():
-            return Path(head), text[len(head) + 1 :]
-        head, colon, _ = head.rpartition(":/")
+        topic = text[len(head) + 1 :]
+        if head and topic and Path(head).exists():
+            return Path(head), topic
+        head, colon, _ = head.rpartition(":")
     return path, None
+
+
+def match_topic(asked: str, names: Collection[str]) -> str:
+    """Return the topic that is meant by a name with its leading slash or without; else the name."""
+    other = asked.removeprefix("/") if asked.startswith("/") else f"/{asked}"
+    return other if asked not in names and other in names else asked
 
 
 def parse_goal(goal: tuple[float, ...]) -> tuple[tuple[float, float], float | None]:
@@ -96,3 +121,45 @@ def parse_goal(goal: tuple[float, ...]) -> tuple[tuple[float, float], float | No
         raise LogError(f"goal: expected x, y [m] and perhaps a heading [rad], found {goal!r:.60}")
     x_m, y_m, *heading_rad = map(float, goal)
     return (x_m, y_m), heading_rad[0] if heading_rad else None
+
+
+def parse_joints(text: str) -> tuple[str, str]:
+    """Return the names of the left and the right wheel.
+
+    Raises:
+        LogError: Where there are not two.
+    """
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 2 or not all(names) or names[0] == names[1]:
+        raise LogError(f"wheel_joints: expected LEFT,RIGHT, two joints, found {text[:60]}")
+    return names[0], names[1]
+
+
+def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
+    """Return the radius of wheels and the distance between them [m].
+
+    Raises:
+        LogError: Where there are not two lengths above 0.
+    """
+    if len(values) != 2 or not all(map(is_length, values)):
+        raise LogError(
+            f"wheels: expected radius and track above 0 in m, as in (0.033, 0.16), found"
+            f" {values!r:.60}"
+        )
+    return float(values[0]), float(values[1])
+
+
+def parse_wheelbase(value: float) -> float:
+    """Return the distance of the axles [m].
+
+    Raises:
+        LogError: Where it is no length above 0.
+    """
+    if not is_length(value):
+        raise LogError(f"wheelbase: expected a length above 0 in m, found {value!r:.60}")
+    return float(value)
+
+
+def is_length(value: float) -> bool:
+    """Return whether a number can be a length [m]."""
+    return 0.0 < value < math.inf

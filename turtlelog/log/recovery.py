@@ -13,6 +13,7 @@ from mcap.records import Channel, Header, Schema
 
 from turtlelog.display import describe_count, fit_line
 from turtlelog.errors import LogError
+from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.container import LIBRARY
 from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
@@ -28,7 +29,6 @@ from turtlelog.log.recording.recovery_note import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
 from turtlelog.log.ros2 import METADATA_FILE
 from turtlelog.log.ros2.bag_folder import list_present_files, read_compression
-from turtlelog.remote.urls import RemotePath, make_path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +59,7 @@ class RecoveryReport:
 
     def __repr__(self) -> str:
         found = describe_count(sum(self.recovered.values()), "message")
-        lost = f"{len(self.lost)} stretch{'es' * (len(self.lost) != 1)}"
+        lost = describe_count(len(self.lost), "part")
         return fit_line(f"<RecoveryReport {self.file}: {found}, {lost} lost>")
 
 

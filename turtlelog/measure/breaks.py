@@ -11,7 +11,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.display import describe_count, join_words
 from turtlelog.measure.motion import GAP_STEPS
 from turtlelog.measure.outliers import (
@@ -20,10 +19,11 @@ from turtlelog.measure.outliers import (
     LONGEST_STEP_NS,
     NEIGHBOURS,
     compute_median,
-    find_grain,
     find_outliers,
+    find_quantisation_step,
 )
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import subtract_headings
 
 Values = NDArray[np.float64]
 
@@ -189,7 +189,7 @@ def _find_reversals(rate: Values) -> NDArray[np.bool_]:
     low, high = near.min(axis=1), near.max(axis=1)
     is_back = ((low > 0.0) & (own < 0.0)) | ((high < 0.0) & (own > 0.0))
     off = np.abs(own - np.median(near, axis=1))
-    least = np.maximum(LOCAL_SPANS * (high - low), GRAINS * find_grain(rate))
+    least = np.maximum(LOCAL_SPANS * (high - low), GRAINS * find_quantisation_step(rate))
     found[NEIGHBOURS:-NEIGHBOURS] = is_back & (off > least)
     return found
 

@@ -9,7 +9,6 @@ from typing import Final, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.loops import ControlLoop
 from turtlelog.measure.dead_time import DeadTime, find_dead_time
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
@@ -18,8 +17,9 @@ from turtlelog.measure.path import compute_path_distances, compute_path_length
 from turtlelog.measure.rates import Axis, HeldCommands, Rates, read_held_commands, read_rates
 from turtlelog.measure.references import read_heading_reference
 from turtlelog.measure.response import Response, find_loop_samples, find_response
-from turtlelog.measure.signals import Signal, read_signal
+from turtlelog.measure.signals import Signal, find_signal
 from turtlelog.run import Run, take_rows
+from turtlelog.run.loops import ControlLoop
 
 Values = NDArray[np.float64]
 _Value = TypeVar("_Value")
@@ -52,7 +52,7 @@ class RunContext:
 
     def get_signal(self, name: str) -> Signal | None:
         """Return a signal of the run, None where the run does not hold it."""
-        return self.recall(name, lambda: read_signal(self.run, name))
+        return self.recall(name, lambda: find_signal(self.run, name))
 
     def get_rates(self, axis: Axis) -> Rates | None:
         """Return how fast the robot moved along an axis; None for one pose."""
@@ -61,7 +61,7 @@ class RunContext:
     def get_commands(self, axis: Axis) -> HeldCommands | None:
         """Return what was commanded of an axis; None without commands, or for one pose."""
         rates = self.get_rates(axis)
-        if rates is None:
+        if len(self.run.poses) == 1:
             return None
         return self.recall(("commands", axis), lambda: read_held_commands(self.run, axis, rates))
 

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import MeasureError, suggest_names
-from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.motion import (
     LoopMotion,
@@ -22,6 +21,7 @@ from turtlelog.measure.response import describe_no_phase
 from turtlelog.measure.way_fits import CERTAIN, find_lags, fit_way, is_within_steps
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
+from turtlelog.run.loops import ControlLoop, Declaration
 
 LARGEST_TICKS: Final = 40
 """The largest dead time that is looked for."""

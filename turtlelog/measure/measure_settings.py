@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import MeasureError
-from turtlelog.loops import Declaration
+from turtlelog.run.loops import Declaration
 
 SETTLING_BAND: Final = 0.02
 """Half-width of the settling band, as a share of the step."""

@@ -20,7 +20,7 @@ from turtlelog.display import (
 )
 from turtlelog.errors import CheckError, MeasureError, MissingValueError
 from turtlelog.measure.numeric import MIRRORED, OPERATORS, Numeric
-from turtlelog.tabular import Tabular, refuse_array
+from turtlelog.run.tabular import Tabular, refuse_array
 
 
 class Status(enum.StrEnum):
@@ -289,6 +289,7 @@ class Missing:
 
 
 NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
+NO_POSES: Final = Missing(status=Status.ABSENT, reason="the recording holds no poses")
 ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
 
 

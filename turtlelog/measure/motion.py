@@ -7,13 +7,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
-from turtlelog.loops import PLANT_KEYS, ControlLoop, read_number
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import LAGGED, Plant, find_plant
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import subtract_headings
+from turtlelog.run.loops import PLANT_KEYS, ControlLoop, read_number
 
 Values = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
-from turtlelog.measure.signals import read_signal
+from turtlelog.measure.signals import find_signal
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -95,7 +95,9 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
     rows = _find_apart(height)
     if not len(rows) or _count_changes(values, rows) < _LEAST_CHANGES:
         return none
-    least = np.maximum(LOCAL_SPANS * _find_spans(smooth, rows), GRAINS * find_grain(values))
+    least = np.maximum(
+        LOCAL_SPANS * _find_spans(smooth, rows), GRAINS * find_quantisation_step(values)
+    )
     step_ns = np.maximum(time_ns[rows] - time_ns[rows - 1], time_ns[rows + 1] - time_ns[rows])
     is_outlier = (height[rows] > least) & (step_ns <= LONGEST_STEP_NS)
     return np.asarray(rows[is_outlier])
@@ -108,7 +110,7 @@ def list_outliers(run: Run) -> tuple[Outlier, ...]:
 
 def _iterate_outliers(run: Run) -> Iterator[Outlier]:
     for name in MEASURED:
-        signal = read_signal(run, name)
+        signal = find_signal(run, name)
         if signal is None:
             continue
         for row in find_outliers(signal.time_ns, signal.values).tolist():
@@ -158,7 +160,7 @@ def _find_spans(smooth: Values, rows: NDArray[np.int64]) -> Values:
     return np.asarray(np.ptp(near, axis=1))
 
 
-def find_grain(values: Values) -> float:
+def find_quantisation_step(values: Values) -> float:
     """Return the least step of a quantised signal; of others next to nothing."""
     steps = np.abs(np.diff(values))
     steps = steps[steps > _ROUNDING * float(np.abs(values).max())]

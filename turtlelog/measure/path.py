@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import MeasureError
+from turtlelog.files.text_files import describe_csv_error, read_text_file
+from turtlelog.files.urls import make_path
 from turtlelog.measure.reductions import measure_way
-from turtlelog.paths import Path as TrackedPath, PathFollower
-from turtlelog.remote.urls import make_path
-from turtlelog.text_files import describe_csv_error, read_text_file
+from turtlelog.run.paths import Path as TrackedPath, PathFollower
 
 Values = NDArray[np.float64]
 

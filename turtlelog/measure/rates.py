@@ -174,8 +174,14 @@ SAME: Final = 1e-6
 beside 0, and 32 bits round a command of 5 by 5e-7."""
 
 
-def read_held_commands(run: Run, axis: Axis, rates: Rates) -> HeldCommands | None:
-    """Return the commands of an axis, None where none were published."""
+def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommands | None:
+    """Return the commands of an axis, None where none were published.
+
+    Args:
+        run: The run.
+        axis: Which.
+        rates: Of the axis; None where there are none: the first command is taken to hold before.
+    """
     commands = run.commands
     if not len(commands):
         return None
@@ -190,6 +196,8 @@ def read_held_commands(run: Run, axis: Axis, rates: Rates) -> HeldCommands | Non
     is_new = np.concatenate([[True], np.diff(values) != 0.0])
     time_s, values = time_s[is_new], values[is_new]
     first = float(values[0])
+    if rates is None:
+        return HeldCommands(time_s=time_s, values=values, end_s=end_s, before=first)
     row = min(max(int(np.searchsorted(rates.edges_s, time_s[0])) - 1, 0), len(rates.means) - 1)
     stood = abs(float(rates.means[row])) <= abs(first) / 2.0
     return HeldCommands(time_s=time_s, values=values, end_s=end_s, before=0.0 if stood else first)

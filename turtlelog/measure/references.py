@@ -20,10 +20,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.loops import ControlLoop
 from turtlelog.measure.path import trace_path
-from turtlelog.paths import Path
 from turtlelog.run import GoalLine, Run
+from turtlelog.run.loops import ControlLoop
+from turtlelog.run.paths import Path
 
 Values = NDArray[np.float64]
 

@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import Final, Literal, TypedDict, TypeVar, Unpack
 
 from turtlelog.display import fit_line
-from turtlelog.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import (
     REASONS,
@@ -27,6 +26,7 @@ from turtlelog.measure.metric import (
     read_outcome,
 )
 from turtlelog.measure.response import Response
+from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 
 Better = Literal["lower", "higher"] | None
 OfRun = Callable[[RunContext], Result]
@@ -65,6 +65,7 @@ class MetricKind:
             is taken at the end, and what rests on a dead time that is estimated from all rows may
             fall again.
         is_awaited: Whether it is a time since the beginning of its loop, or of the run.
+        needs_poses: Whether a run without poses, a log of commands alone, has no value.
         numbers: The same of a course, compiled too; None: there is no such function.
     """
 
@@ -75,6 +76,7 @@ class MetricKind:
     floor: float | None = None
     grows: bool = False
     is_awaited: bool = False
+    needs_poses: bool = True
     numbers: OfCourse | None = None
 
     def compute_loss(self, value: float, reference: float) -> float:
@@ -100,6 +102,7 @@ class Traits(TypedDict, total=False):
     floor: float | None
     grows: bool
     is_awaited: bool
+    needs_poses: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,8 +9,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
-from turtlelog.loops import PAUSE, ControlLoop
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.outliers import compute_median
@@ -19,6 +17,8 @@ from turtlelog.measure.references import read_controlled_distance, read_referenc
 from turtlelog.measure.signals import Signal
 from turtlelog.measure.swings import NEVER, NOBODY_KNOWS
 from turtlelog.run import PhaseSpan, Run
+from turtlelog.run.angles import wrap_angle
+from turtlelog.run.loops import PAUSE, ControlLoop
 
 Values = NDArray[np.float64]
 

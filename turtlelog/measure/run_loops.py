@@ -4,11 +4,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from turtlelog.loops import ControlLoop
 from turtlelog.measure.dead_time import find_dead_time
 from turtlelog.measure.metric import Missing
 from turtlelog.measure.outliers import compute_median
 from turtlelog.run import Parameter, Run
+from turtlelog.run.loops import ControlLoop
 from turtlelog.theory import LoopModel, MeasuredTiming, model_loop
 
 _MEASURED = "measured in the recording"

@@ -10,7 +10,6 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.display import (
     NamedValues,
     describe_count,
@@ -21,7 +20,6 @@ from turtlelog.display import (
 )
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
-from turtlelog.loops import STATE_PATTERN, Declaration
 from turtlelog.measure.references import (
     hold_samples,
     project_on_line,
@@ -29,6 +27,8 @@ from turtlelog.measure.references import (
     trace_poses,
 )
 from turtlelog.run import Run
+from turtlelog.run.angles import subtract_headings
+from turtlelog.run.loops import STATE_PATTERN, Declaration
 
 Values = NDArray[np.float64]
 
@@ -164,7 +164,20 @@ def list_signal_units(declarations: Iterable[Declaration]) -> dict[str, str]:
     }
 
 
-def read_signal(run: Run, name: str) -> Signal | None:
+def read_signal(run: Run, name: str) -> Signal:
+    """Return a signal of a run.
+
+    Raises:
+        MeasureError: Where no signal has that name, or the run does not hold it; why.
+    """
+    signal = find_signal(run, name)
+    if signal is None:
+        why = explain_no_signal(run, name)
+        raise MeasureError(f"{run.name}: has no signal {name}{why and f': {why}'}")
+    return signal
+
+
+def find_signal(run: Run, name: str) -> Signal | None:
     """Return a signal of a run, None where the run does not hold it.
 
     Raises:
@@ -177,7 +190,7 @@ def read_signal(run: Run, name: str) -> Signal | None:
     if name in COMMANDED and not len(run.samples):
         kind = COMMANDED[name]
     values = kind.read(run)
-    if values is None or (kind.source != "pose" and not len(values)):
+    if values is None or not len(values):
         return None
     time_ns = _TIMES[kind.source](run)
     return Signal(name=name, kind=kind, time_ns=time_ns, values=values, start_ns=run.start_ns)
@@ -185,13 +198,15 @@ def read_signal(run: Run, name: str) -> Signal | None:
 
 def explain_no_signal(run: Run, name: str) -> str:
     """Return why a run does not hold a signal, in words; empty where its name says it."""
+    kind = list_signals(run.declaration).get(name)
+    if kind is not None and kind.source == "pose" and not len(run.poses):
+        return "the recording holds no poses"
     if name in COMMANDED and not len(run.samples):
         return "the recording holds no commands"
     if name in {"error_x", "error_y", "distance"}:
         return "the goal is not known"
     if name in {"measured_speed", "measured_turn_rate"}:
         return "the robot reports no rates"
-    kind = list_signals(run.declaration).get(name)
     if kind is not None and kind.source == "sample" and not len(run.samples):
         return "no samples of a controller were read"
     return ""

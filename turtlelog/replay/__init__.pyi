@@ -1,3 +1,7 @@
+from .commands_alone import (
+    CommandReplay as CommandReplay,
+    drive_commands as drive_commands,
+)
 from .law_replay import (
     Difference as Difference,
     LawReplay as LawReplay,

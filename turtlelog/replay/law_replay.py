@@ -6,7 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.differences import (
+from turtlelog.display import fit_line
+from turtlelog.errors import ReplayError as ReplayError
+from turtlelog.laws import Law, Pose, find_law
+from turtlelog.log.recording.recovery_note import LOSS_NOTES
+from turtlelog.log.recording.topics import CONTROL
+from turtlelog.log.ros2.bag_reader import NOT_READ
+from turtlelog.plants import find_plant
+from turtlelog.replay.differences import (
     Difference as Difference,
     Pairing,
     SignalDifference as SignalDifference,
@@ -16,13 +23,6 @@ from turtlelog.differences import (
     format_replay_html,
     require_tolerance,
 )
-from turtlelog.display import fit_line
-from turtlelog.errors import ReplayError as ReplayError
-from turtlelog.laws import Law, Pose, find_law
-from turtlelog.log.recording.recovery_note import LOSS_NOTES
-from turtlelog.log.recording.topics import CONTROL
-from turtlelog.log.ros2.bag_reader import NOT_READ
-from turtlelog.plants import find_plant
 from turtlelog.replay.plant_ticks import advise_other_mode
 from turtlelog.replay.run_pairs import compare_last_answer, has_ticks
 from turtlelog.replay.sample_pairs import (

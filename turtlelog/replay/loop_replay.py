@@ -5,7 +5,10 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.differences import (
+from turtlelog.display import fit_line
+from turtlelog.errors import ReplayError
+from turtlelog.plants import find_plant
+from turtlelog.replay.differences import (
     Difference,
     SignalDifference,
     compare_pairing,
@@ -14,9 +17,6 @@ from turtlelog.differences import (
     format_replay_html,
     require_tolerance,
 )
-from turtlelog.display import fit_line
-from turtlelog.errors import ReplayError
-from turtlelog.plants import find_plant
 from turtlelog.replay.plant_replay import PoseError, find_pose_error
 from turtlelog.replay.plant_ticks import advise_other_mode
 from turtlelog.replay.run_pairs import (
@@ -24,7 +24,7 @@ from turtlelog.replay.run_pairs import (
     TIME_IS_UP,
     RowCount,
     compare_ends,
-    count_rows,
+    count_recorded_rows,
     find_count_difference,
     has_ticks,
     pair_by_sample,
@@ -146,7 +146,7 @@ def replay_loop(
     )
     pairings = pair_by_tick(run, replayed) if by_tick else pair_by_sample(run, replayed)
     signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
-    counts = count_rows(run, replayed, by_tick=by_tick)
+    counts = count_recorded_rows(run, replayed, by_tick=by_tick)
     stop = compare_ends(run, replayed.stop_reason)
     ends = [find_count_difference(run, name, count) for name, count in counts.items()]
     others = tuple(found for found in (*ends, stop) if found is not None)

@@ -9,7 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.differences import (
+from turtlelog.display import fit_line
+from turtlelog.plants import LAGGED, Turtle, find_plant
+from turtlelog.plants.turtlesim import TICK_S
+from turtlelog.replay.differences import (
     Difference,
     Pairing,
     SignalDifference,
@@ -18,9 +21,6 @@ from turtlelog.differences import (
     find_earliest,
     format_replay_html,
 )
-from turtlelog.display import fit_line
-from turtlelog.plants import LAGGED, Turtle, find_plant
-from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.lagged_drive import drive_lagged
 from turtlelog.replay.plant_ticks import Gap, Jump, RecordedMotion, find_breaks, read_motion
 from turtlelog.replay.taken_commands import CommandUse, Velocity, place_commands

@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.errors import ReplayError
 from turtlelog.plants.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S
 from turtlelog.run import Run
+from turtlelog.run.angles import subtract_headings
 
 _NEAR_TICK_NS: Final = 2_000_000
 """How far the usual time between the poses of a real turtlesim may be from a tick [ns]."""

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.differences import Difference, Pairing
 from turtlelog.plants import find_plant
+from turtlelog.replay.differences import Difference, Pairing
 from turtlelog.replay.sample_pairs import (
     Answers,
     count_missing,
@@ -70,7 +70,7 @@ def _pair_answers(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator
     return pair_samples(was, now, rows=rows, others=others)
 
 
-def count_rows(run: Run, replayed: Run, *, by_tick: bool) -> dict[str, RowCount]:
+def count_recorded_rows(run: Run, replayed: Run, *, by_tick: bool) -> dict[str, RowCount]:
     """Return the rows of every kind that the recording holds."""
     kinds = {"samples": (run.samples, replayed.samples)}
     if by_tick:

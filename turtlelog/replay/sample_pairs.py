@@ -7,9 +7,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.differences import Difference, Pairing
-from turtlelog.loops import Declaration
+from turtlelog.replay.differences import Difference, Pairing
 from turtlelog.run import Run, SampleColumns
+from turtlelog.run.loops import Declaration
 
 Rows = NDArray[np.int64] | slice
 

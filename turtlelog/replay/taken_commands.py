@@ -16,10 +16,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.loops import PUSH_KEYS, read_number
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S, WORLD_SIZE_M
 from turtlelog.replay.plant_ticks import RecordedMotion, find_breaks, read_motion
 from turtlelog.run import CommandColumns, Run
+from turtlelog.run.loops import PUSH_KEYS, read_number
 
 Velocity = tuple[float, float, float]
 """Forward [m/s], left [m/s], counter-clockwise [rad/s]."""

@@ -1,3 +1,8 @@
+from . import (
+    frames as frames,
+    loops as loops,
+    paths as paths,
+)
 from .columns import (
     Clock as Clock,
     CommandColumns as CommandColumns,

@@ -16,8 +16,6 @@ from turtlelog.display import (
     format_short,
 )
 from turtlelog.errors import PathError, RunError
-from turtlelog.loops import PAUSE, Declaration
-from turtlelog.paths import Path, restore_path
 from turtlelog.run.columns import (
     Clock,
     CommandColumns,
@@ -27,7 +25,9 @@ from turtlelog.run.columns import (
     list_fields,
     rebuild,
 )
+from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.path_picture import format_path_svg
+from turtlelog.run.paths import Path, restore_path
 from turtlelog.run.slicing import locate_stretch, slice_run
 from turtlelog.run.tables import TABLES, build_arrow, build_pandas, build_xarray
 
@@ -93,7 +93,7 @@ class Run:
         name: Short name for tables and legends.
         source: Where it comes from: `simulation`, `replay of` a run, or the layout and name of an
             imported file.
-        poses: At least one row.
+        poses: At least one row; none where `absent` names `poses`, of a log of commands alone.
         commands: As published; imported logs hold one per sample.
         samples: What the controller computed; no rows where the source does not hold it.
         goal_xy_m: Goal position, world frame [m], None where not recorded.
@@ -135,7 +135,7 @@ class Run:
                 found = type(getattr(self, name)).__name__
                 raise RunError(f"{name}: expected {kind.__name__}, found {found}")
         self._require_goal()
-        if not len(self.poses):
+        if not len(self.poses) and not (len(self.commands) and "poses" in self.absent):
             raise RunError("poses: must have at least one row")
         read = self.samples.pose_sequence
         outside = (read < 0) | (read >= len(self.poses))
@@ -195,6 +195,8 @@ class Run:
         pose was read first: it is the first that was recorded.
         """
         samples = self.samples
+        if not len(self.poses):
+            return None
         if not len(samples) and (self.declaration.loops or self.goal_xy_m is None):
             return None
         x_m, y_m = map(float, self.poses.xy_m[[*samples.pose_sequence[:1], 0][0]])
@@ -225,9 +227,18 @@ class Run:
         return restore_path(self.parameters) if is_followed else None
 
     @property
+    def first_row(self) -> str:
+        """What time zero is: the first `sample`, or else `pose`, or of neither `command`."""
+        return "sample" if len(self.samples) else "pose" if len(self.poses) else "command"
+
+    @property
     def start_ns(self) -> int:
-        """Time zero of metrics, windows and alignment: the first sample, or else pose [ns]."""
-        return int([*self.samples.time_ns[:1], self.poses.time_ns[0]][0])
+        """Time zero of metrics, windows and alignment: the first sample, or else pose [ns].
+
+        Of a run without poses it is the first command.
+        """
+        columns = (self.samples, self.poses, self.commands)
+        return next(int(column.time_ns[0]) for column in columns if len(column))
 
     @property
     def begin_ns(self) -> int:
@@ -305,7 +316,8 @@ class Run:
     def to_xarray(self, table: str = "poses") -> Any:
         """Return a table of this run as an `xarray.Dataset`; needs xarray, which is no dependency.
 
-        Its dimension is `time`, whose coordinate `time_s` is the time from the first sample [s].
+        Its dimension is `time_s`, the time from the first sample [s]: `sel(time_s=5.0,
+        method="nearest")` takes the pose that is nearest to 5 s. Samples may share a time.
         The `attrs` of each variable hold its `units`, those of the dataset the run's name, goal and
         scenario.
 
@@ -332,8 +344,7 @@ class Run:
         )
 
     def __repr__(self) -> str:
-        samples, poses = len(self.samples), len(self.poses)
-        rows = describe_count(samples, "sample") if samples else describe_count(poses, "pose")
+        rows = describe_count(len(getattr(self, f"{self.first_row}s")), self.first_row)
         ended = self.stop_reason or "end not recorded"
         return fit_line(f"<Run {self.name}: {rows}, {self.duration_s:.1f} s, {ended}>")
 

@@ -52,6 +52,8 @@ def locate_stretch(run: "Run", start_s: float | None, end_s: float | None) -> tu
         if value is not None and not math.isfinite(value):
             raise RunError(f"{name}: expected a time in s, found {value}")
     poses_ns = run.poses.time_ns
+    if not len(poses_ns):
+        raise RunError("slice: expected a run with poses, found commands alone")
     start_ns = int(poses_ns[0]) if start_s is None else run.start_ns + round(start_s * 1e9)
     end_ns = run.end_ns if end_s is None else run.start_ns + round(end_s * 1e9)
     if start_s is not None and end_s is not None and end_s < start_s:
@@ -60,7 +62,7 @@ def locate_stretch(run: "Run", start_s: float | None, end_s: float | None) -> tu
         first_s, last_s = ((int(time) - run.start_ns) / 1e9 for time in (poses_ns[0], poses_ns[-1]))
         found = f"{(start_ns - run.start_ns) / 1e9:g} to {(end_ns - run.start_ns) / 1e9:g} s"
         raise RunError(
-            f"slice: expected a stretch with poses, which are from {first_s:g} to {last_s:g} s,"
+            f"slice: expected a segment with poses, which are from {first_s:g} to {last_s:g} s,"
             f" found {found}"
         )
     return start_ns, end_ns

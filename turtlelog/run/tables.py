@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.declaration_json import format_declaration
 from turtlelog.errors import RunError
 from turtlelog.libraries import load_library
 from turtlelog.run.columns import PAIRS, CommandColumns, PoseColumns, SampleColumns
+from turtlelog.run.declaration_json import format_declaration
 
 if TYPE_CHECKING:
     from turtlelog.run.run import Run
@@ -120,10 +120,10 @@ def build_xarray(run: "Run", table: str) -> Any:
     """Return a table of a run as an `xarray.Dataset` over the time from the first sample [s]."""
     columns, units = tabulate_run(run, table), list_units(run, table)
     described = {
-        name: ("time", values, {"units": units[name]} if name in units else {})
+        name: ("time_s", values, {"units": units[name]} if name in units else {})
         for name, values in columns.items()
     }
-    time_s = ("time", (columns["time_ns"] - run.start_ns) / 1e9, {"units": "s"})
+    time_s = ("time_s", (columns["time_ns"] - run.start_ns) / 1e9, {"units": "s"})
     xarray = load_library("xarray")
     return xarray.Dataset(described, coords={"time_s": time_s}, attrs=list_facts(run))
 

@@ -1,24 +1,7 @@
-from .convert import (
-    build_scenario as build_scenario,
-    describe_unknown_key as describe_unknown_key,
-    flatten_scenario as flatten_scenario,
-    nest_scenario as nest_scenario,
-    resolve_law as resolve_law,
-    resolve_scenario as resolve_scenario,
-    restore_scenario as restore_scenario,
-)
 from .dotted_keys import (
     DEFAULT_LAW as DEFAULT_LAW,
     flatten_tables as flatten_tables,
     nest_parameters as nest_parameters,
-)
-from .files import (
-    format_scenario as format_scenario,
-    get_preset as get_preset,
-    iterate_paper_runs as iterate_paper_runs,
-    load_scenario as load_scenario,
-    parse_scenario as parse_scenario,
-    read_scenario as read_scenario,
 )
 from .model import (
     LawChoice as LawChoice,
@@ -40,11 +23,28 @@ from .presets import (
     PAPER_RUNS as PAPER_RUNS,
     PRESETS as PRESETS,
 )
-from .tables import (
+from .scenario_file import (
+    format_scenario as format_scenario,
+    get_preset as get_preset,
+    iterate_paper_runs as iterate_paper_runs,
+    load_scenario as load_scenario,
+    parse_scenario as parse_scenario,
+    read_scenario as read_scenario,
+)
+from .scenario_tables import (
     Disturbance as Disturbance,
     Limits as Limits,
     LoopSettings as LoopSettings,
     PlantChoice as PlantChoice,
     Sensing as Sensing,
     Shaping as Shaping,
+)
+from .table_conversion import (
+    build_scenario as build_scenario,
+    describe_unknown_key as describe_unknown_key,
+    flatten_scenario as flatten_scenario,
+    nest_scenario as nest_scenario,
+    resolve_law as resolve_law,
+    resolve_scenario as resolve_scenario,
+    restore_scenario as restore_scenario,
 )

@@ -12,10 +12,10 @@ from turtlelog.display import fit_line, format_answer, format_details, format_ht
 from turtlelog.effects import EFFECTS
 from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
 from turtlelog.parts import Effect, Place, absent
-from turtlelog.paths import Path
 from turtlelog.plants.turtlesim import SPAWN_XY_M
+from turtlelog.run.paths import Path
 from turtlelog.scenario.dotted_keys import DEFAULT_LAW
-from turtlelog.scenario.tables import (
+from turtlelog.scenario.scenario_tables import (
     Disturbance,
     Limits,
     LoopSettings,
@@ -138,7 +138,7 @@ class Scenario:
         return fit_line(f"<Scenario {self.name}: {self.law.kind}, {goal}>")
 
     def _repr_html_(self) -> str:
-        from turtlelog.scenario.convert import flatten_scenario  # which needs this file
+        from turtlelog.scenario.table_conversion import flatten_scenario  # which needs this file
 
         keys = flatten_scenario(self)
         law = [(key, value) for key, value in keys.items() if key.startswith("law.")]

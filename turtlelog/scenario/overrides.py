@@ -6,19 +6,19 @@ from pathlib import Path
 from typing import Any, Final, get_type_hints
 
 from turtlelog.errors import ScenarioError
+from turtlelog.files.text_files import parse_toml
 from turtlelog.laws import find_law, name_given_law
-from turtlelog.paths import PATH_KEYS
 from turtlelog.run import Run
-from turtlelog.scenario.convert import (
+from turtlelog.run.paths import PATH_KEYS
+from turtlelog.scenario.dotted_keys import set_nested
+from turtlelog.scenario.model import LawChoice, LawTable, Scenario
+from turtlelog.scenario.scenario_file import load_scenario
+from turtlelog.scenario.table_conversion import (
     build_scenario,
     flatten_scenario,
     nest_scenario,
     resolve_scenario,
 )
-from turtlelog.scenario.dotted_keys import set_nested
-from turtlelog.scenario.files import load_scenario
-from turtlelog.scenario.model import LawChoice, LawTable, Scenario
-from turtlelog.text_files import parse_toml
 
 _LARGEST_WHOLE: Final = 2**53
 """Beyond, doubles leave whole numbers out: nobody typed such a gain as an int."""

@@ -13,10 +13,10 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.errors import ScenarioError
+from turtlelog.files.text_files import describe_csv_error, read_text_file
 from turtlelog.laws.open_loop import MOST_ROWS
-from turtlelog.paths import MOST_POINTS
+from turtlelog.run.paths import MOST_POINTS
 from turtlelog.scenario.describe import describe_value
-from turtlelog.text_files import describe_csv_error, read_text_file
 
 _FILE: Final = "file"
 

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 from turtlelog.errors import SimulationError
 from turtlelog.laws import Decision, Goal, Law, Pose, print_to_stderr
-from turtlelog.loops import Declaration
 from turtlelog.parts import LARGEST_FLOAT
-from turtlelog.paths import Path
+from turtlelog.run.loops import Declaration
+from turtlelog.run.paths import Path
 from turtlelog.simulate.step_budget import Step
 
 _FAR_M: Final = 1e300

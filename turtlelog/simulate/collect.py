@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import SimulationError
 from turtlelog.laws import is_given, read_law_source
-from turtlelog.loops import Declaration
 from turtlelog.parts import Plant
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, choose_scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate.events import describe_stop
 from turtlelog.simulate.plain_loop import Tick, iterate_ticks

@@ -17,7 +17,8 @@ from numpy import (
     rint,
 )
 
-from turtlelog import angles, arithmetic
+from turtlelog import arithmetic
+from turtlelog.run import angles
 
 _SPLIT: Final = 134217729.0  # 2**27 + 1: halves the digits of a double
 _TINY_M, _HUGE_M = 1e-100, 1e100  # far from where the squares of doubles lose digits

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.laws import LawPart, find_law
-from turtlelog.loops import Declaration
 from turtlelog.parts import Plant
-from turtlelog.path_pieces import PathPiece
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.run.loops import Declaration
+from turtlelog.run.path_pieces import PathPiece
 from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate.compiled_loop import PIECE, CompiledLoop
 from turtlelog.simulate.events import describe_event
 from turtlelog.simulate.rows import MAX_DURATION
 from turtlelog.simulate.scenario_law import declare_scenario, is_built_in
-from turtlelog.simulate.settings import build_settings, count_rows
+from turtlelog.simulate.settings import bound_rows, build_settings
 from turtlelog.simulate.step_budget import WatchedCode
 from turtlelog.simulate.streams import STREAMS, draw_events, list_of, list_streams
 from turtlelog.simulate.twins import as_record
@@ -46,7 +46,7 @@ class CompiledRunner:
         """
         law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
         _, settings, start = build_settings(scenario, law, declaration, plant)
-        ticks, samples = count_rows(scenario, plant)
+        ticks, samples = bound_rows(scenario, plant)
         rows = self._rows.get(loop)
         if rows is None or ticks > len(rows.ticks) or samples > len(rows.samples):
             rows = self._rows[loop] = loop.kinds.allocate(ticks, samples)

@@ -9,7 +9,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.compiled_loops import CompiledLoops, is_kept
 from turtlelog.display import format_number
 from turtlelog.errors import SimulationError
 from turtlelog.laws import LawPart, find_law
@@ -19,6 +18,7 @@ from turtlelog.processes import count_cores
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.collect import simulate_run
+from turtlelog.simulate.compiled_loops import CompiledLoops, is_kept
 from turtlelog.simulate.compiled_run import CompiledRunner
 from turtlelog.simulate.scenario_law import declare_scenario, is_built_in
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError

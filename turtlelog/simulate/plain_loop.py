@@ -21,10 +21,10 @@ from turtlelog.laws import (
     find_law,
     name_law,
 )
-from turtlelog.loops import Declaration
 from turtlelog.parts import LARGEST_FLOAT, Plant
 from turtlelog.plants.kinds import PLANTS
 from turtlelog.run import Event
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import loop
 from turtlelog.simulate.assemble import bind_parts, bind_states, bind_step

@@ -15,7 +15,7 @@ from turtlelog.laws import (
     find_law,
     print_to_stderr,
 )
-from turtlelog.loops import Declaration
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import LawChoice, Scenario, resolve_law
 from turtlelog.simulate.class_law import describe_command
 from turtlelog.simulate.rows import COMMAND_FAILED, NUMBERS_FAILED, REFERENCE_FAILED, SampleRow

@@ -10,9 +10,9 @@ from typing import Final
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
 from turtlelog.laws import find_law, list_unused_keys
-from turtlelog.loops import PLANT_KEYS, ControlLoop, Declaration, read_number
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run import Parameter
+from turtlelog.run.loops import PLANT_KEYS, ControlLoop, Declaration, read_number
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate.scenario_law import declare_scenario
 from turtlelog.theory import (
@@ -96,7 +96,7 @@ def _describe_unstable(declaration: Declaration, parameters: Mapping[str, Parame
             continue
         said = _judge(loop, gains, process, timing)
         if said is not None:
-            found.append(f"{loop.name}: {said}; clipping only bounds how far it swings")
+            found.append(f"{loop.name}: {said}; clipping only bounds its oscillation")
     return found
 
 

@@ -14,10 +14,10 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from turtlelog.effects import EFFECTS
 from turtlelog.laws import AnyLaw, LawPart
-from turtlelog.loops import Declaration
 from turtlelog.parts import Effect, Plant, PlantPart
-from turtlelog.path_pieces import PathNumbers
 from turtlelog.plants.kinds import PLANTS
+from turtlelog.run.loops import Declaration
+from turtlelog.run.path_pieces import PathNumbers
 from turtlelog.scenario import Disturbance, Limits, LoopSettings, Scenario, Sensing, Shaping
 from turtlelog.simulate.rows import GoalNumbers, Progress, Scene
 
@@ -234,7 +234,7 @@ def list_acting(scenario: Scenario) -> tuple[Effect, ...]:
     return tuple(effect for effect in EFFECTS if effect.actions and effect.acts(scenario))
 
 
-def count_rows(scenario: Scenario, plant: Plant) -> tuple[int, int]:
+def bound_rows(scenario: Scenario, plant: Plant) -> tuple[int, int]:
     """Return the most ticks and samples that a run may have."""
     ticks = round(scenario.max_duration_s * 1e9) // plant.period_ns + 1
     period_s = scenario.loop.period_s

@@ -235,7 +235,7 @@ def needs_watch(step_budget_s: float | None, *, is_built_in: bool) -> bool:
     return step_budget_s is not None and not (is_timed or is_built_in or _is_inspected())
 
 
-class AskedLaw(Protocol):
+class WatchedLaw(Protocol):
     """What asks a law, seen from another thread."""
 
     @property
@@ -255,7 +255,7 @@ class LimitedLoop(Generic[_Item]):
     def __init__(
         self,
         items: Iterator[_Item],
-        asked: Sequence[AskedLaw],
+        asked: Sequence[WatchedLaw],
         budget_s: float,
         *,
         law: str,

@@ -1,6 +1,4 @@
-from .assemble import (
-    load_row_scenario as load_row_scenario,
-)
+from . import tune as tune
 from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,
@@ -64,6 +62,9 @@ from .sweep_scenario import (
     read_sweep_table as read_sweep_table,
     read_table_results as read_table_results,
     sweep_scenario as sweep_scenario,
+)
+from .sweep_table import (
+    load_row_scenario as load_row_scenario,
 )
 from .swept_results import (
     SweptAxis as SweptAxis,

@@ -15,7 +15,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.compiled_loops import CompiledLoops, import_beside, is_kept
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.laws import find_law
 from turtlelog.measure import measure_run
@@ -23,6 +22,7 @@ from turtlelog.parts import Plant
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
+from turtlelog.simulate.compiled_loops import CompiledLoops, import_beside, is_kept
 from turtlelog.simulate.compiled_run import CompiledRunner, draw_streams, name_stop
 from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
 from turtlelog.simulate.scenario_law import is_built_in
@@ -44,7 +44,7 @@ from turtlelog.sweep.batch_columns import (
     type_measurement,
 )
 from turtlelog.sweep.batch_kernel import NO_PHASE
-from turtlelog.sweep.batch_rows import Kind, PreparedRows, find_kind, find_line, prepare_rows
+from turtlelog.sweep.batch_rows import Kind, PreparedRows, find_column_kind, find_line, prepare_rows
 from turtlelog.sweep.plan import build_row_scenario
 
 _MEASURING: Final = "turtlelog.sweep.batch_entry"
@@ -101,7 +101,7 @@ def _is_kept(kind: Kind) -> bool:
 def find_batch(base: Scenario) -> CompiledLoops | None:
     """Return the compiled code for rows that vary keys of a scenario; None: its law has none."""
     try:
-        kind = find_kind(resolve_scenario(base))
+        kind = find_column_kind(resolve_scenario(base))
     except TurtlelogError:  # of its own it lacks what the rows give it
         return None
     return None if kind is None else _find_batch(kind)

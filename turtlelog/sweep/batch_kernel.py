@@ -53,7 +53,7 @@ class Commands(NamedTuple):
     values: Any
 
 
-class Curve(NamedTuple):
+class LoopCurve(NamedTuple):
     """As of a `Response`."""
 
     time_s: Any
@@ -208,7 +208,7 @@ def _end_ns(row: Row, span: Any) -> int:
 
 
 @called
-def read_curve(row: Row, number: int, first: int, after: int, band: float) -> Curve:
+def read_curve(row: Row, number: int, first: int, after: int, band: float) -> LoopCurve:
     """Return the curve of a loop between two poses."""
     facts, memory, samples, loop = row.facts, row.memory, row.samples, row.loops[number]
     span = memory.spans[number]
@@ -235,7 +235,7 @@ def read_curve(row: Row, number: int, first: int, after: int, band: float) -> Cu
     if clipped >= 0:
         pose = min(samples[span.first + clipped].time_ns // period_ns, after - 1)
         clipped = max(pose - first, -1)
-    return Curve(
+    return LoopCurve(
         time_s,
         step_s,
         values,

@@ -22,7 +22,7 @@ from turtlelog.simulate.compiled_loop import find_kinds
 from turtlelog.simulate.compiled_run import build_tables
 from turtlelog.simulate.many import find_loop
 from turtlelog.simulate.scenario_law import is_built_in
-from turtlelog.simulate.settings import build_settings, count_rows
+from turtlelog.simulate.settings import bound_rows, build_settings
 from turtlelog.simulate.streams import list_streams
 from turtlelog.simulate.twins import as_record
 from turtlelog.sweep.batch_columns import LINE, build_loops
@@ -93,7 +93,7 @@ Kind = tuple[LawPart, PlantPart, tuple[str, ...]]
 """What a loop is compiled for: a law, a plant, and the states that the law declares."""
 
 
-def find_kind(scenario: Scenario) -> Kind | None:
+def find_column_kind(scenario: Scenario) -> Kind | None:
     """Return what compiles rows of a scenario; None: nothing does.
 
     Its law has a goal and a loop of the heading, follows what the batch knows, and ends as laws do.
@@ -125,7 +125,7 @@ class _Case:
         self.state, self.seed = as_record(start, kinds.state), scenario.seed
         self.table = build_tables(scenario)[0]
         self.streams = list_streams(scenario)
-        self.ticks, self.samples = count_rows(scenario, plant)
+        self.ticks, self.samples = bound_rows(scenario, plant)
         x_m, y_m = part.read(start.plant)[:2]
         exact = scenario.loop.pose_precision == "float64"
         start_xy_m = (x_m, y_m) if exact else (to_float32(x_m), to_float32(y_m))
@@ -146,7 +146,7 @@ def prepare_rows(
         rows: Numbers of rows.
         plant: On whose clock; None: each row on that of its own plant.
     """
-    kind = find_kind(base)
+    kind = find_column_kind(base)
     may_be_free = kind is not None and is_free(kind[0]) and "law.kind" not in columns
     free = [key for key in columns if key in FREE_KEYS] if may_be_free else []
     joint = [key for key in columns if key not in free]
@@ -224,7 +224,7 @@ def _judge_case(
     except TurtlelogError:
         return None
     clock = scenario.plant.facts if plant is None else plant
-    if kind is None or find_kind(scenario) != kind or find_loop(scenario, clock) is None:
+    if kind is None or find_column_kind(scenario) != kind or find_loop(scenario, clock) is None:
         return None
     if declare_scenario(scenario).loops != declare_scenario(base).loops:
         return None
@@ -233,7 +233,7 @@ def _judge_case(
 
 def is_batched(scenario: Scenario, plant: Plant) -> bool:
     """Whether the batch covers a scenario."""
-    return find_kind(scenario) is not None and find_loop(scenario, plant) is not None
+    return find_column_kind(scenario) is not None and find_loop(scenario, plant) is not None
 
 
 def _judge_column(base: Scenario, key: str, column: Sequence[Any]) -> Sequence[Any]:

@@ -13,13 +13,13 @@ from turtlelog.sweep.kept_parts import KeptParts
 from turtlelog.sweep.result_table import ResultColumn, ResultTable, cut_groups
 from turtlelog.sweep.row_columns import (
     Cell,
-    Cells,
     CellType,
     Columns,
     Key,
-    OrderedRows,
+    StoredCells,
     StoredRows,
-    build_columns,
+    WindowedRows,
+    build_result_columns,
     parse_key,
 )
 from turtlelog.sweep.stored_table import StoredTable, list_values
@@ -73,7 +73,7 @@ class ReadFiles(msgspec.Struct, frozen=True, array_like=True):
     def pack(self) -> Columns:
         """Return the rows as columns."""
         packed = {
-            Key(name, kind, unit): Cells.pack(kind, cells)
+            Key(name, kind, unit): StoredCells.pack(kind, cells)
             for name, kind, unit, cells in self.columns
         }
         return Columns(self.count, packed)
@@ -151,12 +151,12 @@ class FileRows:
         which = np.repeat(np.arange(len(states)), counts)
         begins = np.cumsum(counts) - counts
         firsts = np.array([state.first for state in states], np.intp)
-        rows = OrderedRows(self._stored, np.arange(len(which)) + (firsts - begins)[which])
+        rows = WindowedRows(self._stored, np.arange(len(which)) + (firsts - begins)[which])
         looked = _look_through(rows, begins)
         columns = (
             _repeat(FILE, labels, which),
             *(_repeat(key, [getattr(one, key.name) for one in states], which) for key in _STATE),
-            *build_columns(rows, (ERROR, *order(looked.keys, looked.used))),
+            *build_result_columns(rows, (ERROR, *order(looked.keys, looked.used))),
         )
         return FileTable(
             table=ResultTable(kind=kind, columns=columns, facts=facts),
@@ -190,7 +190,7 @@ class _Looked:
     errors: list[tuple[int, str]] = field(default_factory=list)
 
 
-def _look_through(rows: OrderedRows, begins: NDArray[np.intp]) -> _Looked:
+def _look_through(rows: WindowedRows, begins: NDArray[np.intp]) -> _Looked:
     """Return what rows hold; the error of a file stands in its first row."""
     looked = _Looked()
     for stretch in cut_groups(len(rows), _COLUMNS_LOOKED):
@@ -209,7 +209,7 @@ def _look_through(rows: OrderedRows, begins: NDArray[np.intp]) -> _Looked:
 
 
 def _repeat(key: Key, cells: Sequence[Cell], which: NDArray[np.intp]) -> ResultColumn:
-    packed = Cells.pack(key.type, cells).take(which)
+    packed = StoredCells.pack(key.type, cells).take(which)
     return ResultColumn(name=key.name, type=key.type, cells=packed, unit=key.unit or None)
 
 
@@ -218,5 +218,5 @@ def _load_group(former: StoredTable, group: int) -> Columns:
     known = {key.name for key in HEAD[:4]}
     columns = former.read([name for name in former.names if name not in known], group)
     keys = ((parse_key(column), column.cells) for column in columns)
-    packed = {key: Cells.pack_arrow(key.type, cells) for key, cells in keys}
+    packed = {key: StoredCells.pack_arrow(key.type, cells) for key, cells in keys}
     return Columns(former.group_rows[group], packed)

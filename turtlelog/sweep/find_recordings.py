@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Final
 
 from turtlelog.errors import LogError
+from turtlelog.files.urls import RemotePath, is_url
 from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.error_boundary import open_file
 from turtlelog.log.importers.exported_tables import list_table_files
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE
-from turtlelog.remote.urls import RemotePath, is_url
 
 ENDINGS: Final = (*BAG_SUFFIXES, ".bag", ".csv", ".json", ".parquet", ".tsv", ".tum")
 """How files end that count as recordings. Not .txt, which may be read where it is named: most are

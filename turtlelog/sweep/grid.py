@@ -20,7 +20,7 @@ _EXPECTED: Final = "KEY=A:B, KEY=A:B:STEP or KEY=VALUE,VALUE"
 
 
 @dataclass(frozen=True, slots=True)
-class Steps(Sequence[float]):
+class EqualSteps(Sequence[float]):
     """The numbers from one to another in equal steps, both included; none is kept in memory.
 
     Each is the double nearest to the decimal number, as if it had been typed.
@@ -66,7 +66,7 @@ class KeyValues:
 
     def as_real(self) -> "KeyValues":
         """Return the same with its numbers as floats."""
-        if isinstance(self.values, Steps):
+        if isinstance(self.values, EqualSteps):
             return replace(self, values=replace(self.values, is_whole=False))
         return replace(self, values=[float(value) for value in self.values])
 
@@ -108,7 +108,7 @@ def _is_meant_as_range(text: str) -> bool:
     return 1 < len(words) < 4 and any(map(is_number, words))
 
 
-def _build_steps(first: str, last: str, step: str | None, *, place: str) -> Steps:
+def _build_steps(first: str, last: str, step: str | None, *, place: str) -> EqualSteps:
     low, high, width = Fraction(first), Fraction(last), Fraction(step or 1)
     if not width:
         raise SweepError(f"{place}: expected a step other than 0, found {step}")
@@ -124,15 +124,15 @@ def _build_steps(first: str, last: str, step: str | None, *, place: str) -> Step
             f"{place}: expected steps of {step} that lead from {first} to {last}, found that they"
             f" lead to {near}: {first}:{near}:{step} or {first}:{beyond}:{step}"
         )
-    return Steps(low, width, int(steps) + 1, _are_whole(first, last, step))
+    return EqualSteps(low, width, int(steps) + 1, _are_whole(first, last, step))
 
 
-def _span(first: str, last: str, _: str | None, *, place: str) -> Steps:
+def _span(first: str, last: str, _: str | None, *, place: str) -> EqualSteps:
     """Return both ends of a range."""
     width = Fraction(last) - Fraction(first)
     if width < 0:
         raise SweepError(f"{place}: expected a range from low to high, found {first}:{last}")
-    return Steps(Fraction(first), width, 2, is_whole=False)
+    return EqualSteps(Fraction(first), width, 2, is_whole=False)
 
 
 def _are_whole(*texts: str | None) -> bool:

@@ -16,7 +16,7 @@ from typing import BinaryIO, Final, Generic, TypeVar
 import msgspec
 
 from turtlelog.errors import SweepError
-from turtlelog.remote.urls import RemotePath
+from turtlelog.files.urls import RemotePath
 from turtlelog.sweep.stored_table import has_result_file, read_result_facts
 
 T = TypeVar("T")

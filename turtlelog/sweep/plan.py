@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import SweepError
 from turtlelog.scenario import Scenario, override_scenario
-from turtlelog.sweep.grid import MOST_ROWS, KeyValues, Steps, parse_key_values
+from turtlelog.sweep.grid import MOST_ROWS, EqualSteps, KeyValues, parse_key_values
 from turtlelog.sweep.result_table import ColumnType, choose_type
 
 MOST_DRAWN: Final = 10_000_000
 """Rows of a sample, which is drawn at once: 80 MB for each key."""
+
+KP: Final = "kp"
+"""In the place of a key: all gains of the law together, as `--kp` sets them."""
 
 _BELOW_1: Final = math.nextafter(1.0, 0.0)
 
@@ -104,7 +107,7 @@ class SweepPlan:
     def find_type(self, key: str) -> ColumnType:
         """Return the type of the values of a key."""
         values = self._find(key)[2].values
-        return choose_type((values[0], values[-1]) if isinstance(values, Steps) else values)
+        return choose_type((values[0], values[-1]) if isinstance(values, EqualSteps) else values)
 
     def _find(self, key: str) -> tuple[int, tuple[KeyValues, ...], KeyValues]:
         """Return the number of a key's axis, the axis, and its values."""
@@ -126,6 +129,25 @@ class SweepPlan:
             grid=tuple(one.as_real() if one.key in keys else one for one in self.grid),
             zipped=tuple(one.as_real() if one.key in keys else one for one in self.zipped),
         )
+
+    def spread_gains(self, gains: Sequence[str]) -> "SweepPlan":
+        """Return the plan with the gains of a law, which go together, in the place of `kp`.
+
+        Raises:
+            SweepError: The law declares no gain, or other keys go together already.
+        """
+        kp = next((one for one in self.grid if one.key == KP), None)
+        if kp is None:
+            return self
+        if not gains:
+            raise SweepError("--grid: kp: the law declares no gain; vary its keys by their names")
+        if self.zipped:
+            raise SweepError(
+                "--zip: leave it out beside --grid kp, which varies"
+                f" {' and '.join(gains)} together; or name these in --zip"
+            )
+        others = tuple(one for one in self.grid if one is not kp)
+        return replace(self, grid=others, zipped=tuple(replace(kp, key=key) for key in gains))
 
     def describe(self) -> str:
         """Return the plan as JSON, as file metadata have it."""
@@ -191,7 +213,7 @@ def _draw(sampling: Sampling, width: int) -> NDArray[np.float64]:
 def _pick(one: KeyValues, share: float) -> Any:
     """Return the value at a share of its range."""
     values = one.values
-    if one.is_open and isinstance(values, Steps) and not values.is_whole:
+    if one.is_open and isinstance(values, EqualSteps) and not values.is_whole:
         return min(values[0] + (values[-1] - values[0]) * share, values[-1])
     return values[min(int(share * len(values)), len(values) - 1)]
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.errors import LibraryError, LogError
+from turtlelog.files.urls import make_path
 from turtlelog.log.error_boundary import open_file
 from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
-from turtlelog.remote.urls import make_path
 from turtlelog.sweep.file_rows import ERROR, FileRows, FileState, Order, ReadFiles
 from turtlelog.sweep.find_recordings import FoundRecording, list_contents
 from turtlelog.sweep.kept_parts import KeptParts

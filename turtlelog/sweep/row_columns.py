@@ -33,7 +33,7 @@ _NONES: Final[Mapping[str, Any]] = {"text": -1, "real": np.nan, "whole": -(2**63
 _NUMBERS: Final = {"text": np.int32, "real": np.float64, "whole": np.int64}
 
 
-class Cells(Sequence[Any]):
+class StoredCells(Sequence[Any]):
     """The cells of one column: 8 bytes for each number, 4 for a text, and each text once or so."""
 
     def __init__(self, kind: CellType, numbers: NDArray[Any], texts: Sequence[str] = ()) -> None:
@@ -41,7 +41,7 @@ class Cells(Sequence[Any]):
         self._kind, self._numbers, self._texts = kind, numbers, list(texts)
 
     @classmethod
-    def pack(cls, kind: CellType, cells: Iterable[Any]) -> "Cells":
+    def pack(cls, kind: CellType, cells: Iterable[Any]) -> "StoredCells":
         """Return cells of their values."""
         none = _NONES[kind]
         if kind != "text":
@@ -52,7 +52,7 @@ class Cells(Sequence[Any]):
         return cls(kind, np.array(found, _NUMBERS[kind]), list(codes))
 
     @classmethod
-    def pack_arrow(cls, kind: CellType, cells: Any) -> "Cells":
+    def pack_arrow(cls, kind: CellType, cells: Any) -> "StoredCells":
         """Return cells of those of an array of Arrow."""
         texts: Sequence[str] = ()
         if kind == "text":
@@ -63,15 +63,15 @@ class Cells(Sequence[Any]):
         return cls(kind, cells.to_numpy(zero_copy_only=False).astype(_NUMBERS[kind]), texts)
 
     @classmethod
-    def fill(cls, kind: CellType, count: int) -> "Cells":
+    def fill(cls, kind: CellType, count: int) -> "StoredCells":
         """Return so many cells without a value."""
         return cls(kind, np.full(count, _NONES[kind], _NUMBERS[kind]))
 
-    def take(self, rows: NDArray[np.intp]) -> "Cells":
+    def take(self, rows: NDArray[np.intp]) -> "StoredCells":
         """Return the cells of some rows."""
-        return Cells(self._kind, self._numbers[rows], self._texts)
+        return StoredCells(self._kind, self._numbers[rows], self._texts)
 
-    def put(self, places: NDArray[np.intp], other: "Cells", rows: NDArray[np.intp]) -> None:
+    def put(self, places: NDArray[np.intp], other: "StoredCells", rows: NDArray[np.intp]) -> None:
         """Put cells of another column of the same kind at places of this one."""
         numbers = other._numbers[rows]
         if other._texts:
@@ -84,7 +84,7 @@ class Cells(Sequence[Any]):
 
     def __getitem__(self, place: Any) -> Any:
         if isinstance(place, slice):
-            return Cells(self._kind, self._numbers[place], self._texts)
+            return StoredCells(self._kind, self._numbers[place], self._texts)
         number = self._numbers[place].item()
         if number == _NONES[self._kind] or number != number:  # noqa: PLR0124 - of a NaN it is
             return None
@@ -110,7 +110,7 @@ class Columns:
     """Some rows; a cell of a key that they lack is None."""
 
     count: int
-    cells: Mapping[Key, Cells]
+    cells: Mapping[Key, StoredCells]
 
 
 def gather_rows(rows: Sequence[Row]) -> dict[Key, list[Cell]]:
@@ -136,17 +136,17 @@ class StoredRows:
         """Return some rows, by their numbers; each part of them is loaded once."""
         ends = np.array(self._ends)
         parts = np.searchsorted(ends, rows, "right") - 1
-        found: dict[Key, Cells] = {}
+        found: dict[Key, StoredCells] = {}
         for part in np.unique(parts).tolist():
             places = np.flatnonzero(parts == part)
             for key, cells in self._loads[part]().cells.items():
                 if key not in found:
-                    found[key] = Cells.fill(key.type, len(rows))
+                    found[key] = StoredCells.fill(key.type, len(rows))
                 found[key].put(places, cells, rows[places] - ends[part])
         return Columns(len(rows), found)
 
 
-class OrderedRows:
+class WindowedRows:
     """Stored rows in an order, a stretch of which is in memory."""
 
     def __init__(self, stored: StoredRows, order: NDArray[np.intp] | range) -> None:
@@ -174,7 +174,7 @@ class OrderedRows:
 class _Column(Sequence[Any]):
     """The cells of a key in ordered rows."""
 
-    def __init__(self, rows: OrderedRows, key: Key) -> None:
+    def __init__(self, rows: WindowedRows, key: Key) -> None:
         self._rows, self._key = rows, key
 
     def __len__(self) -> int:
@@ -184,10 +184,10 @@ class _Column(Sequence[Any]):
         if not isinstance(place, slice):
             return self[place : place + 1][0]
         found = self._rows.load(place)
-        return found.cells.get(self._key) or Cells.fill(self._key.type, found.count)
+        return found.cells.get(self._key) or StoredCells.fill(self._key.type, found.count)
 
 
-def build_columns(rows: OrderedRows, keys: Sequence[Key]) -> Iterator[ResultColumn]:
+def build_result_columns(rows: WindowedRows, keys: Sequence[Key]) -> Iterator[ResultColumn]:
     """Yield the columns of keys; the name of one that has several units ends in the unit."""
     names = [key.name for key in keys]
     for key in keys:
@@ -201,7 +201,7 @@ def build_columns(rows: OrderedRows, keys: Sequence[Key]) -> Iterator[ResultColu
 
 
 def parse_key(column: ResultColumn) -> Key:
-    """Return the key of a column that `build_columns` made."""
+    """Return the key of a column that `build_result_columns` made."""
     unit = column.unit or ""
     name = column.name.removesuffix(f" [{unit}]") if unit else column.name
     return Key(name, "text" if column.type == "truth" else column.type, unit)

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from turtlelog import expressions
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
+from turtlelog.files.urls import make_path
 from turtlelog.log.recording import write_recording
-from turtlelog.loops import Declaration
 from turtlelog.measure import (
     MetricKind,
     choose_metrics,
@@ -22,8 +22,8 @@ from turtlelog.measure import (
     measure_run,
 )
 from turtlelog.measure.metric import Metric
-from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_many
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from turtlelog.errors import LogError, SweepError
+from turtlelog.files.urls import is_there
 from turtlelog.libraries import load_library
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.parquet_file import ParquetFile, list_cells
-from turtlelog.remote.urls import is_there
 from turtlelog.sweep.result_table import FORMAT, PREFIX, ROW, ColumnType, ResultColumn, ResultTable
 
 

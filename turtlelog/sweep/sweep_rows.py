@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, overload
 
 from turtlelog.errors import LogError, SweepError
+from turtlelog.files.urls import RemotePath, has_files, make_path
 from turtlelog.log.complete_files import remove_leftovers
 from turtlelog.log.error_boundary import name_file
 from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes
-from turtlelog.remote.urls import RemotePath, has_files, make_path
 from turtlelog.scenario import parse_scenario
-from turtlelog.sweep.assemble import SweptRows, assemble_table, find_failure, list_valueless
 from turtlelog.sweep.batch import find_batch
 from turtlelog.sweep.kept_parts import KeptParts, has_results, name_partial, require_same
 from turtlelog.sweep.prepared_sweep import Sweep, has_given_law
 from turtlelog.sweep.result_table import write_result_table
 from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
 from turtlelog.sweep.stored_table import open_result_table
+from turtlelog.sweep.sweep_table import SweptRows, assemble_table, find_failure, list_valueless
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

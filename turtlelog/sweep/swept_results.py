@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, SweepError, TurtlelogError, describe_unknown
+from turtlelog.files.text_files import parse_toml
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.parquet_file import list_cells
-from turtlelog.loops import ControlLoop
+from turtlelog.run.loops import ControlLoop
 from turtlelog.scenario import Scenario, build_scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
-from turtlelog.sweep.assemble import STATUS
 from turtlelog.sweep.plan import build_row_scenario
 from turtlelog.sweep.result_table import ROW, ResultColumn
 from turtlelog.sweep.stored_table import (
@@ -26,7 +26,7 @@ from turtlelog.sweep.stored_table import (
     list_values,
     open_result_table,
 )
-from turtlelog.text_files import parse_toml
+from turtlelog.sweep.sweep_table import STATUS
 
 Values = NDArray[np.float64]
 
@@ -89,13 +89,13 @@ class SweptAxis:
 
     def tell_place(self, place: int) -> str:
         """Return the values of a place in words."""
-        return ", ".join(format_value(value) for value in self.values[place])
+        return ", ".join(format_key_value(value) for value in self.values[place])
 
     def tell_row(self, row: int) -> str:
         """Return keys and values of a row, as in `law.kp_linear = 4`."""
         values = self.values[self.places[row]]
         pairs = zip(self.keys, values, strict=True)
-        return ", ".join(f"{key} = {format_value(value)}" for key, value in pairs)
+        return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -243,7 +243,7 @@ def list_declared_loops(results: SweptResults) -> Sequence[ControlLoop]:
         return ()
 
 
-def format_value(value: Any) -> str:
+def format_key_value(value: Any) -> str:
     """Return a key's value as text."""
     if isinstance(value, bool):
         return "true" if value else "false"

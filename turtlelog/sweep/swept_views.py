@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import SweepError, suggest_names
 from turtlelog.measure import find_metric_kind
-from turtlelog.sweep.swept_results import SEED, SweptAxis, SweptMetric, SweptResults, format_value
+from turtlelog.sweep.swept_results import (
+    SEED,
+    SweptAxis,
+    SweptMetric,
+    SweptResults,
+    format_key_value,
+)
 
 Values = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -62,7 +68,7 @@ class SweptView:
     def tell_held(self) -> str:
         """Return what is held, as in `loop.transport_delay_ticks = 4`."""
         return ", ".join(
-            f"{key} = {format_value(value)}"
+            f"{key} = {format_key_value(value)}"
             for axis, place in self.held.items()
             for key, value in zip(axis.keys, axis.values[place], strict=True)
         )
@@ -157,7 +163,7 @@ def _suggest_near(value: Any, values: Sequence[Any]) -> str:
     """Return the values nearest to a number, or the first of words."""
     is_number = isinstance(value, int | float) and all(isinstance(v, int | float) for v in values)
     listed = sorted(values, key=lambda one: abs(one - value)) if is_number else values
-    return " or ".join(format_value(one) for one in dict.fromkeys(listed[:3]))
+    return " or ".join(format_key_value(one) for one in dict.fromkeys(listed[:3]))
 
 
 def _choose_axes(

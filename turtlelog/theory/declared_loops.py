@@ -10,7 +10,10 @@ from typing import Final
 
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
-from turtlelog.loops import (
+from turtlelog.plants import LAGGED, TURTLESIM, read_plant
+from turtlelog.plants.turtlesim import WATCHDOG_NS
+from turtlelog.run import Parameter
+from turtlelog.run.loops import (
     COMMAND_WORDS,
     LIMIT_KEYS,
     PLANT_KEYS,
@@ -18,9 +21,6 @@ from turtlelog.loops import (
     ControlLoop,
     read_number,
 )
-from turtlelog.plants import LAGGED, TURTLESIM, read_plant
-from turtlelog.plants.turtlesim import WATCHDOG_NS
-from turtlelog.run import Parameter
 from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.theory.pid_gains import PidGains
 from turtlelog.theory.process import Process

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final, TypedDict
 
 from turtlelog.errors import TheoryError
-from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.theory.declared_loops import (
     Parameters,
     find_timing,

@@ -15,7 +15,7 @@ from matplotlib.patches import Rectangle
 import turtlelog as tl
 from tests.draw.rerun.rrds import make_foreign_run
 from tests.identify.robots import Log, make_run
-from turtlelog.charts.command_changes import find_changes
+from turtlelog.charts.command_changes import find_command_changes
 from turtlelog.charts.curves import Curve
 from turtlelog.check import Verdict
 from turtlelog.check.violation import find_judged_signal
@@ -415,7 +415,7 @@ def test_changes_of_a_command_are_those_in_one_direction(
 ) -> None:
     time_ns = np.array(np.array(times_s) * 1e9, dtype=np.int64)
     command = Curve(start_ns=0, time_ns=time_ns, values=np.array(values), holds=True)
-    found = [(one.half_s, one.before, one.after) for one in find_changes(command)]
+    found = [(one.half_s, one.before, one.after) for one in find_command_changes(command)]
     assert found == [pytest.approx(one) for one in expected]
 
 

@@ -17,8 +17,8 @@ from tests.draw.laws import (
 )
 from turtlelog.charts.tracked_path import find_worst_place, read_along_error
 from turtlelog.draw import list_left_out
-from turtlelog.loops import Declaration
 from turtlelog.measure import read_signal
+from turtlelog.run.loops import Declaration
 
 KANAYAMA, PURSUIT = simulate_tracker("kanayama"), simulate_tracker("pure-pursuit")
 UNTIMED, PID, EXAMPLE = simulate_untimed(), simulate_pid(), simulate_law("example")

@@ -14,9 +14,9 @@ from rerun.chunk import RrdReader
 
 from turtlelog.draw.rerun.viewer import find_viewer
 from turtlelog.explain import Attribution, Contribution, Resolution
-from turtlelog.loops import Declaration
 from turtlelog.measure import measure_run, read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import get_preset
 from turtlelog.simulate import simulate_run
 
@@ -87,7 +87,6 @@ def make_foreign_run(rows: int) -> Run:
 def read_values(name: str) -> NDArray[np.float64]:
     """Return a signal of the run that most tests are of."""
     signal = read_signal(simulate_preset("paper-kp10"), name)
-    assert signal is not None
     return signal.values
 
 

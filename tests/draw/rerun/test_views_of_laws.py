@@ -27,9 +27,9 @@ from turtlelog.charts.phase_timelines import name_phase_timeline
 from turtlelog.draw import write_comparison_rrd, write_explanation_rrd, write_run_rrd
 from turtlelog.draw.rerun.timelines import build_compared_timelines
 from turtlelog.draw.rerun.world import find_plane_bounds
-from turtlelog.loops import Declaration
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
 
 STRANGE, EXAMPLE = simulate_law("strange"), simulate_law("example")
 FOLLOWER = simulate_law("Follower")

@@ -9,7 +9,7 @@ _LAW = """
 import math
 from dataclasses import dataclass
 from turtlelog.laws import Decision, Pose
-from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.run.loops import ControlLoop, Declaration
 
 @dataclass(frozen=True)
 class Parameters:

@@ -10,13 +10,13 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.log.recording.test_damage import HEAD, write_mcap
 from tests.log.runs import STRANGE, make_run, simulate_short_run
-from turtlelog.declaration_json import format_declaration, parse_declaration
 from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import read_info, read_recording, write_recording
 from turtlelog.log.recording.head import declare_format1
 from turtlelog.log.recording.topics import define_types, find_type_hash, name_state_type
-from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.run.declaration_json import format_declaration, parse_declaration
+from turtlelog.run.loops import ControlLoop, Declaration
 
 ENTRY: dict[str, Any] = json.loads(format_declaration(STRANGE))
 

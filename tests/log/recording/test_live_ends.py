@@ -126,7 +126,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from turtlelog.log.recording.recorder import Recorder
 from turtlelog.log.interrupts import hold_stop
-from turtlelog.runner import run_live
+from turtlelog.log.live_run import run_live
 from turtlelog.scenario import get_preset, override_scenario
 
 SCENARIO = override_scenario(get_preset("paper"), {"law.kp_angular": 0.0001})

@@ -10,7 +10,9 @@ from typing import Any, Final
 from mcap_ros2.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from tests.known import known
 from tests.log.engine.raw_records import read_raw
+from turtlelog.log.engine.known_definitions import find_definition
 
 START_NS: Final = 1_700_000_000_123_456_789
 TICK_NS: Final = 16_000_000
@@ -97,6 +99,8 @@ def write_mcap(path: Path, messages: Iterable[Said]) -> Path:
                 text = (
                     _TURTLESIM
                     if said.type.startswith("turtlesim")
+                    else known(find_definition(said.type))
+                    if said.type.startswith("ackermann")
                     else store.generate_msgdef(said.type, ros_version=2)[0]
                 )
                 schemas[said.type] = writer.register_msgdef(said.type, text)

@@ -188,8 +188,8 @@ def test_by_the_log_all_stays_as_it_was_received() -> None:
             np.where(np.arange(100) < 51, 0, make_times(100)),
             "51 of 100 stamps are 0 or make no sense",
         ),
-        (np.full(100, EPOCH_NS), "100 poses share 1 stamp"),
-        (EPOCH_NS + np.arange(100) // 5 * 250 * MS, "100 poses share 20 stamps"),
+        (np.full(100, EPOCH_NS), "100 messages share 1 stamp"),
+        (EPOCH_NS + np.arange(100) // 5 * 250 * MS, "100 messages share 20 stamps"),
         (make_times(100) - np.arange(100) // 10 * 9_000 * MS, "the stamps' clock jumps to and fro"),
     ],
 )
@@ -248,7 +248,7 @@ def test_a_real_robots_clock_is_found_and_taken_out() -> None:
     assert np.diff(run.poses.time_ns).min() > 37 * MS
     # The recorder received some poses in bursts; two of them 0.126 ms apart.
     assert (len(as_logged.poses), as_logged.notes[CLOSE_ROWS]) == (1244, "10")
-    assert "as asked" in as_logged.notes[CLOCK]
+    assert "as given" in as_logged.notes[CLOCK]
 
 
 def test_a_real_simulation_keeps_its_seconds() -> None:
@@ -286,3 +286,23 @@ def test_a_bag_of_the_same_clock_reads_as_it_was_stamped(tmp_path: Path) -> None
     run = read_run(write_mcap(tmp_path / "bag.mcap", none))
     assert run.clock == Clock(used="log")
     assert run.notes[CLOCK] == "poses are timed by the recorder's clock, as all stamps are 0"
+
+
+@pytest.mark.parametrize(
+    ("pace", "is_other"), [(0.998, True), (1.00055, True), (1.00045, False), (0.9997, False)]
+)
+def test_a_clock_near_0_that_goes_as_no_quartz_does_is_a_simulations(
+    pace: float, *, is_other: bool
+) -> None:
+    true_ns = make_times(2400)
+    poses = make_stamps(true_ns, pace=pace, offset_s=EPOCH_NS / 1e9 - 5.0, jitter_ms=1.0)
+    times = time_poses(poses)
+    assert ("whose seconds are a simulation's" in times.notes[CLOCK]) == is_other
+    expected_ns = (pace if is_other else 1.0) * np.ptp(true_ns)
+    assert np.ptp(times.poses.time_ns) == pytest.approx(expected_ns, abs=2 * MS)
+
+
+def test_a_short_drift_near_0_is_not_called_that_of_a_clock_that_was_set() -> None:
+    poses = make_stamps(make_times(100), pace=0.9985, offset_s=EPOCH_NS / 1e9 - 5.0, jitter_ms=2.0)
+    text = time_poses(poses).notes[CLOCK]
+    assert "; their clock, which was never set or is a simulation's, drifts by -" in text

@@ -132,7 +132,7 @@ def test_robots_of_one_bag_have_commands_of_their_own(tmp_path: Path) -> None:
     assert second.name == "robot:/robot2/odom"
     assert first.notes["chosen"] == (
         "poses from /robot1/odom (nav_msgs/msg/Odometry), commands from /robot1/cmd_vel"
-        " (geometry_msgs/msg/Twist); also there: /robot2/odom: --pose-topic"
+        " (geometry_msgs/msg/Twist); robots robot1 of robot1, robot2: --robot NAME chooses"
     )
 
 

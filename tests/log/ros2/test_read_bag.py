@@ -176,7 +176,7 @@ def test_turtlesims_own_topic_comes_before_others(file: Path) -> None:
 def test_of_two_turtles_the_first_is_read_and_the_other_named(file: Path) -> None:
     run = read_messages(file, *make_poses(2, topic="/turtle10/pose", x=7.0), *make_poses(2))
     assert run.poses.xy_m[0, 0] == 1.0
-    assert run.notes["other_pose_topics"] == "/turtle10/pose"
+    assert run.notes["robots"] == "turtle1 of turtle1, turtle10: --robot NAME chooses"
     assert read_bag(file, pose_topic="/turtle10/pose").poses.xy_m[0, 0] == 7.0
 
 

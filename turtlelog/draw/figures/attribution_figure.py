@@ -37,8 +37,8 @@ from turtlelog.explain import (
     require_causes,
     simulate_what_ifs,
 )
-from turtlelog.loops import SIGNAL_WORDS
 from turtlelog.run import Run
+from turtlelog.run.loops import SIGNAL_WORDS
 
 Values = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from turtlelog.draw.figures.figure_kinds import (
     list_usual_figures,
 )
 from turtlelog.draw.figures.marked_panels import has_marks
-from turtlelog.draw.figures.needs import GOAL, SAMPLES, find_lacks
+from turtlelog.draw.figures.needs import GOAL, POSES, SAMPLES, find_lacks
 from turtlelog.draw.figures.page import label_runs
 from turtlelog.draw.figures.plane_panels import has_one_plane
 from turtlelog.measure import measure_run
@@ -27,7 +27,7 @@ _MOST_NAMED: Final = 3
 
 _ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
 
-_OF_MOTION: Final = frozenset({GOAL, "speed commands", "turn rate commands"})
+_OF_MOTION: Final = frozenset({POSES, GOAL, "speed commands", "turn rate commands"})
 """What a recording without samples may have all the same."""
 
 _DEPARTURE: Final = f"one path, and a run that is more than {format_length(ON_PATH_M)} off it"

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.charts.ideal_curves import find_steps
-from turtlelog.loops import ControlLoop
 from turtlelog.measure import model_run_loops
 from turtlelog.run import Run
+from turtlelog.run.loops import ControlLoop
 from turtlelog.theory import PidGains, Process, find_stable_gains
 from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
 

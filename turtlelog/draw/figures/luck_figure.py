@@ -11,7 +11,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from turtlelog.charts import palette
-from turtlelog.charts.luck import (
+from turtlelog.charts.luck_chart import (
     LuckLine,
     LuckPicture,
     LuckPlane,

@@ -16,6 +16,7 @@ from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 
 SAMPLES: Final = "the controller's samples"
+POSES: Final = "poses"
 GOAL: Final = "a goal"
 PYTHON_CONTROL: Final = "python-control"
 _STATES: Final = "states of its law that are not always 0"
@@ -91,8 +92,11 @@ _LACKS: Final[Mapping[str, Callable[[Run], str]]] = MappingProxyType(
         "known_gain": lambda run: _lack("the law's gain", is_held=_has_gain(run)),
         "commands": lambda run: _lack("commands", is_held=not lacks_commands(run)),
         "samples": lambda run: _lack(SAMPLES, is_held=len(run.samples) > 0),
-        "poses": lambda run: _lack("poses", is_held=len(run.poses) > 0),
-        "goal": lambda run: _lack(GOAL, is_held=run.goal_xy_m is not None),
+        "poses": lambda run: _lack(POSES, is_held=len(run.poses) > 0),
+        "goal": lambda run: (
+            _lack(POSES, is_held=len(run.poses) > 0)
+            or _lack(GOAL, is_held=run.goal_xy_m is not None)
+        ),
         "heading_error": lambda run: _lack_samples(
             run, "a heading to aim at", is_held=read_curve(run, "heading_error") is not None
         ),

@@ -26,8 +26,12 @@ def draw_stack(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> N
 def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
     """Draw where runs drove, and panels on one time axis in two columns around it.
 
-    The plane stands at the top of the left column. Of runs without samples it takes all of that.
+    The plane stands at the top of the left column. Of runs without samples it takes all of that,
+    and of runs without poses there is none.
     """
+    if not any(len(run.poses) for run in runs):
+        draw_stack(figure, runs, panels)
+        return
     if lack_samples(runs):
         grid = figure.add_gridspec(len(panels), 2, width_ratios=(1.0, 1.25))
         rows = len(panels)
@@ -58,7 +62,7 @@ def count_plane_rows(panels: Sequence[object]) -> int:
 
 def finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
     """Name the axes of a panel over time."""
-    firsts = dict.fromkeys("sample" if len(run.samples) else "pose" for run in runs)
+    firsts = dict.fromkeys(run.first_row for run in runs)
     axes.set(xlabel=f"time from the first {' or '.join(firsts)} [s]", ylabel=label)
     axes.margins(x=0.01)
     axes.locator_params(axis="x", nbins=6)

@@ -16,7 +16,7 @@ from turtlelog.draw.figures.legend import add_legend
 from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, Page, use_looks
 from turtlelog.draw.figures.writing import require_figure_path, write_figure
 from turtlelog.identify import AxisTraces
-from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
+from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
 _HEIGHT: Final = 1.0
 _STACKED_HEIGHT: Final = 2.6

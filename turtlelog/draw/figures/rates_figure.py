@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from turtlelog.charts.command_changes import CommandChange, find_changes
+from turtlelog.charts.command_changes import CommandChange, find_command_changes
 from turtlelog.charts.curves import Curve, read_applied, read_command
 from turtlelog.charts.robot_curves import read_measured
 from turtlelog.display import describe_count
@@ -30,8 +30,8 @@ from turtlelog.identify import (
     trace_axis,
 )
 from turtlelog.identify.axis_motion import measure_steps
-from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
 from turtlelog.run import Run
+from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
 Values = NDArray[np.float64]
 
@@ -143,7 +143,7 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
 
 
 def _tell_time(run: Run) -> str:
-    return f"time from the first {'sample' if len(run.samples) else 'pose'} [s]"
+    return f"time from the first {run.first_row} [s]"
 
 
 def lacks_commands(run: Run) -> bool:
@@ -251,7 +251,7 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
             _draw_interval(axes, one.model.dead_time_s)
         if lag_s > 0.0:
             axes.axvspan(dead_s, dead_s + lag_s, **_LAG)
-    changes = find_changes(one.command)
+    changes = find_command_changes(one.command)
     for change in changes:
         until_s = min(change.end_s + longest_s, change.half_s + after_s)
         # What the robot does before then still follows the change before.

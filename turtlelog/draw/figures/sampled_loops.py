@@ -31,10 +31,10 @@ from turtlelog.draw.figures.page import (
     choose_lines,
     label_runs,
 )
-from turtlelog.loops import SIGNAL_WORDS
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
+from turtlelog.run.loops import SIGNAL_WORDS
 from turtlelog.theory import (
     LoopModel,
     PidLoop,

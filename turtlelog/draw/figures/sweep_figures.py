@@ -20,7 +20,7 @@ from turtlelog.draw.figures.value_scale import group_reasons
 from turtlelog.draw.figures.writing import FIGURE_FORMATS, save_figure
 from turtlelog.draw.output_files import replace_file
 from turtlelog.errors import ShowError
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 from turtlelog.sweep.gain_borders import LoopLimits, find_loop_limits, list_gain_keys
 from turtlelog.sweep.sensitivities import find_sensitivities
 from turtlelog.sweep.sweep_scenario import SweepTable, read_table_results

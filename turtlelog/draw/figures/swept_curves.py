@@ -20,7 +20,7 @@ from turtlelog.charts.palette import choose_run_colors
 from turtlelog.draw.figures.map_figure import LIMITS, mark_places, name_limit
 from turtlelog.draw.figures.page import choose_colors, to_rgb
 from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
-from turtlelog.sweep.swept_results import SweptAxis, SweptMetric, format_value
+from turtlelog.sweep.swept_results import SweptAxis, SweptMetric, format_key_value
 from turtlelog.sweep.swept_views import SweptView, fill_cells
 
 Values = NDArray[np.float64]
@@ -127,7 +127,7 @@ def _color_series(series: SweptAxis | None, count: int) -> list[tuple[float, ...
 def _name_value(series: SweptAxis, place: int) -> str:
     """Return what a legend says of a line: `law.kp_linear = 4`."""
     pairs = zip(series.keys, series.values[place], strict=True)
-    return ", ".join(f"{key} = {format_value(value)}" for key, value in pairs)
+    return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
 
 
 def _tell_left_out(series: SweptAxis, places: Sequence[int]) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import SymmetricalLogLocator
 
+from turtlelog.charts.axis_ranges import find_range
 from turtlelog.charts.curves import Curve, find_disturbance
 from turtlelog.charts.far_origin import find_origin, label_coordinate, move_near
 from turtlelog.charts.looks import LIMIT_DASH, choose_curve_color, choose_dash
@@ -28,7 +29,6 @@ from turtlelog.charts.plotted_curves import (
     take_magnitude,
 )
 from turtlelog.charts.pose_gaps import list_seen_gaps
-from turtlelog.charts.ranges import find_range
 from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_level, draw_points
 from turtlelog.draw.figures.page import (

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from turtlelog.charts.ranges import find_rest
+from turtlelog.charts.axis_ranges import find_rest
 from turtlelog.draw.figures.page import Page
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
@@ -65,7 +65,8 @@ def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
     """
     window_s = find_window(runs, page)
     if window_s is None:
-        if not page.has_marks:
+        # Commands that stay the same say nothing of rest.
+        if not page.has_marks and (not runs or any(len(run.poses) for run in runs)):
             _end_at_rest(list_time_axes(figure), _find_span(runs)[1] if runs else 0.0)
         return
     for axes in list_time_axes(figure):
@@ -145,6 +146,6 @@ def _read_edges(
 
 def _find_span(runs: Sequence[Run]) -> tuple[float, float]:
     """Return from when to when runs last, each from its first sample [s]."""
-    starts = [min(int(run.poses.time_ns[0]), run.start_ns) - run.start_ns for run in runs]
-    ends = [max(int(run.poses.time_ns[-1]), run.end_ns) - run.start_ns for run in runs]
+    starts = [min([*run.poses.time_ns[:1].tolist(), run.start_ns]) - run.start_ns for run in runs]
+    ends = [run.end_ns - run.start_ns for run in runs]
     return min(starts) / 1e9, max(ends) / 1e9

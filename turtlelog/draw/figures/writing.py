@@ -42,9 +42,9 @@ from turtlelog.draw.figures.time_window import cut_time_axes, find_window, requi
 from turtlelog.draw.output_files import replace_file, replace_together
 from turtlelog.draw.table_formats import format_latex
 from turtlelog.errors import ShowError, describe_unknown, make_portable
+from turtlelog.files.urls import make_path
 from turtlelog.measure import measure_run
 from turtlelog.processes import CAN_FORK, count_cores, map_in_processes
-from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 
 FIGURE_FORMATS: Final = ("pdf", "png", "svg")

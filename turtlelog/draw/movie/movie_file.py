@@ -10,7 +10,7 @@ from turtlelog.draw.movie.encoding import PICTURES_PER_S, encode_movie, require_
 from turtlelog.draw.movie.film import LONGEST_S, SHORTEST_S, plan_film
 from turtlelog.draw.movie.picture import draw_pictures
 from turtlelog.errors import ShowError
-from turtlelog.remote.urls import make_path
+from turtlelog.files.urls import make_path
 from turtlelog.run import Run
 
 _SIZES: Final = {".mp4": (1280, 720), ".gif": (800, 450)}

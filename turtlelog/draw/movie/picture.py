@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
+from turtlelog.charts.axis_ranges import find_range
 from turtlelog.charts.close_up import (
     CloseUp,
     Lettering,
@@ -33,7 +34,6 @@ from turtlelog.charts.plotted_curves import (
     list_plot_levels,
     list_plotted,
 )
-from turtlelog.charts.ranges import find_range
 from turtlelog.charts.robot_curves import part_path
 from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
 from turtlelog.charts.tracked_path import list_paths, outline_path

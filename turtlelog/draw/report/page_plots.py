@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.charts.axis_ranges import find_range
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.curves import Values
@@ -25,7 +26,6 @@ from turtlelog.charts.plotted_curves import (
     list_plotted,
 )
 from turtlelog.charts.pose_gaps import list_seen_gaps
-from turtlelog.charts.ranges import find_range
 from turtlelog.charts.state_groups import group_states
 from turtlelog.charts.text_alternatives import describe_plot
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot

@@ -19,13 +19,13 @@ from turtlelog.charts.many_runs import (
     find_gain_scale,
     find_restless,
     group_equal,
-    join_names,
+    join_run_names,
     shorten_names,
 )
 from turtlelog.charts.palette import Color, choose_run_colors
 from turtlelog.charts.run_ends import has_grey_paths
 from turtlelog.compare import name_runs, order_by_gain
-from turtlelog.draw.documents import describe_runs
+from turtlelog.draw.documents import document_runs
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.content import (
     Content,
@@ -35,7 +35,7 @@ from turtlelog.draw.rerun.content import (
 )
 from turtlelog.draw.rerun.entities import ALONG_TRACK, RUNS, join_path, name_part
 from turtlelog.draw.rerun.layout import build_comparison_layout, is_small
-from turtlelog.draw.rerun.marks import draw_events, draw_phases
+from turtlelog.draw.rerun.marks import draw_phases, list_events
 from turtlelog.draw.rerun.plots import (
     LevelLines,
     Series,
@@ -91,7 +91,7 @@ def write_comparison_rrd(
     Args:
         runs: At least one; each keeps its colour in every view, in the order of `order_by_gain`.
         path: The .rrd file; replaced when the new one is complete.
-        documents: Markdown texts by title, shown as tabs; `describe_runs` where None.
+        documents: Markdown texts by title, shown as tabs; `document_runs` where None.
         size: As in `write_run_rrd`.
 
     Raises:
@@ -102,7 +102,7 @@ def write_comparison_rrd(
     runs = order_by_gain(runs)
     metrics = [measure_run(run) for run in runs]
     if documents is None:
-        documents = describe_runs(runs, metrics=metrics)
+        documents = document_runs(runs, metrics=metrics)
     documents = add_thinning(documents, runs)
     groups = group_equal(runs)
     near, origin = move_near(runs)
@@ -176,7 +176,7 @@ class _Overlay:
             ranges=ranges,
             end_s=lasting if lasting < longest else None,
             length_s=longest,
-            restless=join_names(sorted(self.restless), self.names, self.scale),
+            restless=join_run_names(sorted(self.restless), self.names, self.scale),
             outliers={**content.outliers, **self._name_beyond(ranges)},
         )
 
@@ -190,7 +190,7 @@ class _Overlay:
                 if ((values < low) | (values > high)).any():
                     found.setdefault(series.plot, []).append(number)
         return {
-            plot: f"{join_names(numbers, self.names, self.scale)} beyond"
+            plot: f"{join_run_names(numbers, self.names, self.scale)} beyond"
             for plot, numbers in found.items()
         }
 
@@ -284,7 +284,7 @@ def _draw_overlay(
         plane.draw_reference_path(run_stream, run)
         draw_turtle(run_stream, run.poses, look, content.plane.half_size_m)
         draw_phases(run_stream, run)
-        draw_events(run_stream, run, overlay.names[number])
+        list_events(run_stream, run, overlay.names[number])
         for curves in overlay.series[number]:
             draw_series(run_stream, curves)
         streams.append(run_stream)

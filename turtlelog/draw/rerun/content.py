@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.charts.axis_ranges import find_range
 from turtlelog.charts.close_up import CloseUp, find_close_up
 from turtlelog.charts.curves import find_end_of_turn
 from turtlelog.charts.phase_timelines import TIMELINE, WALL_TIMELINE, name_phase_timeline
-from turtlelog.charts.ranges import find_range
 from turtlelog.charts.state_groups import StateGroup, group_states
 from turtlelog.charts.time_plots import list_controlled
 from turtlelog.charts.tracked_path import WorstPlace, find_worst_place
@@ -18,7 +18,7 @@ from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import TICKS, join_path
 from turtlelog.draw.rerun.plots import LevelLines, Series
 from turtlelog.draw.rerun.world import Bounds, find_plane_bounds
-from turtlelog.measure import read_signal
+from turtlelog.measure import find_signal
 from turtlelog.run import Run
 
 _CLOSE_UP = 2.0
@@ -193,7 +193,7 @@ def _count_outliers(series: Sequence[Sequence[Series]]) -> dict[str, str]:
     return {plot: f"{describe_count(rows, 'outlier')} left out" for plot, rows in found.items()}
 
 
-def find_largest(content: Content) -> float:
+def find_largest_shown(content: Content) -> float:
     """Return the largest magnitude that any plot shows."""
     return max((abs(bound) for bounds in content.ranges.values() for bound in bounds), default=1.0)
 
@@ -274,7 +274,7 @@ def find_heading_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]
     """
     largest_deg = 0.0
     for run in runs:
-        errors = read_signal(run, "heading_error")
+        errors = find_signal(run, "heading_error")
         if errors is None:
             continue
         end_ns = find_end_of_turn(run)

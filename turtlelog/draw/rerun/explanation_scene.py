@@ -14,11 +14,11 @@ from turtlelog.charts.attribution_steps import (
     draw_up_attribution,
 )
 from turtlelog.charts.close_up import Lettering, name_ends
-from turtlelog.charts.luck import build_luck_picture
+from turtlelog.charts.luck_chart import build_luck_picture
 from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.compare import Column, Table
 from turtlelog.draw.rerun import entities, plane
-from turtlelog.draw.rerun.content import Content, describe_content, find_largest
+from turtlelog.draw.rerun.content import Content, describe_content, find_largest_shown
 from turtlelog.draw.rerun.entities import GHOSTS, RUNS, join_path, name_part
 from turtlelog.draw.rerun.ghosts import (
     Ghost,
@@ -32,10 +32,10 @@ from turtlelog.draw.rerun.layout import build_explanation_layout
 from turtlelog.draw.rerun.luck_picture import count_ends, draw_luck_ends, draw_luck_picture
 from turtlelog.draw.rerun.marks import (
     draw_dead_times,
-    draw_events,
     draw_lines,
     draw_phases,
     list_dead_times,
+    list_events,
     list_pause_times,
 )
 from turtlelog.draw.rerun.plots import (
@@ -139,7 +139,9 @@ def write_explanation_rrd(
             draw_luck_ends(stream, picture, content.goal)
         for line, (color, times_ns) in lines.items():
             entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
-            draw_lines(run_stream, entity, label, color, times_ns, largest=find_largest(content))
+            draw_lines(
+                run_stream, entity, label, color, times_ns, largest=find_largest_shown(content)
+            )
         draw_dead_times(run_stream, dead_times)
         draw_documents(stream, texts)
 
@@ -267,7 +269,7 @@ def _draw_scene(
     for own_stream, run, name, listed in pairs:
         if own_stream in (streams[0], streams[-1]):
             draw_phases(own_stream, run)
-        draw_events(own_stream, run, name)
+        list_events(own_stream, run, name)
         for curves in listed:
             draw_series(own_stream, curves)
     for curves in scene.gaps:

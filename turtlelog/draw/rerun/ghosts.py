@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from turtlelog.angles import wrap_angle
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import format_length
 from turtlelog.charts.ideal_curves import find_steps
@@ -20,6 +19,7 @@ from turtlelog.draw.rerun.timelines import RunStream, Timelines, Values, build_i
 from turtlelog.draw.rerun.turtles import MOST_SEGMENTS, Look, draw_trail, draw_turtle
 from turtlelog.draw.rerun.world import Bounds
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import wrap_angle
 
 IDEAL: Final = "ideal_loop"
 _IDEAL_NAME: Final = "ideal loop"

@@ -9,14 +9,14 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from turtlelog.charts import palette
+from turtlelog.charts.axis_ranges import HEADROOM
 from turtlelog.charts.phase_timelines import TIMELINE
-from turtlelog.charts.ranges import HEADROOM
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.content import Content, describe_content
 from turtlelog.draw.rerun.entities import APPLICATION_ID, join_path
 from turtlelog.draw.rerun.layout import build_run_layout
 from turtlelog.draw.rerun.legends import name_legends
-from turtlelog.draw.rerun.marks import draw_events, draw_phases
+from turtlelog.draw.rerun.marks import draw_phases, list_events
 from turtlelog.draw.rerun.plots import (
     LevelLines,
     draw_references,
@@ -184,7 +184,7 @@ class LiveScene:
         draw_phases(run_stream, run)
         if run.events:
             plane.draw_event_places(run_stream, run)
-            draw_events(run_stream, run)
+            list_events(run_stream, run)
         for curves in series:
             draw_series(run_stream, curves)
         _flush(stream)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import StepScale
 from turtlelog.charts.close_up import CloseUp
-from turtlelog.charts.luck import LuckLine, LuckPicture, spread_labels
+from turtlelog.charts.luck_chart import LuckLine, LuckPicture, spread_labels
 from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path

@@ -15,9 +15,9 @@ from turtlelog.charts.time_plots import find_marked
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.plots import Series
 from turtlelog.draw.rerun.timelines import RunStream
-from turtlelog.loops import DONE, PAUSE
 from turtlelog.measure import Metric, find_first_stretch
 from turtlelog.run import Run
+from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.theory import compute_sampled_step_response
 
 Shape = Literal["Circle", "Square", "Cross"]
@@ -174,7 +174,7 @@ def draw_phases(run_stream: RunStream, run: Run) -> None:
     phases.send_few("", starts_ns, columns)
 
 
-def draw_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
+def list_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
     """List the events as a text log, each after the speaker's name if there is one."""
     if not run.events:
         return

@@ -14,8 +14,8 @@ import rerun.blueprint as rrb
 from turtlelog.draw.output_files import replace_file
 from turtlelog.draw.rerun.entities import APPLICATION_ID, name_document
 from turtlelog.errors import ShowError
+from turtlelog.files.urls import make_path
 from turtlelog.measure import Metric
-from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 
 _PATIENCE_S: Final = 5.0

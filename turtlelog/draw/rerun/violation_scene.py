@@ -16,7 +16,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.curves import Curve
 from turtlelog.charts.phase_timelines import TIMELINE
 from turtlelog.charts.violated_signal import ViolatedSignal
-from turtlelog.draw.documents import describe_run
+from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import VIOLATION, join_path
 from turtlelog.draw.rerun.layout import LEGEND_TITLE, build_run_layout, build_violation_layout
@@ -107,7 +107,7 @@ def write_violation_rrd(
     events = sorted((*run.events, event), key=lambda found: found.time_ns)
     run = replace(run, events=tuple(events))
     single = build_single(run)
-    documents = {"Violation": fence_markdown(message), **describe_run(run, metrics=single.metrics)}
+    documents = {"Violation": fence_markdown(message), **document_run(run, metrics=single.metrics)}
     documents = {**add_thinning(documents, [run])}
     if violated is not None:
         documents[LEGEND_TITLE] = _write_legend(violated)

@@ -12,6 +12,7 @@ from typing import BinaryIO, Final
 import zstandard
 
 from turtlelog.errors import LogError
+from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
 from turtlelog.log.engine.framing import find_wrong_start
 from turtlelog.log.engine.limits import FRAMES, UNPACKED_FILE, Allowance, measure_stored
@@ -19,7 +20,6 @@ from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.engine.sqlite_source import SqliteSource, open_sqlite
 from turtlelog.log.error_boundary import DamageError, name_file, open_file
-from turtlelog.remote.urls import RemotePath, make_path
 
 ROS1_MAGIC: Final = b"#ROSBAG V"
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar
 
 import numpy as np
 
+from turtlelog.files.urls import expect_reads
 from turtlelog.log.engine.blocks import (
     Block,
     Offsets,
@@ -42,7 +43,6 @@ from turtlelog.log.engine.summary import (
     read_ends,
 )
 from turtlelog.log.error_boundary import DamageError
-from turtlelog.remote.urls import expect_reads
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

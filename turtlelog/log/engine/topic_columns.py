@@ -24,7 +24,7 @@ from turtlelog.log.engine.opening import open_source
 from turtlelog.log.engine.selection import EVER, Selection
 from turtlelog.log.engine.source import Piece, Source, count_rows, iterate_pieces
 from turtlelog.log.engine.sqlite_source import SqliteSource
-from turtlelog.tabular import Tabular
+from turtlelog.run.tabular import Tabular
 
 _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
 

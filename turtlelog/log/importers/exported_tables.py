@@ -12,10 +12,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
-from turtlelog.declaration_json import parse_declaration
 from turtlelog.errors import LogError, RunError
 from turtlelog.escapes import guard_cell
+from turtlelog.files.text_files import describe_csv_error
+from turtlelog.files.urls import make_path
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers.table_text import read_header, require_few_columns
 from turtlelog.log.parquet_file import (
@@ -25,8 +25,6 @@ from turtlelog.log.parquet_file import (
     list_cells,
 )
 from turtlelog.log.planar import compute_heading
-from turtlelog.loops import DONE, PAUSE, Declaration
-from turtlelog.remote.urls import make_path
 from turtlelog.run import (
     TABLES,
     Clock,
@@ -37,9 +35,11 @@ from turtlelog.run import (
     SampleColumns,
     tabulate_run,
 )
+from turtlelog.run.angles import wrap_angle
 from turtlelog.run.columns import PAIRS
+from turtlelog.run.declaration_json import parse_declaration
+from turtlelog.run.loops import DONE, PAUSE, Declaration
 from turtlelog.run.tables import Table
-from turtlelog.text_files import describe_csv_error
 
 TABLE_SUFFIXES: Final = (".csv", ".parquet")
 _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})

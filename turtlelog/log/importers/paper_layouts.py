@@ -10,8 +10,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.errors import LogError
+from turtlelog.files.text_files import describe_csv_error, iterate_lines
 from turtlelog.log.importers.paper_log import NUMBERS, PaperLog, build_columns, require_number
-from turtlelog.text_files import describe_csv_error, iterate_lines
 
 _PARAMETERS: Final = MappingProxyType(
     {

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION
-from turtlelog.loops import DONE
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.run.loops import DONE
 
 _PHASES: Final = {name: number for number, name in enumerate(DECLARATION.phase_names)}
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import format_utc, join_words
 from turtlelog.errors import LogError, RunError
+from turtlelog.files.urls import make_path
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.importers.table_cells import Cells, Times, Values
 from turtlelog.log.importers.table_columns import Choice, choose_columns
@@ -17,7 +18,6 @@ from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_p
 from turtlelog.log.planar import compute_heading, compute_tilt, describe_plane
 from turtlelog.log.read_choice import CHOSEN
 from turtlelog.log.ros2.bag_columns import separate_times, wrap_far_headings
-from turtlelog.remote.urls import make_path
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 _NEVER: Final = (

@@ -50,7 +50,7 @@ from turtlelog.log.recording.topics import (
     define_states,
     list_topics,
 )
-from turtlelog.loops import Declaration
+from turtlelog.run.loops import Declaration
 
 _MOST_PLANS: Final = 64
 """Of topics: those of every recording, and of the states of some laws."""

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from turtlelog.declaration_json import format_declaration, parse_declaration
 from turtlelog.errors import LogError, ScenarioError
+from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
 from turtlelog.log.read_choice import CHOSEN
 from turtlelog.log.recording.topics import MEASURED, SENSED, SHAPED
-from turtlelog.loops import Declaration
 from turtlelog.run import Clock
+from turtlelog.run.declaration_json import format_declaration, parse_declaration
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW, nest_parameters
-from turtlelog.text_files import copy_tables, format_toml, parse_known_toml
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from turtlelog.log.engine.source import read_piece
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
 from turtlelog.log.error_boundary import DamageError, UnfinishedError, name_file, open_file
-from turtlelog.log.info import Survey, survey_file
+from turtlelog.log.file_info import Survey, survey_file
 from turtlelog.log.recording.contents import (
     Contents,
     ForeignFileError,
@@ -61,8 +61,8 @@ from turtlelog.log.recording.topics import (
     SHAPED,
     VELOCITY64,
 )
-from turtlelog.loops import Declaration
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import flatten_tables
 
 Values = NDArray[np.float64]

@@ -35,8 +35,8 @@ from turtlelog.log.recording.topics import (
     define_types,
     name_state_type,
 )
-from turtlelog.loops import DONE, PAUSE
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns
+from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.scenario import DEFAULT_LAW
 
 Values = dict[str, Any]

@@ -35,8 +35,8 @@ from turtlelog.log.recording.topics import (
     list_topics,
 )
 from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, ChunkRows, encode_message
-from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import CUT_SHORT
+from turtlelog.run.loops import DONE, PAUSE, Declaration
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import SampleRow, Tick, TickRow
 

@@ -12,7 +12,7 @@ from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.known_definitions import find_definition
-from turtlelog.loops import Declaration
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW
 
 

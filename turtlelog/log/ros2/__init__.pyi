@@ -11,9 +11,24 @@ from .bag_metadata import (
 from .bag_reader import (
     read_bag as read_bag,
 )
+from .bag_robots import (
+    BagRobot as BagRobot,
+    find_robots as find_robots,
+    select_robot as select_robot,
+)
+from .bag_scans import (
+    Surroundings as Surroundings,
+    read_surroundings as read_surroundings,
+)
 from .bag_topics import (
+    ACKERMANN_TYPES as ACKERMANN_TYPES,
     COMMAND_TYPES as COMMAND_TYPES,
+    JOINTS as JOINTS,
+    NEEDS_WHEELBASE as NEEDS_WHEELBASE,
+    NEEDS_WHEELS as NEEDS_WHEELS,
     POSE_TYPES as POSE_TYPES,
+    NoPosesError as NoPosesError,
+    choose_command_topic as choose_command_topic,
     choose_pose_topic as choose_pose_topic,
     describe_unread_topics as describe_unread_topics,
 )

@@ -6,10 +6,10 @@ from itertools import chain
 from pathlib import Path
 
 from turtlelog.errors import LogError
+from turtlelog.files.urls import make_path
 from turtlelog.log.engine.topic_columns import TopicColumns, read_some_columns
-from turtlelog.log.info import RecordingInfo, TopicInfo, merge_topics, read_info
+from turtlelog.log.file_info import RecordingInfo, TopicInfo, merge_topics, read_info
 from turtlelog.log.ros2.bag_folder import find_bag_files
-from turtlelog.remote.urls import make_path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

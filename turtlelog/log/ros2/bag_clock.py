@@ -18,6 +18,7 @@ from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.read_choice import TimeSource
 from turtlelog.log.ros2.stamps import (
+    FIRST_WALL_NS,
     StampClock,
     Stamps,
     TimesNs,
@@ -42,10 +43,6 @@ close."""
 _SAME_CLOCK_NS: Final = 1_000_000_000
 """Stamps of commands are of the poses' simulation where they lie this close [ns] to when the
 commands were received: two simulations, or a clock of the wall, are further apart."""
-
-_FIRST_WALL_NS: Final = 1_000_000_000_000_000_000
-"""Stamps before this [ns], in 2001, are of no clock on a wall: a simulation's begin at 0. Later
-ones that go at another pace may be a simulation's, or of a recorder that falls behind."""
 
 _SHOWN_DRIFT_NS: Final = 1_000_000
 """A drift that adds up to less [ns] is not worth a word."""
@@ -81,7 +78,9 @@ class BagTimes:
     notes: Mapping[str, str] = field(default_factory=dict)
 
 
-def time_rows(poses: Stamps, commands: Stamps | None, time: TimeSource) -> BagTimes:
+def time_rows(
+    poses: Stamps, commands: Stamps | None, time: TimeSource, *, noun: str = "poses"
+) -> BagTimes:
     """Return when poses and commands happened, on one timeline.
 
     That is the recorder's clock. Where the stamps' seconds are others than its own, as in
@@ -92,6 +91,8 @@ def time_rows(poses: Stamps, commands: Stamps | None, time: TimeSource) -> BagTi
         poses: Of the pose topic, in order of log time.
         commands: Of the command topic likewise; None where there is none.
         time: `auto`: poses by their stamps where these are usable, otherwise by the log.
+        noun: What the rows are that stand as poses: commands, of a bag that has nothing else. Of
+            these none is left out, however close they are.
 
     Raises:
         LogError: Where stamps are asked for, and no pose has a usable one.
@@ -99,17 +100,25 @@ def time_rows(poses: Stamps, commands: Stamps | None, time: TimeSource) -> BagTi
     commands = commands or Stamps(log_ns=np.empty(0, dtype=np.int64))
     if poses.stamp_ns is None:
         if time == "stamp":
-            raise LogError("time: expected poses with stamps, found a type without: take log")
+            raise LogError(f"time: expected {noun} with stamps, found a type without: take log")
         return BagTimes(poses=_sort(poses.log_ns), commands=_sort(commands.log_ns))
     found = read_stamp_clock(poses)
     if time == "stamp" and found.pace is None:
-        raise LogError(f"time: expected usable stamps of poses, but {found.reason}: take log")
+        raise LogError(f"time: expected usable stamps of {noun}, but {found.reason}: take log")
     if time == "log" or (time == "auto" and found.reason):
-        text = f"poses are timed by the recorder's clock, {_describe_log(found)}"
-        return _build(_sort(poses.log_ns), _sort(commands.log_ns), _make_clock(found, "log"), text)
-    text = f"poses are timed by their stamps{_describe(found)}"
+        text = f"{noun} are timed by the recorder's clock, {_describe_log(found)}"
+        rows, clock = _sort(poses.log_ns), _make_clock(found, "log")
+    else:
+        text = f"{noun} are timed by their stamps{_describe(found)}"
+        rows, clock = _sort(found.time_ns), _make_clock(found, "stamp")
+    if noun != "poses":
+        return BagTimes(
+            poses=rows, commands=_sort(commands.log_ns), clock=clock, notes={CLOCK: text}
+        )
+    if clock.used == "log":
+        return _build(rows, _sort(commands.log_ns), clock, text)
     commands_ns, how = _time_commands(commands, poses, found)
-    return _build(_sort(found.time_ns), _sort(commands_ns), _make_clock(found, "stamp"), text + how)
+    return _build(rows, _sort(commands_ns), clock, text + how)
 
 
 def _time_commands(commands: Stamps, poses: Stamps, found: StampClock) -> tuple[TimesNs, str]:
@@ -143,7 +152,7 @@ def _describe_log(found: StampClock) -> str:
     """Return why the log's times are used, and what that means for rates."""
     if found.reason:
         return f"as {found.reason}"
-    text = "as asked"
+    text = "as given"
     if found.is_other_pace:
         text += f": rates are those of the motion times {found.pace:.3g}, the stamps' pace"
     return text
@@ -153,12 +162,13 @@ def _describe(found: StampClock) -> str:
     """Return how the stamps stand to the recorder's clock, in words that follow `stamps`."""
     texts = []
     pace, offset_ns, jitter_ns = found.pace or 1.0, found.offset_ns or 0, found.jitter_ns or 0
+    is_wall = int(found.time_ns[found.known[0]]) - offset_ns >= FIRST_WALL_NS
     if found.is_other_pace:
-        first_ns = int(found.time_ns[found.known[0]]) - offset_ns
-        why = "a simulation's" if first_ns < _FIRST_WALL_NS else "of another pace"
+        why = "of another pace" if is_wall else "a simulation's"
         texts.append(
             f", whose seconds are {why}: {found.stamps_span_ns / 1e9:.1f} s in"
-            f" {found.log_span_ns / 1e9:.1f} s of the recorder's clock, ratio {pace:.3g}"
+            f" {found.log_span_ns / 1e9:.1f} s of the recorder's clock, ratio"
+            f" {_format_pace(pace)}"
         )
     else:
         texts.append(
@@ -166,7 +176,9 @@ def _describe(found: StampClock) -> str:
             f" whose transport is unknown; usually it takes {jitter_ns / 1e6:.1f} ms more"
         )
         if abs(pace - 1.0) * found.log_span_ns > max(jitter_ns, _SHOWN_DRIFT_NS):
-            texts.append(f"; their clock drifts by {(pace - 1.0) * 1e6:+.0f} ppm, taken out")
+            drift = f"{(pace - 1.0) * 1e6:+.0f} ppm"
+            whose = "clock" if is_wall else "clock, which was never set or is a simulation's,"
+            texts.append(f"; their {whose} drifts by {drift}, taken out")
     if found.jumps:
         texts.append(f"; their clock was set {describe_count(found.jumps, 'time')}")
     if found.odd:
@@ -174,6 +186,11 @@ def _describe(found: StampClock) -> str:
     if found.disordered:
         texts.append(f"; {found.disordered} received out of order are sorted")
     return "".join(texts)
+
+
+def _format_pace(pace: float) -> str:
+    """Return a ratio in as many digits as tell it from 1."""
+    return f"{pace:.3g}" if abs(pace - 1.0) > 0.01 else f"{pace:.5g}"
 
 
 def _format_offset(offset_ns: int) -> str:

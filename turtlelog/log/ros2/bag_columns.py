@@ -1,20 +1,25 @@
 """The rows of a run in the messages of third-party types, put in order."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar import compute_heading, compute_tilt
+from turtlelog.log.ros2.bag_topics import ACKERMANN_TYPES, JOINTS
 from turtlelog.log.ros2.stamps import Stamps, read_stamps
+from turtlelog.run.angles import wrap_angle
 
 _ROWS_AT_ONCE: Final = 65_536
+
+Held = list[dict[str, TopicColumns]]
+"""Messages by topic, for each file, until their rows are in order."""
 
 Fields = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]
@@ -50,6 +55,9 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
     columns = {**place, **columns}
     if f"{shape.position}z" in fields:
         columns["z"] = _widen(fields[f"{shape.position}z"])
+    for name in ("measured_speed", "measured_turn_rate"):
+        if kind == JOINTS and name in fields:
+            columns[name] = _widen(fields[name])
     if kind == "nav_msgs/msg/Odometry":
         twist = "twist.twist"
         columns["measured_speed"] = _widen(fields[f"{twist}.linear.x"])
@@ -118,8 +126,26 @@ def _find_turn(fields: Collection[str], place: str) -> PoseShape | None:
     return None
 
 
-def extract_commands(kind: str, fields: Fields) -> dict[str, Values]:
-    """Return forward and lateral speed [m/s] and turn rate [rad/s]."""
+def extract_commands(
+    kind: str, fields: Fields, *, wheelbase_m: float | None = None
+) -> dict[str, Values]:
+    """Return forward and lateral speed [m/s] and turn rate [rad/s].
+
+    Args:
+        kind: Type of the messages.
+        fields: Their fields.
+        wheelbase_m: Distance of the axles [m], which Ackermann commands need: a car turns with
+            speed * tan(steering angle) / wheelbase.
+    """
+    if kind in ACKERMANN_TYPES and wheelbase_m is not None:
+        drive = "drive." if kind.endswith("Stamped") else ""
+        speed_m_s = _widen(fields[f"{drive}speed"])
+        steering_rad = _widen(fields[f"{drive}steering_angle"])
+        return {
+            "speed": speed_m_s,
+            "lateral_speed": np.zeros_like(speed_m_s),
+            "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
+        }
     twist = "twist." if kind == "geometry_msgs/msg/TwistStamped" else ""
     return {
         "speed": _widen(fields[f"{twist}linear.x"]),
@@ -250,6 +276,30 @@ def order_rows(
     twice = _find_duplicates(rows.time_ns, [*others, *rows.columns.values()])
     duplicates = int(twice.sum())
     return replace(rows.take(~twice), duplicates=duplicates) if duplicates else rows
+
+
+def order_topic(
+    found: Held, choice: TopicInfo, extract: Callable[[str, Fields], dict[str, Values]]
+) -> OrderedRows:
+    """Return the rows of a topic from all files, whose messages are not held any longer."""
+    messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]
+    tables = []
+    for columns in messages:
+        if columns.type != choice.type:
+            raise LogError(f"topic {choice.topic}: expected {choice.type}, found {columns.type}")
+        try:
+            tables.append(extract(choice.type, columns.fields))
+        except LogError as err:
+            raise LogError(f"topic {choice.topic}: {err}") from err
+        except KeyError as err:
+            raise LogError(
+                f"topic {choice.topic}: expected {choice.type} with a field {err.args[0]},"
+                f" found {', '.join(columns.fields)}"
+            ) from err
+    del messages
+    return order_rows(
+        [of_file.pop(choice.topic) for of_file in found if choice.topic in of_file], tables
+    )
 
 
 def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:

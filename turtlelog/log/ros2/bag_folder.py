@@ -7,11 +7,11 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Final
 
 from turtlelog.errors import LogError
+from turtlelog.files.urls import make_path
 from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.error_boundary import name_file
-from turtlelog.log.info import RecordingInfo, list_absent, merge_topics, read_info, sort_topics
+from turtlelog.log.file_info import RecordingInfo, list_absent, merge_topics, read_info, sort_topics
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE, BagMetadata, read_bag_metadata
-from turtlelog.remote.urls import make_path
 
 _PART: Final = re.compile(r"_[0-9]+(?:\.[A-Za-z0-9]+)+$")
 """How the names of a bag's parts end."""

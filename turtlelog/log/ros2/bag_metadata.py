@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final
 
 from turtlelog.errors import LogError
+from turtlelog.files.text_files import iterate_lines
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.text_files import iterate_lines
 
 METADATA_FILE: Final = "metadata.yaml"
 

@@ -1,21 +1,25 @@
 """Where the poses of a bag come from: a topic, the transforms between two frames, or its fields."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.info import TopicInfo
-from turtlelog.log.read_choice import ReadChoice
+from turtlelog.log.file_info import TopicInfo
+from turtlelog.log.read_choice import ReadChoice, parse_joints, parse_wheels
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_columns import find_pose_shape
 from turtlelog.log.ros2.bag_topics import (
+    FIX,
+    JOINTS,
+    NEEDS_WHEELS,
     TRANSFORM_TYPES,
     NoPosesError,
     Pick,
+    choose_joint_topic,
     choose_pose_topic,
     list_by_fields,
     list_names,
@@ -29,6 +33,8 @@ from turtlelog.log.ros2.bag_transforms import (
     collect_links,
     trace_frame,
 )
+from turtlelog.log.ros2.satellite_poses import locate_fixes
+from turtlelog.log.ros2.wheel_odometry import integrate_wheels
 
 Found = list[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""
@@ -65,24 +71,75 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
     """
     frames = {"pose_frame": choice.pose_frame, "world_frame": choice.world_frame}
     asked = [name for name, value in frames.items() if value is not None]
+    if choice.wheel_joints is not None or choice.wheels is not None:
+        return _integrate_wheels(bag, topics, choice, asked)
     if asked and choice.pose_topic is None:
         return _trace_poses(bag, _pick_transforms(topics), topics, choice)
     pick = _pick(bag, topics, choice.pose_topic)
     if pick.topic.type in TRANSFORM_TYPES:
-        return _trace_poses(bag, pick, topics, choice)
+        try:
+            return _trace_poses(bag, pick, topics, choice)
+        except LogError:
+            fix = _pick_fix(topics) if choice.pose_topic is None else None
+            if fix is None:
+                raise
+            pick = fix
     if asked:
         name = asked[0]
         raise LogError(
             f"{name}: expected poses from transforms, found {pick.describe()}, which are not"
         )
-    found = [*bag.read({pick.topic.topic})]
+    return _read_poses(bag, pick)
+
+
+def _read_poses(bag: Bag, pick: Pick) -> PoseSource:
+    """Return the messages of a topic that holds poses itself."""
+    name = pick.topic.topic
+    if pick.topic.type == JOINTS:
+        raise LogError(f"pose_topic {pick.describe()}: {NEEDS_WHEELS}")
+    found = [*bag.read({name})]
+    notes = note_pick("pose_topic", pick)
+    if pick.topic.type != FIX:
+        frame = _read_frame(found, name)
+        return PoseSource(topic=pick.topic, found=found, home=name, frame=frame, notes=notes)
+    columns, more = locate_fixes([file[name] for file in found if name in file])
     return PoseSource(
-        topic=pick.topic,
-        found=found,
-        home=pick.topic.topic,
-        frame=_read_frame(found, pick.topic.topic),
-        notes=note_pick("pose_topic", pick),
+        topic=replace(pick.topic, count=len(columns)),
+        found=[{name: columns}],
+        home=name,
+        frame="",
+        notes={**notes, **more},
     )
+
+
+def _integrate_wheels(
+    bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice, frames: Sequence[str]
+) -> PoseSource:
+    """Return the odometry of two wheels as messages of a topic of their own."""
+    if choice.wheel_joints is None or choice.wheels is None:
+        given, needed = ("wheels", "wheel_joints")
+        if choice.wheels is None:
+            given, needed = needed, given
+        raise LogError(f"{given}: needs {needed}, too: {NEEDS_WHEELS}")
+    if frames:
+        raise LogError(f"{frames[0]}: expected poses from transforms, found wheel_joints")
+    joints, wheels_m = parse_joints(choice.wheel_joints), parse_wheels(choice.wheels)
+    topic = choose_joint_topic(topics, choice.pose_topic)
+    messages = [file[topic.topic] for file in bag.read({topic.topic}, is_flat=False) if file]
+    columns, note = integrate_wheels(messages, joints, wheels_m)
+    return PoseSource(
+        topic=replace(topic, count=len(columns)),
+        found=[{topic.topic: columns}],
+        home=topic.topic,
+        frame="",
+        notes={**note_pick("pose_topic", Pick(topic=topic)), "wheels": note},
+    )
+
+
+def _pick_fix(topics: Collection[TopicInfo]) -> Pick | None:
+    """Return the topic of a satellite receiver, where there is but one."""
+    found = [topic for topic in topics if topic.type == FIX and topic.count and not topic.reason]
+    return Pick(topic=found[0]) if len(found) == 1 else None
 
 
 def note_pick(name: str, pick: Pick, more: str = "") -> dict[str, str]:
@@ -155,7 +212,8 @@ def _trace_poses(
     """Return poses of one frame in another as messages of a topic of their own."""
     topic = pick.topic.topic
     tree = read_tree(bag, topics, topic)
-    chosen = choose_frames(tree, robot=choice.pose_frame, world=choice.world_frame)
+    frames = {"robot": choice.pose_frame, "world": choice.world_frame}
+    chosen = choose_frames(tree, **frames, name=choice.robot)
     link, held = trace_frame(tree, chosen)
     unheld = np.zeros(len(link.time_ns), dtype=bool)
     for one in held:

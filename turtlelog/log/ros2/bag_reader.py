@@ -1,6 +1,6 @@
 """Bag -> Run: which of its topics, and what they hold."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
-from turtlelog.log.engine.opening import strip_suffixes
-from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.error_boundary import name_file
-from turtlelog.log.info import RecordingInfo, TopicInfo
+from turtlelog.log.file_info import RecordingInfo, TopicInfo
 from turtlelog.log.planar import describe_plane
-from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions, TimeSource
+from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import (
     CONTROL,
     LAW_STATE,
@@ -28,39 +26,42 @@ from turtlelog.log.recording.topics import (
 from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_clock import time_rows
 from turtlelog.log.ros2.bag_columns import (
-    Fields,
+    Held,
     OrderedRows,
     Values,
     describe_leaps,
     drop_not_finite,
-    extract_commands,
     extract_poses,
-    order_rows,
+    order_topic,
     separate_times,
     wrap_far_headings,
 )
+from turtlelog.log.ros2.bag_commands import (
+    NEVER_IN_BAGS,
+    build_commands,
+    choose_commands,
+    name_bag,
+    order_commands,
+    read_commands_alone,
+)
 from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_references import Track, add_references
+from turtlelog.log.ros2.bag_robots import BagRobot, describe_robots, require_robot, select_robot
 from turtlelog.log.ros2.bag_samples import add_samples
-from turtlelog.log.ros2.bag_topics import Pick, choose_command_topic, describe_unread_topics
+from turtlelog.log.ros2.bag_topics import (
+    TRANSFORMS,
+    NoPosesError,
+    Pick,
+    describe_unread_topics,
+)
 from turtlelog.log.ros2.reported_rates import LATERAL, judge_rates
-from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.run import PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
 """Note on messages that are there and are not read."""
 
 NOT_UNDERSTOOD: Final = "not_understood"
 """Note on topics of poses, commands, goals or paths that cannot be read."""
-
-_STORAGES: Final = {".mcap": "mcap", ".bag": "rosbag1"}
-"""How a run says what it was read of, by the ending of a lone file."""
-
-_NEVER_IN_BAGS: Final = (
-    *("samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"),
-)
-
-Held = list[dict[str, TopicColumns]]
-"""Messages by topic, for each file, until their rows are in order."""
 
 _SENSED: Final = (SENSED.name, SENSED.schema)
 
@@ -84,21 +85,48 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             nothing tells which of several topics is meant.
     """
     choice, bag = ReadChoice(**options), open_bag(path)
-    distinct = bag.topics
     with _name_once(bag):
-        source = find_poses(bag, distinct, choice)
-        commands = choose_command_topic(distinct, choice.command_topic, pose_topic=source.home)
+        is_asked = choice.pose_topic is not None and choice.robot is None
+        distinct, robots = (bag.topics, ()) if is_asked else select_robot(bag.topics, choice.robot)
+        try:
+            source = find_poses(bag, distinct, choice)
+        except NoPosesError as err:
+            run = read_commands_alone(bag, distinct, choice, err)
+            return _note_chosen(_note_robots(run, robots, choice), bag, distinct)
+        commands, lack = choose_commands(distinct, choice, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
         found: Held = [dict(of_file) for of_file in (*source.found, *bag.read(names))]
         source = replace(source, found=[])
-        run, track = _build_run(bag.path, found, source, commands, choice.time)
+        run, track = _build_run(bag.path, found, source, commands, choice)
+        run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
         run = add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
             run = add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
-    unread = describe_unread_topics(distinct)
-    notes = {**run.notes, **_note_rest(distinct, run), **_join_notes(bag.infos.values())}
+    return _note_chosen(_note_robots(run, robots, choice), bag, distinct)
+
+
+def _note_robots(run: Run, robots: Sequence[BagRobot], choice: ReadChoice) -> Run:
+    """Return a run with a note on the robots of its bag, and which of them it is.
+
+    Raises:
+        LogError: Where the one that was asked for is not it.
+    """
+    picks = (run.notes.get(name, "") for name in ("pose_topic", "command_topic"))
+    topic, _, frames = next(filter(None, picks)).partition(" (")
+    words = {*topic.split("/")[:-1]}
+    if choice.robot is not None and TRANSFORMS not in frames:
+        require_robot(choice.robot, topic, robots)
+    chosen = next((robot.name for robot in robots if robot.name in words), None)
+    notes = {"robots": describe_robots(robots, chosen)} if robots else {}
+    return replace(run, notes={**run.notes, **notes})
+
+
+def _note_chosen(run: Run, bag: Bag, topics: Sequence[TopicInfo]) -> Run:
+    """Return a run with notes on what else the bag holds, and on what was chosen of it."""
+    unread = describe_unread_topics(topics)
+    notes = {**run.notes, **_note_rest(topics, run), **_join_notes(bag.infos.values())}
     notes |= {NOT_UNDERSTOOD: unread} if unread else {}
     return replace(run, notes={**notes, CHOSEN: describe_chosen(notes)})
 
@@ -119,8 +147,11 @@ def _name_once(bag: Bag) -> Iterator[None]:
 def describe_chosen(notes: Mapping[str, str]) -> str:
     """Return in one line what was read of a bag, and what else could have been meant."""
     command = notes.get("command_topic")
-    parts = [f"poses from {notes['pose_topic']}"]
+    poses = notes.get("pose_topic")
+    parts = [f"poses from {poses}" if poses else "no poses"]
     parts.append(f"commands from {command}" if command else "no commands")
+    parts += [notes["commands"]] if "commands" in notes else []
+    parts += [f"robots {notes['robots']}"] if "robots" in notes else []
     parts += [f"path {notes['path']}"] if "path" in notes else []
     parts += [f"goal {notes['goal']}"] if "goal" in notes else []
     parts += [notes[NOT_UNDERSTOOD]] if NOT_UNDERSTOOD in notes else []
@@ -158,18 +189,16 @@ def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:
 
 
 def _build_run(
-    path: Path, found: Held, source: PoseSource, command_pick: Pick | None, time: TimeSource
+    path: Path, found: Held, source: PoseSource, command_pick: Pick | None, choice: ReadChoice
 ) -> tuple[Run, Track]:
     """Return the run, and where the robot was by the recorder's clock."""
-    poses = _order(found, source.topic, extract_poses)
+    poses = order_topic(found, source.topic, extract_poses)
     has_place = np.isfinite(poses.columns["x"]) & np.isfinite(poses.columns["y"])
     unturned = int((has_place & np.isnan(poses.columns["heading"])).sum())
     poses, dropped = _drop_nan(poses, source.topic.topic)
     commands, dropped_commands = None, 0
     if command_pick is not None:
-        commands = _order(found, command_pick.topic, extract_commands)
-        commands, dropped_commands = drop_not_finite(commands, [*commands.columns])
-        commands = commands if len(commands.time_ns) else None
+        commands, dropped_commands = order_commands(found, command_pick.topic, choice)
     track = Track(
         time_ns=poses.time_ns,
         xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
@@ -179,7 +208,7 @@ def _build_run(
     # Views: a second copy of x and y would take 16 bytes a pose.
     poses = replace(poses, columns={**poses.columns, **dict(zip("xy", track.xy_m.T, strict=True))})
     leaps = describe_leaps(track.xy_m)
-    times = time_rows(poses.stamps, None if commands is None else commands.stamps, time)
+    times = time_rows(poses.stamps, None if commands is None else commands.stamps, choice.time)
     poses = poses.take(times.poses.rows, times.poses.time_ns)
     columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     if commands is not None:
@@ -188,12 +217,13 @@ def _build_run(
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
     time_ns, moved = separate_times(poses.time_ns - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
-    name = path.resolve().name
+    name, source_words = name_bag(path)
     absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
     sensed = _match_sensed(found, track.time_ns, moved)
     notes = {
         "original_timestamp": format_utc(start_ns),
         **source.notes,
+        **({"frame": source.frame} if source.frame else {}),
         "sorted_rows": str(sum(rows.late for rows in tables)),
         "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
         "moved_rows": str(moved),
@@ -208,8 +238,8 @@ def _build_run(
     if command_pick is not None:
         notes |= note_pick("command_topic", command_pick)
     run = Run(
-        name=name if path.is_dir() else strip_suffixes(path),
-        source=f"{_STORAGES.get(path.suffix, 'rosbag2')}: {name}",
+        name=name,
+        source=source_words,
         poses=PoseColumns(
             time_ns=time_ns,
             xy_m=np.column_stack([columns["x"], columns["y"]]),
@@ -221,10 +251,10 @@ def _build_run(
             sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
             sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
         ),
-        commands=_build_commands(commands, start_ns),
+        commands=build_commands(commands, start_ns),
         samples=SampleColumns.build_empty(),
         clock=times.clock,
-        absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
+        absent=(*absent, *(() if commands else ("commands",)), *NEVER_IN_BAGS),
         notes=notes,
     )
     return run, track
@@ -267,7 +297,7 @@ def _match_sensed(found: Held, time_ns: NDArray[np.int64], moved: int) -> Values
     kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
     if moved or not any(SENSED.name in of_file for of_file in found):
         return None
-    sensed = _order(found, kind, extract_poses)
+    sensed = order_topic(found, kind, extract_poses)
     rows = np.searchsorted(time_ns, sensed.time_ns)
     is_known = np.isin(sensed.time_ns, time_ns).all()
     if not is_known or (np.diff(sensed.time_ns) == 0).any():
@@ -275,38 +305,3 @@ def _match_sensed(found: Held, time_ns: NDArray[np.int64], moved: int) -> Values
     values = np.full((len(time_ns), 3), np.nan)
     values[rows] = np.column_stack([sensed.columns[name] for name in ("x", "y", "heading")])
     return values
-
-
-def _order(
-    found: Held, choice: TopicInfo, extract: Callable[[str, Fields], dict[str, Values]]
-) -> OrderedRows:
-    """Return the rows of a topic from all files, whose messages are not held any longer."""
-    messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]
-    tables = []
-    for columns in messages:
-        if columns.type != choice.type:
-            raise LogError(f"topic {choice.topic}: expected {choice.type}, found {columns.type}")
-        try:
-            tables.append(extract(choice.type, columns.fields))
-        except LogError as err:
-            raise LogError(f"topic {choice.topic}: {err}") from err
-        except KeyError as err:
-            raise LogError(
-                f"topic {choice.topic}: expected {choice.type} with a field {err.args[0]},"
-                f" found {', '.join(columns.fields)}"
-            ) from err
-    del messages
-    return order_rows(
-        [of_file.pop(choice.topic) for of_file in found if choice.topic in of_file], tables
-    )
-
-
-def _build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
-    none = np.zeros(0)
-    columns = rows.columns if rows else dict.fromkeys(("speed", "lateral_speed", "turn_rate"), none)
-    return CommandColumns(
-        time_ns=rows.time_ns - start_ns if rows else np.zeros(0, dtype=np.int64),
-        speed_m_s=columns["speed"],
-        lateral_speed_m_s=columns["lateral_speed"],
-        turn_rate_rad_s=columns["turn_rate"],
-    )

@@ -15,8 +15,8 @@ from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
 from turtlelog.log.ros2.bag_topics import choose_goal_topic, choose_path_topics, list_names
 from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, rotate
-from turtlelog.paths import LEAST_M, MOST_POINTS, Path
 from turtlelog.run import Run
+from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 
 Values = NDArray[np.float64]
 
@@ -94,7 +94,7 @@ def add_references(run: Run, bag: Bag, source: PoseSource, track: Track, choice:
 
 def _take_given(given: tuple[float, ...]) -> "FoundGoal":
     xy_m, heading_rad = parse_goal(given)
-    return FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as asked")
+    return FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as given")
 
 
 def _collect(bag: Bag, topic: str) -> list[TopicColumns]:

@@ -13,8 +13,8 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.head import MAY_BE_ABSENT
 from turtlelog.log.recording.topics import CONTROL, CONTROL_COLUMNS, PHASE, POSE
 from turtlelog.log.ros2.bag import Bag
-from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import Run, SampleColumns
+from turtlelog.run.loops import DONE, PAUSE, Declaration
 
 Times = NDArray[np.int64]
 

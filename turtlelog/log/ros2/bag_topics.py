@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.info import TopicInfo
+from turtlelog.log.file_info import TopicInfo
+from turtlelog.log.read_choice import match_topic
 from turtlelog.log.recording.topics import MEASURED, POSE64, SHAPED, VELOCITY64
 
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 FRAME_TRANSFORM: Final = "foxglove.FrameTransform"
 TRANSFORM_TYPES: Final = (TRANSFORMS, FRAME_TRANSFORM)
+FIX: Final = "sensor_msgs/msg/NavSatFix"
+JOINTS: Final = "sensor_msgs/msg/JointState"
 PATH: Final = "nav_msgs/msg/Path"
 GOAL_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 
@@ -26,14 +29,24 @@ _TIERS: Final = {
     "geometry_msgs/msg/Pose2D": 3,
     "geometry_msgs/msg/TransformStamped": 4,
     **dict.fromkeys(TRANSFORM_TYPES, 5),
+    FIX: 6,
 }
-"""Types of poses, and which come first: odometry tells rates, too; stamps come before none."""
+"""Types of poses, and which come first: odometry tells rates, too; stamps come before none, and
+a satellite receiver tells no heading."""
 
 POSE_TYPES: Final = tuple(_TIERS)
 _POSES_IN_SHORT: Final = (
-    "turtlesim's, Odometry, a Pose with or without stamp, a Pose2D, or transforms on /tf"
+    "turtlesim's, Odometry, a Pose with or without stamp, a Pose2D, transforms on /tf, or NavSatFix"
 )
-COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+TWIST_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+ACKERMANN_TYPES: Final = (
+    "ackermann_msgs/msg/AckermannDrive",
+    "ackermann_msgs/msg/AckermannDriveStamped",
+)
+COMMAND_TYPES: Final = (*TWIST_TYPES, *ACKERMANN_TYPES)
+
+NEEDS_WHEELS: Final = "joints give poses with --wheel-joints LEFT,RIGHT --wheels RADIUS,TRACK, in m"
+NEEDS_WHEELBASE: Final = "steering gives turn rates with --wheelbase L, in m"
 
 _MOST_UNREAD: Final = 3
 """Topics that a line names with the reason why they are not read."""
@@ -78,7 +91,15 @@ _POSE_NAMES: Final = (
 
 
 class NoPosesError(LogError):
-    """No topic is of a type of poses, or none of these can be read."""
+    """No topic is of a type of poses, or none of these can be read.
+
+    Attributes:
+        is_unread: Whether there are some that cannot be read.
+    """
+
+    def __init__(self, text: str, *, is_unread: bool = False) -> None:
+        super().__init__(text)
+        self.is_unread = is_unread
 
 
 _MOST_LISTED: Final = 100
@@ -117,13 +138,14 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
-        return Pick(topic=_find_asked(held, asked, POSE_TYPES, "pose_topic"))
+        return Pick(topic=_find_asked(held, asked, (*POSE_TYPES, JOINTS), "pose_topic"))
     present = _drop_unread(held)
     typed = [topic for topic in present if topic.type in POSE_TYPES]
-    usual = [topic for topic in typed if not _is_no_robot(topic.topic)]
+    usual = [topic for topic in typed if not is_another_thing(topic.topic)]
     fitting = _drop_two_types(usual, present)
     if not fitting:
-        raise NoPosesError(_describe_no_poses(held, present))
+        text, is_unread = _describe_no_poses(held, present)
+        raise NoPosesError(text, is_unread=is_unread)
     homes = {_take_home(topic.topic) for topic in present if topic.type in COMMAND_TYPES}
     best = _list_first(fitting, lambda topic: _rank_poses(topic, homes))
     if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
@@ -134,13 +156,39 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     return Pick(topic=chosen, others=tuple(topic.topic for topic in others))
 
 
+def choose_joint_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicInfo:
+    """Return the topic of joints that was asked for, or that is called so.
+
+    Raises:
+        LogError: Where there is none, or nothing tells which of several.
+    """
+    held = [topic for topic in topics if topic.count]
+    if asked is not None:
+        return _find_asked(held, asked, (JOINTS,), "pose_topic")
+    fitting = [topic for topic in _drop_unread(held) if topic.type == JOINTS]
+    if not fitting:
+        raise LogError(f"wheel_joints: expected a topic of {JOINTS}, found {_describe(held)}")
+    named = [topic for topic in fitting if _take_last(topic.topic) == "joint_states"]
+    return _require_one(named or fitting, "pose_topic", "--pose-topic")
+
+
 def choose_command_topic(
-    topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
+    topics: Iterable[TopicInfo],
+    asked: str | None,
+    *,
+    pose_topic: str,
+    types: Collection[str] = COMMAND_TYPES,
 ) -> Pick | None:
     """Return the topic that was asked for, or the one that is most likely meant; None without any.
 
     The neighbour of the poses (/turtle2/cmd_vel of /turtle2/pose) comes before all others, then the
     name by which a base listens (cmd_vel before cmd_vel_nav). Another robot's are never taken.
+
+    Args:
+        topics: Of the bag.
+        asked: Name of the one that was asked for.
+        pose_topic: That of the poses; empty without poses.
+        types: Which of the types of commands are looked for.
 
     Raises:
         LogError: Where nothing tells which of several.
@@ -149,12 +197,12 @@ def choose_command_topic(
     if asked is not None:
         return Pick(topic=_find_asked(held, asked, COMMAND_TYPES, "command_topic"))
     present = _drop_unread(held)
-    known = _drop_two_types([topic for topic in present if topic.type in COMMAND_TYPES], present)
+    known = _drop_two_types([topic for topic in present if topic.type in types], present)
     fitting = [
         topic
         for topic in known
         if topic.topic not in _NO_COMMANDS
-        and not _MEASURED.search(_take_last(topic.topic))
+        and not is_measured(topic.topic)
         and not _is_measured_beside(topic.topic, pose_topic)
         and not _is_another_robots(topic.topic, pose_topic)
     ]
@@ -215,7 +263,7 @@ def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
         for topic in topics
         if topic.count
         and not topic.reason
-        and not _is_no_robot(topic.topic)
+        and not is_another_thing(topic.topic)
         and (not _ROS_TYPE.fullmatch(topic.type) or _POSE_LIKE.search(_take_last(topic.type)))
     ]
 
@@ -229,13 +277,15 @@ def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
     return _join_reasons([topic for topic in unread if _is_of_a_run(topic)])
 
 
-def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> str:
-    """Return why a bag has no poses: topics that may hold some and cannot be read come first."""
+def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> tuple[str, bool]:
+    """Return why a bag has no poses, and whether some are there that cannot be read."""
     unread = [topic for topic in held if topic not in present]
     if reasons := _join_reasons([topic for topic in unread if _is_of_a_run(topic)]):
-        return reasons
+        return reasons, True
     found = f"expected poses ({_POSES_IN_SHORT}), found {_describe(held)}"
-    return "; ".join(filter(None, [found, _join_reasons(unread)]))
+    has_joints = any(topic.type == JOINTS for topic in present)
+    parts = [found, NEEDS_WHEELS if has_joints else "", _join_reasons(unread)]
+    return "; ".join(filter(None, parts)), False
 
 
 def _join_reasons(unread: Sequence[TopicInfo]) -> str:
@@ -303,6 +353,11 @@ def _rank_commands(topic: str, pose_topic: str) -> tuple[int, ...]:
     return int(name == len(_COMMAND_NAMES)), near, name, depth
 
 
+def is_measured(topic: str) -> bool:
+    """Return whether the name of a topic says that its velocities were measured."""
+    return _MEASURED.search(_take_last(topic)) is not None
+
+
 def _is_measured_beside(topic: str, pose_topic: str) -> bool:
     """Return whether a velocity stands beside the poses, and is called no command."""
     home, last = _take_home(topic), _take_last(topic)
@@ -334,7 +389,8 @@ def _rank_name(topic: str, names: Sequence[re.Pattern[str]]) -> int:
     return next(fitting, len(names))
 
 
-def _is_no_robot(topic: str) -> bool:
+def is_another_thing(topic: str) -> bool:
+    """Return whether the name of a topic says that its poses are no robot's: a goal, a marker."""
     return _NO_ROBOT.search(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", topic).lower()) is not None
 
 
@@ -365,6 +421,7 @@ def _require_one_type(name: str, present: Collection[TopicInfo]) -> None:
 def _find_asked(
     present: Collection[TopicInfo], asked: str, types: tuple[str, ...], name: str
 ) -> TopicInfo:
+    asked = match_topic(asked, {topic.topic for topic in present})
     _require_one_type(asked, present)
     found = next((topic for topic in present if topic.topic == asked), None)
     if found is None:

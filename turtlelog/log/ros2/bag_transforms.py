@@ -174,27 +174,41 @@ def _build_link(
     )
 
 
-def choose_frames(tree: Tree, *, robot: str | None = None, world: str | None = None) -> FrameChoice:
+def choose_frames(
+    tree: Tree,
+    *,
+    robot: str | None = None,
+    world: str | None = None,
+    name: str | None = None,
+) -> FrameChoice:
     """Return the frames that were asked for, completed by those that are most likely meant.
 
     Frames of a robot and of the world have well-known names; where none has one, the one link that
     moves is taken. A link below a robot's frame is a joint, and never taken.
 
+    Args:
+        tree: The transforms.
+        robot: The robot's frame.
+        world: That in which it is given.
+        name: Of the robot, where frames of several begin with their names.
+
     Raises:
         LogError: Where one is not there, or nothing tells which of several.
     """
-    frames = {name for names in tree for name in names}
-    robot, world = (None if name is None else name.lstrip("/") for name in (robot, world))
-    for option, name in (("pose_frame", robot), ("world_frame", world)):
-        if name is not None and name not in frames:
+    frames = {frame for names in tree for frame in names}
+    robot, world = (None if one is None else one.lstrip("/") for one in (robot, world))
+    for option, frame in (("pose_frame", robot), ("world_frame", world)):
+        if frame is not None and frame not in frames:
             known = ", ".join(sorted(frames))[:300] or "none"
             raise LogError(
-                f"{option}: expected a frame of the transforms, found {name} among {known}"
+                f"{option}: expected a frame of the transforms, found {frame} among {known}"
             )
     if robot is not None:
         top = world or _find_world(tree, robot)
         return FrameChoice(world=top, robot=robot, others=_list_other_parents(tree, robot, top))
     found = _list_robots(tree, world) or _list_lone(tree, world)
+    if name is not None:
+        found = [pair for pair in found if is_named(pair[1], name)] or _list_unnamed(found, name)
     if not found:
         links = ", ".join(link.describe() for link in tree.values() if link.moves) or "none"
         raise LogError(
@@ -205,7 +219,7 @@ def choose_frames(tree: Tree, *, robot: str | None = None, world: str | None = N
         pairs = ", ".join(" -> ".join(pair) for pair in found)
         raise LogError(
             f"transforms: expected one robot, found {pairs[:300]}: choose with --pose-frame and"
-            " --world-frame"
+            " --world-frame, or with --robot NAME"
         )
     ordered = sorted(found, key=lambda pair: split_numbers("|".join(pair)))
     others = tuple(" -> ".join(pair) for pair in ordered[1:])
@@ -213,6 +227,23 @@ def choose_frames(tree: Tree, *, robot: str | None = None, world: str | None = N
     return FrameChoice(
         world=top, robot=robot, others=(*_list_other_parents(tree, robot, top), *others)
     )
+
+
+def is_named(frame: str, name: str) -> bool:
+    """Return whether a frame is a robot's of some name: turtle1, robot1/base_link."""
+    return frame == name or frame.startswith((f"{name}/", f"{name}_"))
+
+
+def _list_unnamed(found: Sequence[tuple[str, str]], name: str) -> list[tuple[str, str]]:
+    """Return the pairs of frames of a robot whose topics alone have its name.
+
+    Raises:
+        LogError: Where frames have the names of others.
+    """
+    if any("/" in robot for _, robot in found):
+        frames = ", ".join(robot for _, robot in found)
+        raise LogError(f"robot {name}: no frame begins with that name; found {frames[:300]}")
+    return [*found]
 
 
 def _list_other_parents(tree: Tree, robot: str, world: str) -> tuple[str, ...]:
@@ -288,6 +319,21 @@ def _find_world(tree: Tree, robot: str) -> str:
         raise LogError(f"pose_frame {robot}: no transform leads to it from another frame")
     worlds = [name for name in above if _is_world(name)]
     return worlds[-1] if worlds else above[-1]
+
+
+def find_carrier(tree: Tree, frame: str) -> str | None:
+    """Return the robot's frame to which another one is fixed; None where no transform has that one.
+
+    It is the highest frame above with the name of a robot's, otherwise the first that moves.
+    """
+    if not any(frame in names for names in tree):
+        return None
+    above = [frame, *_climb(tree, frame)]
+    robots = [name for name in above if _is_robot(name)]
+    if robots:
+        return robots[-1]
+    moving = (child for child, parent in pairwise(above) if tree[parent, child].moves)
+    return next(moving, above[-1])
 
 
 def _is_world(frame: str) -> bool:

@@ -25,6 +25,14 @@ _MOST_DRIFT: Final = 2e-3
 """Two clocks of computers differ by less: quartz by some 1e-4, set straight by at most 5e-4 each
 way. Stamps that go faster or slower are those of a simulation."""
 
+FIRST_WALL_NS: Final = 1_000_000_000_000_000_000
+"""Stamps before this [ns], in 2001, are of no clock on a wall: a simulation's begin at 0. Later
+ones that go at another pace may be a simulation's, or of a recorder that falls behind."""
+
+_MOST_FREE_DRIFT: Final = 5e-4
+"""A clock that was never set is not set straight either: two of quartz differ by 2e-4 at most.
+Stamps of no wall clock that go faster or slower are those of a simulation."""
+
 _PARTED_NS: Final = 100_000_000
 """Two clocks that part by less [ns] over a recording may be one, with a transport that changes."""
 
@@ -150,12 +158,12 @@ def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
     if zeros == count:
         return "all stamps are 0"
     if count == 1:
-        return "one pose tells no clock"
+        return "one message tells no clock"
     if len(rows) < _LEAST_STAMPED * count:
         return f"{count - len(rows)} of {count} stamps are 0 or make no sense"
     distinct = int(np.count_nonzero(np.diff(np.sort(stamp_ns[rows])))) + 1
     if distinct < max(_LEAST_ADVANCES * count, 2):
-        return f"{count} poses share {describe_count(distinct, 'stamp')}"
+        return f"{count} messages share {describe_count(distinct, 'stamp')}"
     if max(jumps, backward) > len(rows) / _STRETCH_ROWS:
         return "the stamps' clock jumps to and fro"
     return ""
@@ -223,7 +231,8 @@ def _place(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], reason: st
     longest = max(stretches, key=len)
     slope = _fit_slope(log_ns[longest], stamp_ns[longest])
     late_ns = _measure_late(log_ns[longest], stamp_ns[longest], slope)
-    is_other = _is_other_pace(late_ns, abs(slope - 1.0) * stamps_ns, slope)
+    is_wall = int(stamp_ns[longest[0]]) >= FIRST_WALL_NS
+    is_other = _is_other_pace(late_ns, abs(slope - 1.0) * stamps_ns, slope, is_wall=is_wall)
     if is_other:
         pace = stamps_ns / max(passed_ns, 1)
         times = _chain(log_ns, stamp_ns, stretches, pace)
@@ -257,16 +266,17 @@ def _place(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], reason: st
     return clock
 
 
-def _is_other_pace(late_ns: Values, parted_ns: float, slope: float) -> bool:
+def _is_other_pace(late_ns: Values, parted_ns: float, slope: float, *, is_wall: bool) -> bool:
     """Return whether stamps have seconds of their own; `late_ns` is what a line leaves."""
     # A simulation that paused: from then on every message is late.
     quarters = [float(part.min()) for part in np.array_split(late_ns, _QUARTERS) if len(part)]
     if max(quarters) > _LATE_NS:
         return True
-    if abs(slope - 1.0) <= _MOST_DRIFT:
+    if abs(slope - 1.0) <= (_MOST_DRIFT if is_wall else _MOST_FREE_DRIFT):
         return False
     spread_ns = _LATE_SPREADS * float(np.quantile(late_ns, 0.9))
-    return parted_ns > min(max(spread_ns, _PARTED_NS), _LATE_NS)
+    # What is no wall clock is another clock in any case: of one, the transport may change.
+    return parted_ns > min(max(spread_ns, _PARTED_NS if is_wall else 0.0), _LATE_NS)
 
 
 def _fit_slope(log_ns: TimesNs, stamp_ns: TimesNs) -> float:

@@ -143,15 +143,23 @@ def count_missing(sequence: NDArray[np.int64]) -> int:
 
 _PERCENTS: Final = (50, 95, 99)
 
-run_metric("run.sample_rate", "Hz", "Samples per second, from the first to the last.", better=None)(
-    _on_periods("sample", compute_rate)
-)
+run_metric(
+    "run.sample_rate",
+    "Hz",
+    "Samples per second, from the first to the last.",
+    better=None,
+    needs_poses=False,
+)(_on_periods("sample", compute_rate))
 
-run_metric("run.sample_period_mean", "s", "Mean time from one sample to the next.", better=None)(
-    _on_periods("sample", lambda periods_s: float(periods_s.mean()))
-)
+run_metric(
+    "run.sample_period_mean",
+    "s",
+    "Mean time from one sample to the next.",
+    better=None,
+    needs_poses=False,
+)(_on_periods("sample", lambda periods_s: float(periods_s.mean())))
 
-run_metric("run.sample_period_std", "s", "Standard deviation of that time.")(
+run_metric("run.sample_period_std", "s", "Standard deviation of that time.", needs_poses=False)(
     _on_periods("sample", compute_spread)
 )
 
@@ -161,10 +169,14 @@ for _percent in _PERCENTS:
         "s",
         f"{_percent} % of these times are no longer.",
         better=None if _percent == 50 else "lower",
+        needs_poses=False,
     )(_pick(_percent))
 
 run_metric(
-    "run.sample_jitter", "s", "Root mean square of the change from one such time to the next."
+    "run.sample_jitter",
+    "s",
+    "Root mean square of the change from one such time to the next.",
+    needs_poses=False,
 )(_on_periods("sample", compute_jitter, fewest=2))
 
 
@@ -191,7 +203,9 @@ def tell_sample(course: RunContext, row: int) -> float:
     return float(course.sample_time_s[row])
 
 
-@course_metric("run.largest_gap", "s", "Longest time without a sample.", grows=True)
+@course_metric(
+    "run.largest_gap", "s", "Longest time without a sample.", grows=True, needs_poses=False
+)
 def measure_largest_gap(course: RunContext) -> Outcome:
     """Return the longest time; taken at its beginning."""
     if course.sample_count == 0:
@@ -204,7 +218,11 @@ def measure_largest_gap(course: RunContext) -> Outcome:
 
 
 run_metric(
-    "run.burst_samples", "1", "Samples that share their time with the one before.", grows=True
+    "run.burst_samples",
+    "1",
+    "Samples that share their time with the one before.",
+    grows=True,
+    needs_poses=False,
 )(_on_periods("sample", lambda periods_s: float(count_burst_rows(periods_s)), fewest=0))
 
 run_metric(
@@ -237,6 +255,7 @@ run_metric(
     "1",
     "Rows that stood twice in the imported file and were dropped.",
     grows=True,
+    needs_poses=False,
 )(_read_note("dropped_duplicates"))
 
 run_metric(
@@ -244,4 +263,5 @@ run_metric(
     "1",
     "Rows that stood late in the imported file and were put in order.",
     grows=True,
+    needs_poses=False,
 )(_read_note("sorted_rows"))

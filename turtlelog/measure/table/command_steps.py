@@ -97,7 +97,7 @@ class CommandStep:
 
 
 def find_command_steps(commands: HeldCommands, begin_s: float, end_s: float) -> list[CommandStep]:
-    """Return the steps of an axis between the first pose and the last, in order.
+    """Return the steps of an axis between the first pose and the last, or command, in order.
 
     The last command holds until the last message: how long after that nobody knows.
     """
@@ -200,7 +200,8 @@ def _find_steps(context: RunContext, axis: Axis) -> list[CommandStep] | Missing:
     commands = context.get_commands(axis)
     if commands is None:
         return ONE_POSE
-    begin_s, end_s = float(context.pose_time_s[0]), float(context.pose_time_s[-1])
+    time_s = context.pose_time_s if len(context.pose_time_s) else context.command_time_s
+    begin_s, end_s = float(time_s[0]), float(time_s[-1])
     return context.recall(("steps", axis), lambda: find_command_steps(commands, begin_s, end_s))
 
 
@@ -244,6 +245,7 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
         "1",
         f"Steps of the published {_words}: held for 0.5 s before, and for 1 s after.",
         better=None,
+        needs_poses=False,
     )(_count_steps(_name))
     run_metric(
         f"run.{_axis}_rise_time",

@@ -7,7 +7,6 @@ import numpy as np
 from numpy import hypot
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings, wrap_angle
 from turtlelog.arithmetic import compiled_as
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import (
@@ -23,6 +22,7 @@ from turtlelog.measure.metric import (
     add_reason,
 )
 from turtlelog.measure.registry import course_metric, run_metric
+from turtlelog.run.angles import subtract_headings, wrap_angle
 
 PAPER_WINDOW_S: Final = 15.0
 """The paper's Table 1 reads its errors at this time after the first sample [s]."""

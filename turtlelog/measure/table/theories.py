@@ -18,7 +18,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.loops import ControlLoop
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.measure_settings import MOST_TICKS
 from turtlelog.measure.metric import Found, Missing, Result, Status
@@ -26,6 +25,7 @@ from turtlelog.measure.reductions import find_largest
 from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import Response
 from turtlelog.measure.step_response import compute_rms
+from turtlelog.run.loops import ControlLoop
 from turtlelog.theory import compute_step_response
 from turtlelog.theory.sampled_loop import LARGEST_DEVIATION, interpolate_sampled_response
 

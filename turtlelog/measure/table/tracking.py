@@ -5,13 +5,13 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.loops import ControlLoop
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.references import read_reference
 from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import Response, Values
-from turtlelog.paths import Corner, Path
+from turtlelog.run.loops import ControlLoop
+from turtlelog.run.paths import Corner, Path
 
 _STANDS_STILL: Final = Missing(status=Status.NO_STEP, reason="the reference does not move")
 _NO_PATH: Final = Missing(status=Status.ABSENT, reason="the path is not known")

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.arithmetic import compiled_as
-from turtlelog.loops import ControlLoop
 from turtlelog.measure import path
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import (
@@ -41,6 +40,7 @@ from turtlelog.measure.table.commands import (
     measure_total_variation,
 )
 from turtlelog.measure.table.loop_metrics import LEFT_SOON, find_needed_hold
+from turtlelog.run.loops import ControlLoop
 
 Values = NDArray[np.float64]
 
@@ -53,6 +53,7 @@ NO_LINE: Final = REASONS[_LINE_UNKNOWN]
     "s",
     "From the first sample, or without samples the first pose, to the last row of the run.",
     is_awaited=True,
+    needs_poses=False,
 )
 def measure_duration(course: RunContext) -> Outcome:
     """Return how long the run is."""
@@ -250,9 +251,13 @@ def _enter_command_metrics(name: str, column: str, unit: str, square: str) -> No
         ),
         ("reversals", "1", measure_reversals, "How often the published {} changes its sign."),
     ):
-        run_metric(f"run.{name}_{figure}", of_what, meaning.format(words), grows=True)(
-            _on_commands(column, compute)
-        )
+        run_metric(
+            f"run.{name}_{figure}",
+            of_what,
+            meaning.format(words),
+            grows=True,
+            needs_poses=False,
+        )(_on_commands(column, compute))
 
 
 _enter_command_metrics("speed", "speed_m_s", "m/s", "m^2/s")

@@ -1,0 +1,187 @@
+"""The pytest plugin: recordings as fixtures, failures that say where. docs/checking.md explains it.
+
+pytest loads this in every session: it imports neither numpy nor rerun, nor anything of turtlelog
+that does, before a test asks for a recording.
+"""
+
+import sys
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import pytest
+
+from turtlelog.check.pytest_plugin.choosing import (
+    choose_recordings,
+    find_reference,
+    find_stem,
+    name_recordings,
+)
+from turtlelog.check.pytest_plugin.session import (
+    SESSION,
+    SUMMARY,
+    Session,
+    SessionSummary,
+    end_at_test,
+)
+
+if TYPE_CHECKING:
+    from turtlelog.check.recording import Recording
+    from turtlelog.check.reference import ReferenceFile
+
+_MARKERS = (
+    "recordings(*patterns, allow_partial=False, trust_law=False, **reading): run the test once per"
+    " recording; patterns are relative to the test's folder, else to the root; trust_law lets"
+    " driven_by() run the code of a law that a recording names; reading are the fields of a"
+    " ReadChoice, such as pose_topic and goal",
+    "reference(path): what turtlelog_reference is; {stem} is the recording's",
+)
+
+
+NAME: Final = "turtlelog.check.pytest_plugin"
+
+
+class Entry:
+    """What pytest finds of an installed turtlelog, under the name that `-p no:turtlelog` blocks.
+
+    It loads the plugin under the name of its module, so that `-p turtlelog.check.pytest_plugin`,
+    which works where nothing is installed, loads it no second time.
+    """
+
+    @staticmethod
+    def pytest_addoption(pluginmanager: pytest.PytestPluginManager) -> None:
+        """Load the plugin, if nobody did or forbade it."""
+        if not pluginmanager.is_blocked(NAME) and not pluginmanager.has_plugin(NAME):
+            pluginmanager.register(sys.modules[NAME], NAME)
+
+
+ENTRY: Final = Entry()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the plugin's options."""
+    group = parser.getgroup("turtlelog", "recordings of turtlelog")
+    group.addoption(
+        "--turtlelog-accept",
+        action="store_true",
+        help="write references anew from the recordings instead of comparing",
+    )
+    group.addoption(
+        "--turtlelog-artifacts",
+        metavar="DIR",
+        help="put a Rerun view, a picture and the cut recording of what fails into DIR",
+    )
+    group.addoption(
+        "--turtlelog-no-why",
+        action="store_true",
+        help="do not explain why a recording that fails differs from its reference",
+    )
+    parser.addini("turtlelog_reference", "reference of tests without the marker", default="")
+    parser.addini(
+        "turtlelog_allow_partial",
+        "whether recordings may have lost something",
+        type="bool",
+        default=False,
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the markers, and open the books."""
+    for marker in _MARKERS:
+        config.addinivalue_line("markers", marker)
+    config.stash[SESSION] = Session(config)
+    config.stash[SUMMARY] = SessionSummary()
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """End what the session has started."""
+    if SESSION in config.stash:
+        config.stash[SESSION].end()
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Make one test item per recording."""
+    marker = metafunc.definition.get_closest_marker("recordings")
+    if marker is None or "turtlelog_recording" not in metafunc.fixturenames:
+        return
+    paths, settings = choose_recordings(metafunc, marker)
+    names = name_recordings(paths, metafunc.config.rootpath)
+    cases = [(str(path), settings) for path in paths]
+    metafunc.parametrize("turtlelog_recording", cases, ids=names, indirect=True)
+
+
+@pytest.fixture
+def turtlelog_recording(request: pytest.FixtureRequest) -> "Recording":
+    """One of the recordings that the test's marker names, read when it is first asked."""
+    if not hasattr(request, "param"):
+        raise pytest.UsageError(
+            f'{request.node.nodeid}: the test needs @pytest.mark.recordings("runs/*.mcap")'
+        )
+    path, settings = request.param
+    return request.config.stash[SESSION].open_recording(Path(path), **settings)
+
+
+@pytest.fixture
+def turtlelog_reference(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> "ReferenceFile":
+    """What recordings are held to: the file that the marker or the ini option names."""
+    has_recording = "turtlelog_recording" in request.fixturenames
+    stem = find_stem(request.getfixturevalue("turtlelog_recording").path) if has_recording else None
+    path = find_reference(request, stem)
+    return request.config.stash[SESSION].open_reference(path, tmp_path_factory.getbasetemp())
+
+
+@pytest.fixture
+def turtlelog_simulate(
+    request: pytest.FixtureRequest, tmp_path: Path
+) -> "Callable[..., Recording]":
+    """Simulate, record and read back: `turtlelog_simulate("paper", kp=4)`, or a law of your own."""
+    from turtlelog.check.recording import SimulatedRuns
+
+    return SimulatedRuns(tmp_path, request.config.stash[SESSION].watch).simulate
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Begin a test with empty books."""
+    item.config.stash[SESSION].begin()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Give the report what was checked: properties, the whole message, artifacts."""
+    session = item.config.stash[SESSION]
+    if call.when == "call":
+        item.user_properties += session.list_properties()
+        if call.excinfo is not None and not item.config.getoption("fulltrace"):
+            end_at_test(call.excinfo.value)
+    report = yield
+    if call.when == "call":
+        session.complete_report(item, report)
+    return report
+
+
+def pytest_assertrepr_compare(op: str, left: object, right: object) -> list[str] | None:
+    """Say all there is to say where a comparison of a metric fails."""
+    if "turtlelog.measure.metric" not in _list_homes(left, right):
+        return None
+    from turtlelog.check.pytest_plugin.explaining import explain_comparison
+
+    return explain_comparison(op, left, right)
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Print the one line."""
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            config.stash[SUMMARY].add(getattr(report, "turtlelog", None))
+    line = config.stash[SUMMARY].format_line()
+    if line:
+        terminalreporter.write_line(line)
+
+
+def _list_homes(*values: object) -> set[str]:
+    return {type(value).__module__ for value in values}

@@ -1,0 +1,244 @@
+"""The books of one session: recordings by file, what was checked, where tracebacks end."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import shorten
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from turtlelog.check.pytest_plugin.choosing import show_path
+from turtlelog.display import describe_count
+from turtlelog.errors import LawError, SimulationError, TurtlelogError
+from turtlelog.escapes import escape_controls
+
+if TYPE_CHECKING:
+    from turtlelog.check import ArtifactWriter, CheckResult
+    from turtlelog.check.recording import Recording
+    from turtlelog.check.reference import ReferenceFile
+
+
+class Session:
+    """What lives as long as the session of one process: with xdist, of one worker."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._recordings: dict[tuple[Path, bool, bool, str], Recording] = {}
+        self._references: dict[Path, ReferenceFile] = {}
+        self._writer: ArtifactWriter | None = None
+        self._used: dict[str, Recording] = {}
+        self._results: list[tuple[Recording, CheckResult]] = []
+
+    def open_recording(
+        self,
+        path: Path,
+        *,
+        allow_partial: bool | None = None,
+        trust_law: bool = False,
+        **reading: Any,
+    ) -> "Recording":
+        """Return the one recording of a file; it is read once, when it is first asked."""
+        from turtlelog.check.recording import Recording
+
+        if allow_partial is None:
+            allow_partial = bool(self._config.getini("turtlelog_allow_partial"))
+        key = path.resolve(), allow_partial, trust_law, repr(sorted(reading.items()))
+        if key not in self._recordings:
+            name = escape_controls(show_path(path, self._config.rootpath))
+            self._recordings[key] = Recording(
+                path,
+                name=name,
+                allow_partial=allow_partial,
+                trust_law=trust_law,
+                watch=self.watch,
+                **reading,
+            )
+        return self._recordings[key]
+
+    def open_reference(self, path: Path, scratch: Path) -> "ReferenceFile":
+        """Return the one reference of a file.
+
+        Args:
+            path: The file.
+            scratch: A folder of this session; with xdist, below that which all workers share.
+        """
+        from turtlelog.check.reference import ReferenceFile
+
+        shared = scratch.parent if hasattr(self._config, "workerinput") else scratch
+        is_accepting = self._config.getoption("--turtlelog-accept")
+        claims = shared / "turtlelog-accept" if is_accepting else None
+        reference = ReferenceFile(path=path, claims=claims)
+        return self._references.setdefault(path.resolve(), reference)
+
+    def end(self) -> None:
+        """Let go of what must not outlive the session."""
+        if self._writer is not None:
+            self._writer.close()
+
+    def begin(self) -> None:
+        """Forget what the test before has done."""
+        self._used, self._results = {}, []
+
+    def watch(self, recording: "Recording", result: "CheckResult | None") -> None:
+        """Note that a recording was used, or what a check came to."""
+        self._used[recording.file] = recording
+        if result is not None:
+            self._results.append((recording, result))
+
+    def list_properties(self) -> list[tuple[str, object]]:
+        """Return every metric of the recordings that were used; none where no report wants them."""
+        if not self._config.getoption("xmlpath", None):
+            return []
+        return [found for name in self._used for found in self._list_metrics(name)]
+
+    def _list_metrics(self, name: str) -> Iterator[tuple[str, object]]:
+        from turtlelog.errors import TurtlelogError
+        from turtlelog.measure import measure_run
+
+        try:
+            metrics = measure_run(self._used[name].run)
+        except TurtlelogError:
+            # The test has failed of it.
+            return
+        yield "recording", name
+        prefix = f"{name}: " if len(self._used) > 1 else ""
+        for metric in metrics.values():
+            unit = "" if metric.unit == "1" else f" [{metric.unit}]"
+            value = metric.status.value if metric.value is None else repr(metric.value)
+            yield f"{prefix}{metric.id}{unit}", value
+
+    def complete_report(self, item: pytest.Item, report: pytest.TestReport) -> None:
+        """Give a report its checks, and one of a failure its message and artifacts."""
+        if not self._used:
+            return
+        has_failed = report.failed
+        accepted = [str(path) for path, found in self._references.items() if found.is_written]
+        report.turtlelog = {  # type: ignore[attr-defined]
+            "recordings": list(self._used),
+            "checks": [_pack(result, has_failed=has_failed) for _, result in self._results],
+            "accepted": accepted,
+        }
+        failed: dict[Recording, dict[tuple[str, str], CheckResult]] = {}
+        for recording, result in self._results:
+            if result.verdict == "FAIL":
+                failed.setdefault(recording, {})[result.check, result.expected] = result
+        if has_failed and failed:
+            self._explain(item, report, {who: [*found.values()] for who, found in failed.items()})
+
+    def _explain(
+        self,
+        item: pytest.Item,
+        report: pytest.TestReport,
+        failed: "dict[Recording, list[CheckResult]]",
+    ) -> None:
+        from turtlelog.check import ArtifactWriter
+        from turtlelog.check.pytest_plugin.explaining import explain_failures, keep_artifacts
+
+        lines: list[str] = []
+        explains = not self._config.getoption("--turtlelog-no-why")
+        for recording, results in failed.items():
+            lines += [*explain_failures(recording, results, explains=explains), ""]
+        folder = self._config.getoption("--turtlelog-artifacts")
+        if folder:
+            place = self._config.invocation_params.dir / folder
+            self._writer = self._writer or ArtifactWriter(place)
+            for recording, results in failed.items():
+                lines += keep_artifacts(recording, results, self._writer, prefix=item.nodeid)
+        add_section: Any = getattr(report.longrepr, "addsection", None)
+        if add_section is not None:
+            add_section("turtlelog", "\n".join(lines).rstrip())
+
+
+def _pack(result: "CheckResult", *, has_failed: bool) -> dict[str, object]:
+    """Return what the summary needs, in types that travel between processes."""
+    margin, verdict = result.margin, result.verdict.value
+    if not has_failed:
+        # What was denied, as in `assert not overshoot > 2`, was to be so.
+        margin, verdict = None if margin is None else abs(margin), "PASS"
+    return {
+        "file": result.file,
+        "check": result.check,
+        "verdict": verdict,
+        "margin": margin,
+        "unit": result.unit,
+    }
+
+
+SESSION = pytest.StashKey[Session]()
+
+
+_MOST = 3
+_WIDTH = 60
+
+
+class SessionSummary:
+    """Gathers what the reports of all processes tell."""
+
+    def __init__(self) -> None:
+        self._recordings: set[str] = set()
+        self._accepted: set[str] = set()
+        self._checks: list[dict[str, Any]] = []
+
+    def add(self, told: dict[str, Any] | None) -> None:
+        """Take what one report tells, if anything."""
+        if not told:
+            return
+        self._recordings.update(told["recordings"])
+        self._accepted.update(told["accepted"])
+        self._checks += told["checks"]
+
+    def format_line(self) -> str:
+        """Return the line; empty where no recording was used."""
+        if not self._recordings:
+            return ""
+        failed = sum(check["verdict"] == "FAIL" for check in self._checks)
+        parts = [
+            f"turtlelog: {describe_count(len(self._recordings), 'recording')}",
+            describe_count(len(self._checks), "check") + (f" ({failed} failed)" if failed else ""),
+        ]
+        worst = self._describe_worst()
+        parts += [f"worst margins: {'; '.join(worst)}"] if worst else []
+        accepted = [f"accepted {path}" for path in sorted(self._accepted)]
+        return escape_controls(", ".join([*parts, *accepted]))
+
+    def _describe_worst(self) -> list[str]:
+        if not self._checks:
+            return []
+        from turtlelog.check.result import CheckResult, find_worst
+
+        worst = find_worst(CheckResult(**check) for check in self._checks)
+        return [_describe(result) for result in worst[:_MOST]]
+
+
+def _describe(result: "CheckResult") -> str:
+    from turtlelog.display import format_number
+
+    name = shorten(result.check, _WIDTH, placeholder="...")
+    return f"{format_number(result.margin, result.unit)} {name} ({result.file})"
+
+
+SUMMARY = pytest.StashKey[SessionSummary]()
+
+
+_PACKAGE = Path(__file__).parents[1]
+
+
+def end_at_test(error: BaseException) -> None:
+    """Cut the traceback of an error that turtlelog raised on purpose where turtlelog begins.
+
+    pytest reads tracebacks anew, so this is the one place where frames can be left out.
+    """
+    if not isinstance(error, TurtlelogError):
+        return
+    last, frame = None, error.__traceback__
+    while frame is not None and not _is_own(frame):
+        last, frame = frame, frame.tb_next
+    if last is not None:
+        last.tb_next = None
+    if not isinstance(error, LawError | SimulationError):  # these show what a user's law did
+        error.__cause__, error.__suppress_context__ = None, True
+
+
+def _is_own(frame: TracebackType) -> bool:
+    return Path(frame.tb_frame.f_code.co_filename).is_relative_to(_PACKAGE)

@@ -1,0 +1,10 @@
+"""The files that a user names: small texts and TOML, and paths that may be URLs.
+
+fsspec, which reads object storage and http, is loaded for a URL only.
+
+The names stand in `__init__.pyi` and load on first use.
+"""
+
+from turtlelog.libraries import attach_names
+
+__getattr__, __dir__ = attach_names(__name__, __file__)

@@ -1,0 +1,254 @@
+"""The user's own small files as text and as TOML: read within bounds, and written."""
+
+import csv
+import errno
+import os
+import re
+import stat
+import textwrap
+import time
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+from turtlelog.errors import RemoteError, describe_error, find_near, join_names
+from turtlelog.files.urls import RemotePath, make_path
+
+MOST_BYTES: Final = 2**20
+"""What a file of settings holds at most: some ten thousand checks, which take a second to read."""
+
+LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/v1\n"
+"""How the text begins that Git LFS leaves in the place of a file."""
+
+_PATIENCE_S: Final = 1.0
+"""So long a pipe may have nobody who writes to it, as while both programs start [s]."""
+
+_DEEPEST: Final = 32
+"""How far tables and arrays of TOML may lie within each other: ours do so 4 times at most, and a
+thousand times would be more than Python follows."""
+
+_KEY: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
+_LONG_KEY: Final = re.compile(
+    rf"(?:^|[\[{{,])[ \t]*+(?:{_KEY}\.[ \t]*+){{{_DEEPEST + 1}}}", re.MULTILINE
+)
+
+_TABLE: Final = re.compile(r"\[([A-Za-z0-9_-]+)\]")
+_OF_LINES: Final = ('"""', "'''", "\r")
+"""What texts go over several lines in, and line ends that are not looked at by themselves."""
+
+_LONGEST_LINE: Final = 120
+_MOST_LINES: Final = 4096
+"""Letters of a line that is kept, and lines: 2 MB at most."""
+
+_NO_PAIR: Final = (None, None)
+
+_LINE_LENGTH: Final = 80
+"""Letters of a list that stands in one line: with its key about as wide as a terminal."""
+
+_BLANKS: Final = re.compile(r"\s*+")
+BLANKS_AND_COMMENTS: Final = re.compile(r"(?:\s++|#[^\n]*+)*+")
+"""What stands between lines of text; of lines that begin with #, too."""
+
+_NUMBERS: Final = re.compile(r"\[\n(?P<entries>(?: *[-+.\w]+,\n)+)(?P<indent> *)\]")
+_POINTS: Final = re.compile(r"\[\n(?P<entries>(?: *\[[-+.\w, ]+\],\n)+)(?P<indent> *)\]")
+"""Lists as tomli-w writes them, an entry a line. Text does not match: it has quotes."""
+
+
+def read_text_file(path: str | Path, *, most: int = MOST_BYTES) -> str:
+    """Return the text of a file, or of a pipe that somebody writes to.
+
+    Args:
+        path: The file.
+        most: What is read at most [bytes]; a longer one is refused.
+
+    Raises:
+        OSError: Where it cannot be read, is too long, or a device; its `strerror` says what it is.
+        UnicodeDecodeError: Where it holds no text.
+    """
+    path = make_path(path)
+    if isinstance(path, RemotePath):
+        return _decode(_read_url(path, most + 1), most)
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "a device")
+    if stat.S_ISFIFO(mode):
+        data = _read_pipe(path, most + 1)
+    else:
+        with path.open("rb") as stream:
+            data = stream.read(most + 1)
+    return _decode(data, most)
+
+
+def _read_url(path: RemotePath, most: int) -> bytes:
+    try:
+        with path.file.open() as stream:
+            return stream.read(most)
+    except RemoteError as err:
+        raise OSError(errno.EIO, str(err).partition("found ")[2]) from err
+
+
+def _decode(data: bytes, most: int) -> str:
+    if len(data) > most:
+        raise OSError(errno.EFBIG, f"more than {most:,} bytes")
+    if data.startswith(LFS_POINTER):
+        raise OSError(errno.EINVAL, "a Git LFS pointer, not the file: git lfs pull")
+    return data.decode("utf-8-sig")
+
+
+def iterate_lines(text: str, *, comments: bool = True) -> Iterator[tuple[int, str]]:
+    """Yield the lines that are not empty, and their numbers from 1; one is in memory at a time.
+
+    Args:
+        text: Of any length.
+        comments: Yield also lines that begin with #.
+    """
+    skipped = _BLANKS if comments else BLANKS_AND_COMMENTS
+    start, number = 0, 1
+    while start < len(text):
+        begin = skipped.match(text, start).end()  # type: ignore[union-attr]  # of no blanks, too
+        if begin >= len(text):
+            return
+        number += text.count("\n", start, begin)
+        start = max(start, text.rfind("\n", start, begin) + 1)
+        end = text.find("\n", begin)
+        end = len(text) if end < 0 else end
+        yield number, text[start:end].removesuffix("\r")
+        start, number = end + 1, number + 1
+
+
+def describe_csv_error(err: csv.Error) -> str:
+    """Return what is wrong with a cell, and what to look for."""
+    text = str(err)
+    if text.startswith("field larger"):
+        most = f"a cell of more than {csv.field_size_limit():,} characters"
+    elif text == "unexpected end of data":
+        most = "a cell that goes on to the end of the file"
+    else:
+        return text
+    return f"{most}; look for a quote that no other closes, and delete it"
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    Raises:
+        ValueError: Where it is none, or nests its tables or arrays too deeply, in one line.
+    """
+    deep = f"tables or arrays more than {_DEEPEST} deep within each other"
+    if _LONG_KEY.search(text):  # tomllib takes the square of its length for each
+        raise ValueError(deep)
+    try:
+        tables = tomllib.loads(text)
+    except RecursionError as err:
+        raise ValueError(deep) from err
+    except ValueError as err:
+        raise ValueError(describe_error(err)) from err
+    level: list[Any] = [tables]
+    for _ in range(_DEEPEST + 1):
+        level = [inner for outer in level for inner in _list_inner(outer)]
+    if level:
+        raise ValueError(deep)
+    return tables
+
+
+def parse_known_toml(text: str) -> dict[str, Any]:
+    """Return what `parse_toml` does; lines that other texts had, too, are not parsed again.
+
+    Scenarios of one experiment differ in a few lines. Text other than tables one level deep, with
+    plain values a line each, is parsed as a whole.
+
+    Raises:
+        ValueError: As `parse_toml`.
+    """
+    tables: dict[str, Any] = {}
+    table = tables
+    lines = [] if any(sign in text for sign in _OF_LINES) else text.split("\n")
+    for line in lines:
+        if (heading := _TABLE.fullmatch(line)) is not None and heading[1] not in tables:
+            table = tables[heading[1]] = {}
+        elif line:
+            key, value = _keep_line(line) if len(line) <= _LONGEST_LINE else _NO_PAIR
+            if key is None or key in table:
+                return parse_toml(text)
+            table[key] = value
+    return tables if lines else parse_toml(text)
+
+
+def _parse_line(line: str) -> tuple[str | None, Any]:
+    """Return key and value of a line that stands for itself, `_NO_PAIR` of any other."""
+    try:
+        pairs = [*tomllib.loads(line).items()]
+    except (ValueError, RecursionError):
+        return _NO_PAIR
+    is_plain = len(pairs) == 1 and not isinstance(pairs[0][1], dict | list)
+    return pairs[0] if is_plain else _NO_PAIR
+
+
+_keep_line = lru_cache(maxsize=_MOST_LINES)(_parse_line)
+
+
+def copy_tables(value: Any) -> Any:
+    """Return tables and arrays of a TOML text that share nothing with those given."""
+    if isinstance(value, dict):
+        return {key: copy_tables(inner) for key, inner in value.items()}
+    return [copy_tables(inner) for inner in value] if isinstance(value, list) else value
+
+
+def format_toml(tables: Mapping[str, Any]) -> str:
+    """Return nested tables as TOML text, with lists of numbers and of points in few lines."""
+    import tomli_w  # who reads only spares it
+
+    text = tomli_w.dumps(tables)
+    for pattern in (_NUMBERS, _POINTS):
+        text = pattern.sub(_join_entries, text)
+    return text
+
+
+def _join_entries(found: re.Match[str]) -> str:
+    """Return a list in one line, or where it is long in lines of many numbers or of one point."""
+    line = " ".join(found["entries"].split()).removesuffix(",")
+    if len(line) <= _LINE_LENGTH:
+        return f"[{line}]"
+    if found.re is _POINTS:
+        return found[0]
+    lines = textwrap.wrap(f"{line},", _LINE_LENGTH, break_long_words=False, break_on_hyphens=False)
+    indent = found["indent"]
+    return "\n".join(["[", *(f"{indent}    {one}" for one in lines), f"{indent}]"])
+
+
+def _list_inner(value: Any) -> list[Any]:
+    """Return the tables and arrays in one."""
+    inner = value.values() if isinstance(value, dict) else value
+    return [found for found in inner if isinstance(found, dict | list)]
+
+
+def _read_pipe(path: Path, most: int) -> bytes:
+    """Read a pipe, but do not wait for ever for somebody who writes to it."""
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb", buffering=0) as stream:
+        end_s = time.monotonic() + _PATIENCE_S
+        while (first := stream.read(most)) == b"":  # None: somebody is there, and has not begun
+            if time.monotonic() > end_s:
+                raise OSError(errno.EPIPE, "a pipe that nobody writes to")
+            time.sleep(0.01)
+        os.set_blocking(stream.fileno(), True)
+        data = first or b""
+        while len(data) < most and (more := stream.read(most - len(data))):
+            data += more
+    return data
+
+
+def describe_missing(path: str | Path, others: Iterable[str] = ()) -> str:
+    """Return what to say of a file that is not there: what is there, or else known, like it."""
+    path = make_path(path)
+    if isinstance(path, RemotePath) or not path.parent.is_dir():
+        return "no such file"
+    names = [one.name for one in path.parent.iterdir()]
+    # Of names without their endings: one ending makes no two names alike.
+    stems: dict[str, list[str]] = {}
+    for name in [*names, *others]:
+        stems.setdefault(make_path(name).stem, []).append(name)
+    near = [name for stem in find_near(path.stem, stems) for name in stems[stem]][:3]
+    shown = [str(path.with_name(name)) if name in names else name for name in near]
+    return f"no such file; did you mean {join_names(shown)}?" if near else "no such file"

@@ -1,0 +1,305 @@
+"""URLs where files are meant, as `s3://bucket/run.mcap`: paths that know how they are fetched.
+
+Local files never load fsspec. What is printed of a URL holds no password and no signature.
+"""
+
+import errno
+import os
+import re
+import stat
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, Final
+
+from turtlelog.errors import RemoteError
+from turtlelog.escapes import URL, hide_secrets as hide_secrets, show_url as show_url
+
+if TYPE_CHECKING:
+    from turtlelog.files.ranges import RemoteFile
+
+_TOPIC: Final = re.compile(r"(.*?):(/[A-Za-z_~{][\w/~{}]*)([?#].*)?", re.DOTALL)
+"""The URL of a file, a topic of ROS, and what stands behind both."""
+
+if TYPE_CHECKING:
+    _LocalPath = Path
+else:
+    _LocalPath = type(Path())  # until Python 3.12 Path itself cannot have children
+
+
+_MAX_DOWNLOAD: Final[ContextVar[int]] = ContextVar("max_download", default=4 * 2**30)
+"""Bytes that are fetched into a temporary file at most: what a small disk has room for."""
+
+_SIZES: Final = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12,
+    "Ki": 2**10, "Mi": 2**20, "Gi": 2**30, "Ti": 2**40}  # fmt: skip
+
+
+@contextmanager
+def limit_downloads(most: int | None = None) -> Iterator[None]:
+    """Set how much of a URL may be fetched into a temporary file while the block runs.
+
+    Args:
+        most: Bytes of one file at most; None: as before the block.
+    """
+    token = _MAX_DOWNLOAD.set(_MAX_DOWNLOAD.get() if most is None else most)
+    try:
+        yield
+    finally:
+        _MAX_DOWNLOAD.reset(token)
+
+
+def set_max_download(most: int) -> None:
+    """Set the same until the end of the block of `limit_downloads` around it."""
+    _MAX_DOWNLOAD.set(most)
+
+
+def parse_size(text: str) -> int | None:
+    """Return a number of bytes, as in 500MB, 4GiB or 4G; None where a text is no such number."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?) *([kKMGT]?i?)B?", text)
+    prefix = "" if found is None else found[2].replace("K", "k").replace("ki", "Ki")
+    if found is None or prefix not in _SIZES:
+        return None
+    return int(float(found[1]) * _SIZES[prefix])
+
+
+def format_size(count: int) -> str:
+    """Return a number of bytes in the greatest unit of which there is one, as `4 GiB`."""
+    unit = next((name for name in ("Ti", "Gi", "Mi", "Ki") if count >= _SIZES[name]), "")
+    return f"{count / _SIZES[unit]:.4g} {unit}B" if unit else f"{count} bytes"
+
+
+class RemoteNote(UserWarning):
+    """How a file was read, where that took more than was needed."""
+
+
+def is_url(text: str) -> bool:
+    """Return whether a text is a URL; `C:/x.mcap` and a file called `a:b.mcap` are none."""
+    return URL.match(text) is not None
+
+
+class _ShownUrl(str):
+    """The text of a path behind a URL; whoever makes a path of it again has the whole URL.
+
+    Attributes:
+        path: What it is the text of.
+    """
+
+    path: "RemotePath"
+
+    def __reduce__(self) -> tuple[Any, tuple[str, int]]:
+        return _show_path, (self.path.url, self.path.max_download)
+
+
+def _show_path(url: str, most: int) -> str:
+    return str(_load_path(url, most))
+
+
+def _load_path(url: str, most: int) -> "RemotePath":
+    """Return a path as another process had it, with its limit."""
+    return RemotePath(url, max_download=most)
+
+
+class RemotePath(_LocalPath):
+    """A file behind a URL. As text it is the URL without what is secret.
+
+    Attributes:
+        url: The whole URL.
+        max_download: Bytes of it that are fetched into a temporary file at most, where its server
+            sends no ranges or it is in SQLite. Default: that of `limit_downloads`, else 4 GiB.
+    """
+
+    url: str
+    _most: int | None
+    _file: "RemoteFile | None"
+    _failure: RemoteError | None
+
+    def __new__(cls, url: str, *, max_download: int | None = None) -> "RemotePath":  # noqa: ARG004
+        """Make a path of its text."""
+        return super().__new__(cls, show_url(url))
+
+    def __init__(self, url: str, *, max_download: int | None = None) -> None:
+        if sys.version_info >= (3, 12):
+            super().__init__(show_url(url))
+        self.url, self._file, self._failure = url, None, None
+        self._most = max_download
+
+    @property
+    def max_download(self) -> int:
+        """Bytes of it that are fetched into a temporary file at most."""
+        return _MAX_DOWNLOAD.get() if self._most is None else self._most
+
+    def __str__(self) -> str:
+        shown = _ShownUrl(show_url(self.url))
+        shown.path = self
+        return shown
+
+    def __fspath__(self) -> str:
+        return str(self)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RemotePath) and self.url == other.url
+
+    def __hash__(self) -> int:
+        return hash(self.url)
+
+    def __reduce__(self) -> tuple[Any, tuple[str, int]]:
+        return _load_path, (self.url, self.max_download)
+
+    def split_topic(self) -> tuple["RemotePath", str | None]:
+        """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`.
+
+        A query may stand before or behind the topic; it belongs to the URL.
+        """
+        scheme, mark, rest = self.url.partition("://")
+        found = _TOPIC.fullmatch(rest)
+        if found is None:
+            return self, None
+        url = scheme + mark + found[1] + (found[3] or "")
+        return RemotePath(url, max_download=self._most), found[2]
+
+    @property
+    def file(self) -> "RemoteFile":
+        """How it is fetched; kept, so that what was read of its ends is not fetched twice.
+
+        Raises:
+            RemoteError: Where it is not there or cannot be reached.
+        """
+        if self._failure is not None:
+            raise self._failure
+        if self._file is None:
+            from turtlelog.files.ranges import RemoteFile
+
+            try:
+                self._file = RemoteFile(self.url, self.max_download)
+            except RemoteError as err:
+                self._failure = err
+                raise
+        return self._file
+
+    def put(self, source: Path) -> None:
+        """Put a complete local file there, in place of what is.
+
+        Raises:
+            RemoteError: Where that is not allowed, or fails.
+        """
+        from turtlelog.files.requests import put_file
+
+        put_file(source, self.url)
+        self._file = self._failure = None
+
+    def open(self, mode: str = "r", *args: Any, **options: Any) -> IO[Any]:  # type: ignore[override]  # noqa: ARG002
+        """Open it to read its bytes."""
+        if mode != "rb":
+            raise ValueError(f"a URL: expected mode rb, found {mode}")
+        return self.file.open()
+
+    def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:  # noqa: ARG002
+        """Return its size; it is a file that is never written in place."""
+        return os.stat_result((stat.S_IFREG | 0o444, 0, 0, 1, 0, 0, self.file.size, 0, 0, 0))
+
+    def mkdir(self, *_: Any, **__: Any) -> None:
+        """Refuse: folders are made on disks only.
+
+        Raises:
+            OSError: Always.
+        """
+        raise OSError(errno.ENOTSUP, "a URL, where only single files are written", str(self))
+
+    def is_dir(self, **_: Any) -> bool:
+        """Return False: a folder of a bag is read from disks alone."""
+        return False
+
+    def is_file(self, **_: Any) -> bool:
+        """Return True: it is found out when it is read."""
+        return True
+
+    def is_symlink(self) -> bool:
+        """Return False."""
+        return False
+
+    def exists(self, **_: Any) -> bool:
+        """Return True: it is found out when it is read."""
+        return True
+
+    def resolve(self, strict: bool = False) -> "RemotePath":  # noqa: ARG002, FBT001, FBT002
+        """Return it as it is."""
+        return self
+
+    def absolute(self) -> "RemotePath":
+        """Return it as it is."""
+        return self
+
+    def samefile(self, other_path: "str | os.PathLike[str]") -> bool:
+        """Return whether another is the same URL."""
+        return self == other_path
+
+    @property
+    def parent(self) -> "RemotePath":
+        """The URL of its folder."""
+        return self._replace(lambda path: path.rpartition("/")[0])
+
+    @property
+    def parents(self) -> Sequence["RemotePath"]:
+        """None: no output lies within an object."""
+        return ()
+
+    def with_name(self, name: str) -> "RemotePath":
+        """Return its neighbour of another name."""
+        return self._replace(lambda path: f"{path.rpartition('/')[0]}/{name}")
+
+    def with_suffix(self, suffix: str) -> "RemotePath":
+        """Return its neighbour of another ending."""
+        return self.with_name(self.stem + suffix)
+
+    def __truediv__(self, key: "str | os.PathLike[str]") -> "RemotePath":
+        return self._replace(lambda path: f"{path.rstrip('/')}/{os.fspath(key)}")
+
+    def _replace(self, change: Callable[[str], str]) -> "RemotePath":
+        place, end = re.fullmatch(r"([^?#]*)(.*)", self.url, re.DOTALL).groups()  # type: ignore[union-attr]
+        scheme, mark, path = place.partition("://")
+        return RemotePath(scheme + mark + change(path) + end, max_download=self._most)
+
+
+def make_path(path: "str | os.PathLike[str]") -> Path:
+    """Return a path of what a user names: a file, or a URL."""
+    if isinstance(path, RemotePath):
+        return path
+    if isinstance(path, _ShownUrl):
+        return path.path
+    text = os.fspath(path)
+    return RemotePath(text) if is_url(text) else Path(path)
+
+
+def is_there(path: Path) -> bool:
+    """Return whether a file is there; behind a URL, whether an object is.
+
+    Raises:
+        RemoteError: Where that cannot be told, or the bucket is not there.
+    """
+    if not isinstance(path, RemotePath):
+        return path.exists()
+    from turtlelog.files.requests import find_object
+
+    return find_object(path.url)
+
+
+def has_files(folder: Path) -> bool:
+    """Return whether there is anything in a folder; below a URL, any object.
+
+    Raises:
+        RemoteError: Where nothing can be written there, or that cannot be told.
+    """
+    if not isinstance(folder, RemotePath):
+        return folder.is_dir() and any(folder.iterdir())
+    from turtlelog.files.requests import find_objects
+
+    return find_objects(folder.url)
+
+
+def expect_reads(stream: BinaryIO, ranges: Iterable[tuple[int, int]]) -> None:
+    """Tell a stream what will be read; one of a local file needs no telling."""
+    expect = getattr(stream, "expect", None)
+    if expect is not None:
+        expect(ranges)

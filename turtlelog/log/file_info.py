@@ -1,0 +1,326 @@
+"""What is in a file: from its summary where that tells, else its messages are counted."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Metadata
+from numpy.typing import NDArray
+
+from turtlelog.display import describe_count, fit_line
+from turtlelog.files.urls import make_path
+from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
+from turtlelog.log.engine.channels import Catalogue, describe_unread
+from turtlelog.log.engine.limits import Allowance, measure_stored
+from turtlelog.log.engine.opening import open_storage, strip_suffixes
+from turtlelog.log.engine.parsing import gather_heads
+from turtlelog.log.engine.source import Source
+from turtlelog.log.engine.sqlite_source import SqliteSource
+from turtlelog.log.engine.walk import Loss, Section
+from turtlelog.log.error_boundary import DamageError, UnfinishedError
+from turtlelog.log.recording.head import HEAD, add_lost, parse_head, parse_scenario_file
+from turtlelog.log.recording.recovery_note import describe_damages, describe_recovery
+from turtlelog.log.recording.topics import COMMAND, CONTROL, EVENT, GOAL, POSE
+from turtlelog.run import Parameter
+from turtlelog.scenario import flatten_tables
+
+_LONE: Final = (Opcode.METADATA, Opcode.ATTACHMENT)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopicInfo:
+    """One topic of a file.
+
+    Attributes:
+        topic: Its name.
+        type: Of its messages, as its schema calls it.
+        count: Number of messages.
+        reason: Why they cannot become columns; empty where they can.
+    """
+
+    topic: str
+    type: str
+    count: int
+    reason: str = ""
+
+    def describe_reason(self) -> str:
+        """Return the topic with its reason, as errors and notes name it."""
+        return describe_unread(self.topic, self.reason)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingInfo:
+    """What is in a file.
+
+    Attributes:
+        file: Its path, as given.
+        format_version: Of the recording, None where turtlelog did not write it.
+        source: As in `Run`; `mcap` or `sqlite3` where turtlelog did not write it.
+        name: As in `Run`; otherwise the file's name.
+        complete: Whether the file was finished; of one that was not, what a walk finds is listed.
+        stop_reason: As in `Run`.
+        duration_s: First to last message of any topic, of a table first to last row [s]; None where
+            there is no message. How long its run lasts is `Run.duration_s`, the metric
+            `run.duration`.
+        span_ns: Least and greatest log time [ns], None where there is no message.
+        scenario: The tables of the whole scenario, None where it is not known.
+        parameters: What is known of the scenario, by dotted key.
+        topics: By name.
+        absent: As in `Run`; of somebody else's file what no topic in it holds.
+        notes: As in `Run`; of a recovered file `recovered`, of a damaged one `partial`.
+        not_understood: Topics whose messages cannot become columns, each with the reason.
+    """
+
+    file: str
+    format_version: int | None
+    source: str
+    name: str
+    complete: bool
+    stop_reason: str | None = None
+    duration_s: float | None
+    span_ns: tuple[int, int] | None = None
+    scenario: Mapping[str, Any] | None = None
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    topics: tuple[TopicInfo, ...]
+    absent: tuple[str, ...] = ()
+    notes: Mapping[str, str] = field(default_factory=dict)
+    not_understood: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        length = "no messages" if self.duration_s is None else f"{self.duration_s:.1f} s"
+        topics = describe_count(len(self.topics), "topic")
+        whole = "complete" if self.complete else "incomplete"
+        return fit_line(f"<RecordingInfo {self.file}: {topics}, {length}, {whole}>")
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Survey:
+    """What a file holds.
+
+    Attributes:
+        catalogue: Its channels and schemas.
+        is_finished: Whether its writer came to its end, and it is not damaged.
+        records: Its metadata and attachments, among others.
+        counts: Messages by channel.
+        span_ns: Least and greatest log time, None where there is no message.
+        damages: What could not be read, where the file was walked in spite of that.
+    """
+
+    catalogue: Catalogue
+    is_finished: bool
+    records: list[Any] = field(default_factory=list)
+    counts: Counter[int] = field(default_factory=Counter)
+    span_ns: tuple[int, int] | None = None
+    damages: list[Loss] = field(default_factory=list)
+
+    @property
+    def is_own(self) -> bool:
+        """Whether turtlelog wrote it, as far as its records tell."""
+        return any(isinstance(found, Metadata) and found.name == HEAD for found in self.records)
+
+    def count(self, channels: NDArray[np.uint16], times: NDArray[np.uint64]) -> None:
+        """Count messages by their channels and log times."""
+        if len(channels):
+            counts = np.bincount(channels)
+            present = np.flatnonzero(counts)
+            self.counts.update(dict(zip(present.tolist(), counts[present].tolist(), strict=True)))
+            known = [*(self.span_ns or ()), int(times.min()), int(times.max())]
+            self.span_ns = min(known), max(known)
+
+
+def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo:
+    """Return what is in a file, MCAP or SQLite, whoever wrote it; from its summary if it has one.
+
+    Args:
+        path: The file.
+        allow_partial: Say what a damaged file still holds; one that was never finished is
+            described in any case. The note `partial` says what is lost.
+
+    Raises:
+        LogError: Where it cannot be read, is neither, or is damaged.
+    """
+    with open_storage(path) as opened:
+        is_sqlite = isinstance(opened, SqliteSource)
+        survey = (
+            _survey_sqlite(opened)
+            if isinstance(opened, SqliteSource)
+            else survey_file(opened, allow_partial=allow_partial)
+        )
+        span_ns = survey.span_ns
+        reasons = survey.catalogue.list_reasons()
+        info = RecordingInfo(
+            file=str(path),
+            format_version=None,
+            source="sqlite3" if is_sqlite else "mcap",
+            name=strip_suffixes(make_path(path)),
+            complete=survey.is_finished,
+            duration_s=None if span_ns is None else (span_ns[1] - span_ns[0]) / 1e9,
+            span_ns=span_ns,
+            topics=_list_topics(survey, reasons),
+            not_understood=tuple(f"{topic}: {reason}" for topic, reason in reasons.items()),
+            notes=_describe_losses(survey),
+        )
+        return _add_head(info, survey)
+
+
+def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
+    """Return the info with what a recording of ours says of itself."""
+    metadata = {found.name: found for found in survey.records if isinstance(found, Metadata)}
+    if HEAD not in metadata:
+        return replace(info, absent=list_absent(info.topics))
+    head = parse_head(metadata[HEAD].metadata)
+    attachments = {
+        found.name: found.data for found in survey.records if isinstance(found, Attachment)
+    }
+    tables, is_complete = parse_scenario_file(attachments)
+    is_whole = survey.is_finished and not describe_recovery(survey.records)
+    counts = {topic.topic: topic.count for topic in info.topics}
+    held = {name for name, topic in _PLACES.items() if counts.get(topic.name)}
+    held |= {"parameters"} if tables else set()
+    return replace(
+        info,
+        format_version=head.format_version,
+        source=head.source,
+        name=head.name,
+        stop_reason=head.stop_reason,
+        scenario=tables if is_complete else None,
+        parameters=flatten_tables(tables),
+        absent=head.absent if is_whole else add_lost(head, held),
+        notes={**head.notes, **info.notes},
+    )
+
+
+_PLACES: Final = {"poses": POSE, "commands": COMMAND, "samples": CONTROL, "goal_xy_m": GOAL}
+"""Topics of a recording of ours, by the names of `Run`."""
+
+
+def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
+    """Return what somebody else's file does not hold, by the names of `Run`.
+
+    Its scenario and why it ended stand in turtlelog's own record alone. Which of its topics are
+    poses and commands only reading tells; where no message can be understood, there are none.
+    """
+    present = [found for found in topics if found.count]
+    held = {found.topic for found in present}
+    places = {
+        "samples": CONTROL,
+        "goal_xy_m": GOAL,
+        "goal_heading_rad": GOAL,
+        "parameters": None,
+        "stop_reason": None,
+        "events": EVENT,
+    }
+    absent = [name for name, topic in places.items() if topic is None or topic.name not in held]
+    is_readable = any(not found.reason for found in present)
+    return tuple(absent if is_readable else ["poses", "commands", *absent])
+
+
+def _describe_losses(survey: Survey) -> dict[str, str]:
+    notes = describe_recovery(survey.records)
+    if not survey.is_finished:
+        notes["partial"] = describe_damages(survey.damages)
+    return notes
+
+
+def _list_topics(survey: Survey, reasons: Mapping[str, str]) -> tuple[TopicInfo, ...]:
+    """Return the topics by name; channels of one topic and type are one."""
+    schemas, counts = survey.catalogue.schemas, Counter[tuple[str, str]]()
+    for number, channel in survey.catalogue.channels.items():
+        schema = schemas.get(channel.schema_id)
+        counts[channel.topic, schema.name if schema else ""] += survey.counts.get(number, 0)
+    return tuple(
+        TopicInfo(topic=topic, type=kind, count=count, reason=reasons.get(topic, ""))
+        for (topic, kind), count in sorted(counts.items())
+    )
+
+
+def merge_topics(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
+    """Return topics of one name and type as one, in the order in which they first stand."""
+    merged: dict[tuple[str, str], TopicInfo] = {}
+    for found in topics:
+        first = merged.setdefault((found.topic, found.type), replace(found, count=0))
+        count, reason = first.count + found.count, first.reason or found.reason
+        merged[found.topic, found.type] = replace(first, count=count, reason=reason)
+    return [*merged.values()]
+
+
+def sort_topics(topics: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
+    """Return topics by name, and those of one name by type."""
+    return tuple(sorted(topics, key=lambda found: (found.topic, found.type)))
+
+
+def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
+    """Return what an MCAP file holds; one that was never finished is walked as far as it goes.
+
+    Args:
+        stream: The file.
+        allow_partial: Walk a damaged one too.
+
+    Raises:
+        LogError: Where it is no MCAP.
+        DamageError: Where it is finished but damaged, as far as it is read.
+    """
+    try:
+        return _survey_source(stream)
+    except UnfinishedError:
+        return _survey_damaged(stream)
+    except DamageError:
+        if not allow_partial:
+            raise
+        return _survey_damaged(stream)
+
+
+def _survey_sqlite(source: SqliteSource) -> Survey:
+    counts, span_ns = source.count_messages()
+    return Survey(catalogue=source.catalogue, is_finished=True, counts=counts, span_ns=span_ns)
+
+
+def _survey_damaged(stream: BinaryIO) -> Survey:
+    allowance = Allowance(measure_stored(stream))
+    survey = Survey(catalogue=Catalogue(allowance), is_finished=False)
+    _walk(stream, survey, allowance, survey.damages)
+    return survey
+
+
+def _survey_source(stream: BinaryIO) -> Survey:
+    source = Source(stream)
+    lone, statistics = [*source.read_lone(_LONE)], source.statistics
+    survey = Survey(catalogue=source.catalogue, is_finished=True, records=lone)
+    if not source.is_indexed:
+        _walk(stream, survey, source.allowance, None)
+    elif statistics is None or (statistics.message_count and not statistics.channel_message_counts):
+        for found in source.map_blocks(_read_heads):
+            survey.count(*found)
+    else:
+        survey.counts.update(statistics.channel_message_counts)
+        if statistics.message_count:
+            survey.span_ns = statistics.message_start_time, statistics.message_end_time
+    return survey
+
+
+def _walk(
+    stream: BinaryIO, survey: Survey, allowance: Allowance, damages: list[Loss] | None
+) -> None:
+    """Add what a walk finds: of a stretch of records that makes no sense, nothing."""
+
+    def take(section: Section) -> None:
+        byte, is_chunk = section.start, section.is_chunk
+        stretch = take_walked(section.data, byte, allowance, is_chunk=is_chunk)
+        others = parse_others(stretch, byte)
+        survey.catalogue.add(others, byte)
+        survey.records += [found for found in others if isinstance(found, Metadata | Attachment)]
+        for _, heads in stretch.iterate_rows():
+            survey.count(heads["channel"], heads["log_time"])
+
+    for _ in walk_through(stream, take, damages=damages):
+        pass
+
+
+def _read_heads(block: Block) -> tuple[NDArray[np.uint16], NDArray[np.uint64]]:
+    starts = np.concatenate([np.empty(0, np.int64), *block.offsets.values()])
+    heads = gather_heads(block.data, starts)
+    return heads["channel"], heads["log_time"]

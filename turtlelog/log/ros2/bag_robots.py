@@ -1,0 +1,172 @@
+"""Robots of one bag that are told apart by a name in their topics: /robot1/odom, /robot2/odom."""
+
+import re
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from turtlelog.errors import LogError
+from turtlelog.log.file_info import TopicInfo
+from turtlelog.log.ros2.bag_topics import (
+    COMMAND_TYPES,
+    FIX,
+    JOINTS,
+    POSE_TYPES,
+    is_another_thing,
+    is_measured,
+    list_names,
+    split_numbers,
+)
+
+_NUMBER: Final = re.compile(r"\d+")
+
+_PARTS: Final = re.compile(
+    r"(?i)(?:front|rear|left|right)?_?(?:camera|cam|imu|lidar|laser|scan|gps|gnss|sensor|wheel|tag"
+    r"|marker|motor|arm|joy)s?_?"
+)
+"""Names, without their numbers, that are parts of a robot and no robots."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagRobot:
+    """A robot among several.
+
+    Attributes:
+        name: The word that its topics have and those of the others do not.
+        topics: Of its own.
+    """
+
+    name: str
+    topics: tuple[TopicInfo, ...]
+
+    @property
+    def poses(self) -> TopicInfo | None:
+        """Its topic with the most poses."""
+        return _find_most(filter(_tells_poses, self.topics))
+
+    @property
+    def commands(self) -> TopicInfo | None:
+        """Its topic with the most commands."""
+        return _find_most(topic for topic in self.topics if _is_command(topic))
+
+
+def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
+    """Return the robots that topics tell apart, by their names; none of a bag of one robot.
+
+    Topics of one type that differ in one word of their place are those of several robots where that
+    word differs by its number alone, or poses and commands both have it.
+    """
+    held = [topic for topic in topics if topic.count]
+    kinds: dict[_Place, dict[str, set[bool]]] = defaultdict(lambda: defaultdict(set))
+    for place, words in _group_words(held):
+        for word, is_command in words.items():
+            kinds[place][word].add(is_command)
+    for place in sorted(kinds, key=lambda place: (len(place), place)):
+        names = _choose_names(kinds[place])
+        if len(names) > 1:
+            return tuple(_collect(name, place, held) for name in names)
+    return ()
+
+
+_Place = tuple[str, ...]
+"""The words before that of a robot in the name of a topic."""
+
+
+def _group_words(held: Sequence[TopicInfo]) -> Iterator[tuple[_Place, dict[str, bool]]]:
+    """Yield the words in which topics of one type differ, each with whether they are commands."""
+    groups: dict[tuple[_Place, _Place, str], dict[str, bool]] = defaultdict(dict)
+    for topic in filter(_tells_robots, held):
+        words = tuple(topic.topic.split("/"))
+        for place, word in enumerate(words[:-1]):
+            if word and not _PARTS.fullmatch(_NUMBER.sub("", word)):
+                key = words[:place], words[place + 1 :], topic.type
+                groups[key][word] = _is_command(topic)
+    for (before, _, _), found in groups.items():
+        if len(found) > 1:
+            yield before, found
+
+
+def select_robot(
+    topics: Sequence[TopicInfo], name: str | None
+) -> tuple[Sequence[TopicInfo], tuple[BagRobot, ...]]:
+    """Return the topics of one robot and those that are nobody's, and all robots.
+
+    Without a name, robots that differ by their numbers alone are as many of one kind: the first one
+    that has poses. Of a name that no topic has, transforms may have frames.
+
+    Raises:
+        LogError: Where nothing tells which robot is meant.
+    """
+    robots = find_robots(topics)
+    if not robots:
+        return topics, ()
+    names = [robot.name for robot in robots]
+    if name is None:
+        if not any(robot.poses for robot in robots) and any(map(_tells_poses, topics)):
+            return topics, ()  # whose poses there are, nothing tells
+        if len({_NUMBER.sub("#", one) for one in names}) > 1:
+            raise LogError(f"{len(names)} robots, {list_names(names)}: choose with --robot NAME")
+        posed = [robot.name for robot in robots if robot.poses and robot.poses.count > 1]
+        name = min(posed or names, key=split_numbers)
+    if name not in names:
+        return topics, robots
+    others = {topic for robot in robots if robot.name != name for topic in robot.topics}
+    return [topic for topic in topics if topic not in others], robots
+
+
+def describe_robots(robots: Sequence[BagRobot], chosen: str | None) -> str:
+    """Return the robots of a bag in words, and which of them is read."""
+    names = list_names([robot.name for robot in robots])
+    which = "" if chosen is None else f"{chosen} of "
+    return f"{which}{names}: --robot NAME chooses"
+
+
+def require_robot(name: str, topic: str, robots: Collection[BagRobot]) -> None:
+    """Refuse a robot that the topic of the poses or commands is not of.
+
+    Raises:
+        LogError: With the robots that there are.
+    """
+    if name in topic.split("/")[:-1]:
+        return
+    known = list_names([robot.name for robot in robots]) or f"a bag of one robot, on {topic}"
+    raise LogError(f"robot {name}: no topic below that name; found {known}")
+
+
+def _tells_robots(topic: TopicInfo) -> bool:
+    return _tells_poses(topic) or _is_command(topic)
+
+
+def _tells_poses(topic: TopicInfo) -> bool:
+    is_pose = topic.type in POSE_TYPES or topic.type == JOINTS
+    return topic.count > 0 and is_pose and not is_another_thing(topic.topic)
+
+
+def _is_command(topic: TopicInfo) -> bool:
+    return topic.type in COMMAND_TYPES and not is_measured(topic.topic)
+
+
+def _choose_names(words: dict[str, set[bool]]) -> list[str]:
+    """Return the words that are robots, in order of their numbers."""
+    counts: dict[str, int] = defaultdict(int)
+    for word in words:
+        counts[_NUMBER.sub("#", word)] += 1
+    names = [
+        word
+        for word, kinds in words.items()
+        if len(kinds) == 2 or (counts[_NUMBER.sub("#", word)] > 1 and _NUMBER.search(word))
+    ]
+    return sorted(names, key=lambda name: (_NUMBER.sub("#", name), split_numbers(name)))
+
+
+def _collect(name: str, place: _Place, held: Sequence[TopicInfo]) -> BagRobot:
+    start = "/".join([*place, name, ""])
+    own = [topic for topic in held if topic.topic.startswith(start)]
+    return BagRobot(name=name, topics=tuple(own))
+
+
+def _find_most(topics: Iterable[TopicInfo]) -> TopicInfo | None:
+    """Return the topic with the most messages, satellite fixes last."""
+    found = sorted(topics, key=lambda topic: (topic.type == FIX, -topic.count, topic.topic))
+    return found[0] if found else None

@@ -1,0 +1,301 @@
+"""The metrics of a run by id: the one table that measuring, comparison and checks share."""
+
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+import turtlelog.measure.table  # noqa: F401  (enters every metric in the registry)
+from turtlelog.display import NamedValues
+from turtlelog.errors import MeasureError, describe_unknown
+from turtlelog.measure.context import RunContext
+from turtlelog.measure.measure_settings import MeasureSettings
+from turtlelog.measure.metric import NO_POSES, Metric, Metrics, Missing, Result, Status
+from turtlelog.measure.registry import LOOP_METRICS, RUN_METRICS, MetricKind
+from turtlelog.run import Run
+from turtlelog.run.loops import ControlLoop, Declaration, is_loop_name
+
+ANY_LOOP: Final = "<loop>"
+"""Stands for the name of a loop in the ids of `METRICS`."""
+
+METRICS: Final[Mapping[str, MetricKind]] = NamedValues(
+    "metric",
+    {
+        **{f"{ANY_LOOP}.{name}": kind.describe() for name, kind in LOOP_METRICS.items()},
+        **RUN_METRICS,
+    },
+)
+"""Every metric there is, those of a loop as `<loop>.overshoot`; `list_metrics` has a law's ids."""
+
+_ESSENTIAL_OF_LOOP: Final = (
+    *("duration", "rise_time", "overshoot", "settling_time", "final_error", "rms_error"),
+    *("largest_error", "lag", "corner_overshoot", "iae", "saturated_share", "dead_time"),
+)
+_OF_MOVING: Final = frozenset({"rms_error", "largest_error", "lag", "corner_overshoot"})
+"""Essential only where there is no step, whose figures say more."""
+
+_ESSENTIAL_OF_RUN: Final = (
+    *("final.heading_error", "final.position_error"),
+    *("run.duration", "run.path_length", "run.cross_track_max", "run.largest_gap"),
+)
+
+_ESSENTIAL_OF_PATH: Final = _ESSENTIAL_OF_RUN[2:]
+"""Of laws that use no goal and follow a path."""
+
+_ESSENTIAL_WITHOUT_GOAL: Final = (
+    *("run.duration", "run.path_length", "run.speed_effort", "run.turn_rate_effort"),
+    "run.largest_gap",
+)
+"""Of laws that use no goal and follow nothing: how far they drove, by what commands."""
+
+
+_ESSENTIAL_OF_MOTION: Final = (
+    *("run.duration", "run.path_length", "run.total_turning", "run.rest_share"),
+    *("run.measured_speed_max", "run.measured_turn_rate_max", "run.spectral_arc_length"),
+    "run.largest_pose_gap",
+)
+"""Of a robot of which nothing but its poses is known."""
+
+_ESSENTIAL_OF_COMMANDS: Final = (
+    *("run.duration", "run.sample_rate", "run.largest_gap"),
+    *(
+        f"run.{axis}_{figure}"
+        for axis in ("speed", "turn_rate")
+        for figure in ("effort", "total_variation", "largest_jump", "largest_slew_rate", "steps")
+    ),
+)
+"""Of a log of commands alone."""
+
+_ESSENTIAL_WITH_GOAL: Final = ("final.position_error", "run.time_to_goal")
+_ESSENTIAL_WITH_PATH: Final = ("run.cross_track_max", "run.cross_track_rms")
+_ESSENTIAL_WITH_COMMANDS: Final = (
+    *("run.speed_tracking_rms", "run.speed_lag", "run.speed_steps", "run.speed_rise_time"),
+    *("run.turn_rate_tracking_rms", "run.turn_rate_lag", "run.turn_rate_steps"),
+    *("run.turn_rate_rise_time", "run.largest_gap"),
+)
+"""And what more there is to say where it was told where to go, by what line, or how fast."""
+
+
+def list_metrics(*declarations: Declaration) -> Mapping[str, MetricKind]:
+    """Return every metric that runs of these laws have, by id: of each loop, the end, the run."""
+    return _list_metrics(tuple(dict.fromkeys(declarations)))
+
+
+@lru_cache(maxsize=64)
+def _list_metrics(declarations: tuple[Declaration, ...]) -> Mapping[str, MetricKind]:
+    of_loops: dict[str, MetricKind] = {}
+    for loop in _list_loops(declarations):
+        for name, kind in LOOP_METRICS.items():
+            if kind.applies(loop):
+                of_loops.setdefault(f"{loop.name}.{name}", kind.bind(loop))
+    return NamedValues("metric", {**of_loops, **RUN_METRICS})
+
+
+def list_essential_metrics(*of: Declaration | Run) -> tuple[str, ...]:
+    """Return the ids of the metrics to look at first: of laws, or of what runs hold.
+
+    Of a run without samples, which no law is known of, those that its poses, commands and goal
+    give.
+    """
+    lawless = [run for run in of if isinstance(run, Run) and is_lawless(run)]
+    if len(lawless) < len(of) or not of:
+        laws = [
+            run.declaration if isinstance(run, Run) else run for run in of if run not in lawless
+        ]
+        return tuple(dict.fromkeys([*_list_of_laws(*laws), *_list_of_motion(lawless)]))
+    return _list_of_motion(lawless)
+
+
+def is_lawless(run: Run) -> bool:
+    """Return whether nothing is known of what controls a run: a bag of somebody else's."""
+    return not len(run.samples) and not run.declaration.loops
+
+
+def _list_of_motion(runs: Collection[Run]) -> tuple[str, ...]:
+    if not runs:
+        return ()
+    if not any(len(run.poses) for run in runs):
+        return _ESSENTIAL_OF_COMMANDS
+    has_goal = any(run.goal_xy_m is not None for run in runs)
+    has_path = any(run.path is not None for run in runs)
+    has_commands = any(len(run.commands) for run in runs)
+    return (
+        *(_ESSENTIAL_WITH_GOAL if has_goal else ()),
+        *_ESSENTIAL_OF_MOTION[:-1],
+        *(_ESSENTIAL_WITH_PATH if has_path else ()),
+        *(_ESSENTIAL_WITH_COMMANDS if has_commands else ()),
+        *_ESSENTIAL_OF_MOTION[-1:],
+    )
+
+
+def _list_of_laws(*declarations: Declaration) -> tuple[str, ...]:
+    of_loops = (
+        f"{loop.name}.{name}"
+        for loop in _list_loops(declarations)
+        for name in _ESSENTIAL_OF_LOOP
+        if LOOP_METRICS[name].applies(loop) and (loop.moves or name not in _OF_MOVING)
+    )
+    return (*dict.fromkeys(of_loops), *_choose_of_run(declarations))
+
+
+def _choose_of_run(declarations: tuple[Declaration, ...]) -> tuple[str, ...]:
+    if not declarations or any(one.uses_goal for one in declarations):
+        return _ESSENTIAL_OF_RUN
+    follows = any(loop.reference == "path" for loop in _list_loops(declarations))
+    return _ESSENTIAL_OF_PATH if follows else _ESSENTIAL_WITHOUT_GOAL
+
+
+def _list_loops(declarations: Iterable[Declaration]) -> list[ControlLoop]:
+    return [loop for declaration in declarations for loop in declaration.loops]
+
+
+def find_metric_kind(name: str) -> MetricKind | None:
+    """Return what a metric is, whatever the law: of a loop as `METRICS` describes that of any.
+
+    None where the name can be no id of a metric.
+    """
+    if name in RUN_METRICS:
+        return RUN_METRICS[name]
+    loop, _, plain = name.rpartition(".")
+    return METRICS.get(f"{ANY_LOOP}.{plain}") if is_loop_name(loop) else None
+
+
+def choose_metrics(patterns: Collection[str], declaration: Declaration) -> tuple[str, ...]:
+    """Return the ids that are named, in the order of `list_metrics`; `*`, `?`, `[...]` match.
+
+    A metric of a loop that the law does not declare is chosen where it is named in full: it has no
+    value and says so. A pattern that only other laws' loops match chooses nothing.
+
+    Raises:
+        MeasureError: Where one names no metric; with those nearest to it.
+    """
+    return _choose((patterns,) if isinstance(patterns, str) else tuple(patterns), declaration)
+
+
+@lru_cache(maxsize=64)
+def _choose(patterns: tuple[str, ...], declaration: Declaration) -> tuple[str, ...]:
+    known = list_metrics(declaration)
+    chosen: dict[str, None] = {}
+    for pattern in patterns:
+        found = [name for name in known if name == pattern or fnmatchcase(name, pattern)]
+        if not found and find_metric_kind(pattern) is not None:
+            found = [pattern]
+        if not found and not _matches_any_loop(pattern):
+            ids = dict.fromkeys([*known, *list_ids_like(pattern)])
+            raise MeasureError(describe_no_metric(pattern, ids))
+        chosen |= dict.fromkeys(found)
+    others = (name for name in chosen if name not in known)
+    return (*(name for name in known if name in chosen), *others)
+
+
+def is_metric_pattern(pattern: str) -> bool:
+    """Return whether a name or pattern (`*.overshoot`) stands for metrics of some law."""
+    try:
+        choose_metrics([pattern], Declaration())
+    except MeasureError:
+        return False
+    return True
+
+
+def list_ids_like(pattern: str) -> list[str]:
+    """Return the metrics of the loop that a name speaks of, whatever law has it."""
+    loop, dot, _ = pattern.partition(".")
+    if not dot or not is_loop_name(loop):
+        return []
+    return [f"{loop}.{name}" for name in LOOP_METRICS]
+
+
+def _matches_any_loop(pattern: str) -> bool:
+    """Return whether a pattern matches metrics of a loop with a name that it allows."""
+    loop, dot, plain = pattern.rpartition(".")
+    if not dot or not any(sign in pattern for sign in "*?["):
+        return False
+    is_loop = is_loop_name(loop) or any(sign in loop for sign in "*?[")
+    return is_loop and any(fnmatchcase(name, plain) for name in LOOP_METRICS)
+
+
+def describe_no_metric(pattern: str, known: Iterable[str]) -> str:
+    """Return an error line for a name that is no metric's, with the nearest ids."""
+    return describe_unknown("metric", pattern, known, place="turtlelog list metrics")
+
+
+def measure_run(
+    run: Run,
+    settings: MeasureSettings | None = None,
+    *,
+    only: Collection[str] | None = None,
+) -> Metrics:
+    """Return the metrics of a run by id, in the order of `list_metrics(run.declaration)`.
+
+    Args:
+        run: What is measured; what it does not hold leaves a status in the metrics that need it.
+        settings: Otherwise the usual ones.
+        only: Ids or patterns of them (`translate.*`); nothing else is computed.
+
+    Raises:
+        MeasureError: Where `only` names no metric, or the settings a loop that is not declared.
+    """
+    kinds = list_metrics(run.declaration)
+    names = kinds if only is None else choose_metrics(only, run.declaration)
+    settings = settings or MeasureSettings()
+    settings.require_loops(run.declaration)
+    context = RunContext(run, settings)
+    # Values at the border of what a float holds become statuses, not warnings.
+    with np.errstate(all="ignore"):
+        return Metrics(
+            (
+                (
+                    name,
+                    _measure(context, name, kinds[name])
+                    if name in kinds
+                    else _miss_metric(run, name),
+                )
+                for name in names
+            ),
+            first=list_essential_metrics(run),
+        )
+
+
+def _miss_metric(run: Run, name: str) -> Metric:
+    missing = miss_metric(run.declaration, name)
+    if len(run.samples) or run.declaration.loops:
+        return missing
+    reason = "no samples of a controller were read"
+    return replace(missing, status=Status.ABSENT, reason=reason)
+
+
+def miss_metric(declaration: Declaration, name: str) -> Metric:
+    """Return the metric of a loop that a law does not declare, or that its kind does not have."""
+    loop, _, plain = name.rpartition(".")
+    declared = declaration.find_loop(loop)
+    known = ", ".join(found.name for found in declaration.loops) or "none"
+    reason = f"the run declares no loop {loop} (it declares {known})"
+    if declared is not None:
+        reason = (
+            f"a loop of {declared.signal} with the reference {declared.reference} has no {plain}"
+        )
+    unit = LOOP_METRICS[plain].describe_unit(declared)
+    return Metric(id=name, value=None, unit=unit, status=Status.NO_PHASE, reason=reason)
+
+
+def _measure(context: RunContext, name: str, kind: MetricKind) -> Metric:
+    if kind.needs_poses and not len(context.run.poses):
+        result: Result = NO_POSES
+    else:
+        result = _require_finite(kind.compute, context)
+    if isinstance(result, Missing):
+        return Metric(
+            id=name, value=None, unit=kind.unit, status=result.status, reason=result.reason
+        )
+    return Metric(id=name, value=result.value, unit=kind.unit, at_s=result.at_s)
+
+
+def _require_finite(compute: Callable[[RunContext], Result], context: RunContext) -> Result:
+    result = compute(context)
+    if isinstance(result, Missing) or math.isfinite(result.value):
+        return result
+    return Missing(status=Status.TOO_LARGE, reason="the value is beyond the largest float")

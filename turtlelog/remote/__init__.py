@@ -1,8 +1,0 @@
-"""Files behind URLs: object storage and http, through fsspec, which is loaded for a URL only.
-
-The names stand in `__init__.pyi` and load on first use.
-"""
-
-from turtlelog.libraries import attach_names
-
-__getattr__, __dir__ = attach_names(__name__, __file__)

@@ -1,0 +1,391 @@
+"""A path to track: straight pieces and arcs of circles, by arc length.
+
+Every path is a chain of pieces of constant curvature, so that the point at an arc length, the
+nearest point and the point a lookahead away are closed forms.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import Any, Final, Literal, NamedTuple, get_args
+
+from turtlelog.errors import PathError
+from turtlelog.run.angles import wrap_angle
+from turtlelog.run.path_pieces import (
+    REACH_M,
+    PathNumbers,
+    PathPiece,
+    PathPoint,
+    find_ahead,
+    find_nearest,
+    find_nearest_on,
+    find_on_first_lap,
+    follow,
+    join_points,
+    locate,
+    locate_on,
+)
+
+PathKind = Literal["line", "polygon", "waypoints", "circle", "figure-eight"]
+
+MOST_POINTS: Final = 3000
+"""Points of a path. In the scenario's text each takes up to 56 bytes: 164 KiB of the 256 KiB that a
+recording's scenario may have. The rest is for lists of the law."""
+
+CORNER_RAD: Final = math.radians(1.0)
+"""From this change of direction on a bend between two pieces is a corner: less is the bend of a
+circle that is given by 360 points or more."""
+
+
+TURN_BACK_RAD: Final = math.radians(179.9)
+"""From this change of direction on a path leads back over itself: the nearest point could be on
+either leg, and no side is the outer one."""
+
+LEAST_M: Final = 0.001
+"""Least radius, and least length of a path [m]: far less than the 0.5 m that a turtle is wide, and
+as much as a run's tolerance."""
+
+FASTEST_M_S: Final = 1e6
+"""Largest speed of a reference [m/s]: far from where a computer's numbers end."""
+
+
+class PathPlace(NamedTuple):
+    """Where a robot is with respect to a path.
+
+    Attributes:
+        arc_m: Arc length of the nearest point from the beginning of the path [m].
+        offset_m: Distance from there, positive on the left of the path [m].
+    """
+
+    arc_m: float
+    offset_m: float
+
+
+class Corner(NamedTuple):
+    """A point where the direction of a path jumps.
+
+    Attributes:
+        arc_m: Where it is [m].
+        turn_rad: By how much the direction changes, positive to the left.
+        leg_m: Length of the path from there to the next corner, or to the end.
+    """
+
+    arc_m: float
+    turn_rad: float
+    leg_m: float
+
+
+def closes_by_itself(kind: str) -> bool:
+    """Return whether a path of a kind returns to its first point unless it says otherwise."""
+    return kind not in {"line", "waypoints"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Path:
+    """A path to track: the table `[path]` of a scenario.
+
+    Attributes:
+        kind: `line`: two points; `polygon`: corners, closed; `waypoints`: points, open; `circle`:
+            counter-clockwise from its rightmost point; `figure-eight`: two circles that touch at
+            the center, first the upper counter-clockwise, then the lower clockwise.
+        points: Of a line, a polygon or waypoints, world frame [m].
+        center_x_m: Of a circle or a figure eight, world frame [m].
+        center_y_m: Of a circle or a figure eight, world frame [m].
+        size_m: Radius of the circle, or of both circles of a figure eight [m].
+        closed: Whether it returns to its first point; None: a polygon does, waypoints do not.
+        speed_m_s: Speed at which the reference moves along the path from its beginning [m/s]; None:
+            no time belongs to the path, and the reference is its point nearest to the robot.
+
+    Raises:
+        PathError: One line with the key, what was expected and what was found.
+    """
+
+    kind: PathKind
+    points: tuple[tuple[float, float], ...] | None = None
+    center_x_m: float | None = None
+    center_y_m: float | None = None
+    size_m: float | None = None
+    closed: bool | None = None
+    speed_m_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(PathKind):
+            known = ", ".join(get_args(PathKind))
+            raise PathError(f"kind: expected one of {known}, found {self.kind!r:.40}")
+        if self.kind in _ROUND:
+            self._require_keys("center_x_m", "center_y_m", "size_m")
+            self._refuse_keys("points", "closed")
+            if not _require_finite("size_m", self.size_m) >= LEAST_M:
+                raise PathError(f"size_m: expected a radius >= {LEAST_M}, found {self.size_m!r}")
+            _require_finite("center_x_m", self.center_x_m)
+            _require_finite("center_y_m", self.center_y_m)
+        else:
+            self._require_keys("points")
+            self._refuse_keys("center_x_m", "center_y_m", "size_m")
+            self._require_points(self.points or ())
+        if self.speed_m_s is not None:
+            self._require_speed(self.speed_m_s)
+
+    def _require_speed(self, speed_m_s: float) -> None:
+        if not 0.0 < _require_finite("speed_m_s", speed_m_s) <= FASTEST_M_S:
+            expected = f"a speed > 0 and up to {FASTEST_M_S:g}"
+            raise PathError(f"speed_m_s: expected {expected}, found {speed_m_s!r}")
+
+    def _require_keys(self, *names: str) -> None:
+        for name in names:
+            if getattr(self, name) is None:
+                raise PathError(f"{name}: missing; a path of kind {self.kind} needs it")
+
+    def _refuse_keys(self, *names: str) -> None:
+        for name in names:
+            if getattr(self, name) is not None:
+                value = getattr(self, name)
+                found = f"{len(value)} points" if name == "points" else repr(value)
+                raise PathError(f"{name}: expected none, for kind is {self.kind}, found {found}")
+
+    def _require_points(self, points: tuple[tuple[float, float], ...]) -> None:
+        if self.kind == "line":
+            self._refuse_keys("closed")
+        least, most = {"line": (2, 2), "polygon": (3, MOST_POINTS)}.get(self.kind, (2, MOST_POINTS))
+        if not least <= len(points) <= most:
+            expected = f"{least}" if least == most else f"{least} to {most}"
+            raise PathError(f"points: expected {expected} points, found {len(points)}")
+        for number, point in enumerate(points):
+            if not isinstance(point, tuple) or len(point) != 2:
+                raise PathError(f"points[{number}]: expected [x, y] in m, found {point!r:.40}")
+            for value in point:
+                _require_finite(f"points[{number}]", value)
+            if number and point == points[number - 1]:
+                raise PathError(
+                    f"points[{number}]: expected another point than the one before, found {point}"
+                )
+        if self.is_closed and points[0] == points[-1]:
+            expected = "another point than the first, for the path is closed"
+            raise PathError(f"points[{len(points) - 1}]: expected {expected}, found {points[-1]}")
+        self._require_ways()
+
+    def _require_ways(self) -> None:
+        """Refuse what has no length, and a way that leads back over itself."""
+        if self.length_m < LEAST_M:
+            found = f"{self.length_m:.3g} m"
+            raise PathError(f"points: expected a path of {LEAST_M} m or more, found {found}")
+        pieces = [*self.pieces, *(self.pieces[:1] if self.is_closed else ())]
+        for before, piece in pairwise(pieces):
+            if abs(_find_turn(before, piece)) > TURN_BACK_RAD:
+                expected = "a path that does not turn back on itself"
+                found = "a turn of 180 deg"
+                raise PathError(f"points[{piece.number}]: expected {expected}, found {found}")
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it ends where it begins."""
+        if self.closed is None:
+            return closes_by_itself(self.kind)
+        return self.closed
+
+    @cached_property
+    def length_m(self) -> float:
+        """Its length, once around where it is closed [m]."""
+        last = self.pieces[-1]
+        return last.start_m + last.length_m
+
+    @cached_property
+    def corners(self) -> tuple[Corner, ...]:
+        """Where its direction jumps on the first lap, in order; its end is no corner."""
+        found = [
+            (piece.start_m, turn)
+            for before, piece in pairwise(self.pieces)
+            if abs(turn := _find_turn(before, piece)) >= CORNER_RAD
+        ]
+        ends_m = [*(arc_m for arc_m, _ in found[1:]), self.length_m]
+        return tuple(
+            Corner(arc_m, turn, end_m - arc_m)
+            for (arc_m, turn), end_m in zip(found, ends_m, strict=False)
+        )
+
+    def list_corners(self, to_m: float) -> list[Corner]:
+        """Return the corners of the first lap, and of later ones up to an arc length [m], in order.
+
+        Where one lap ends and the next begins is a corner, too, if the direction jumps there.
+        """
+        if not self.is_closed or not to_m >= self.length_m:
+            return [*self.corners]
+        turn = _find_turn(self.pieces[-1], self.pieces[0])
+        seam = [Corner(0.0, turn, 0.0)] if abs(turn) >= CORNER_RAD else []
+        laps_m = [lap * self.length_m for lap in range(math.floor(to_m / self.length_m) + 2)]
+        every = [
+            one._replace(arc_m=one.arc_m + lap_m)
+            for lap_m in laps_m
+            for one in (*(seam if lap_m else ()), *self.corners)
+        ]
+        found = [one._replace(leg_m=after.arc_m - one.arc_m) for one, after in pairwise(every)]
+        return [one for one in found if one.arc_m <= max(to_m, self.length_m)]
+
+    @property
+    def bounds_m(self) -> tuple[float, float, float, float]:
+        """Least and greatest x, least and greatest y of the path [m]."""
+        if self.points is not None:
+            xs, ys = zip(*self.points, strict=True)
+            return min(xs), max(xs), min(ys), max(ys)
+        x_m, y_m, size_m = (self.center_x_m or 0.0), (self.center_y_m or 0.0), (self.size_m or 0.0)
+        high_m = size_m if self.kind == "circle" else 2.0 * size_m
+        return x_m - size_m, x_m + size_m, y_m - high_m, y_m + high_m
+
+    def locate(self, arc_m: float) -> PathPoint:
+        """Return the point at an arc length [m].
+
+        Beyond its ends a closed path goes round again, and an open one goes straight on.
+        """
+        return PathPoint(*locate(self.numbers, self.ways, arc_m))
+
+    def find_on_first_lap(self, arc_m: float) -> float:
+        """Return the arc length of the same point on the first lap of a closed path [m].
+
+        The end of a lap is the beginning of the next. An open path has one lap, without an end.
+        """
+        return find_on_first_lap(self.numbers, arc_m)
+
+    def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> PathPlace:
+        """Return where a position is with respect to the stretch between two arc lengths.
+
+        The stretch of an open path is cut at its ends; a closed one goes round, so that an arc
+        length may be negative or beyond the length. Of points at equal distance the first counts.
+        """
+        return PathPlace(*find_nearest(self.numbers, self.ways, (x_m, y_m), low_m, high_m))
+
+    def find_point(self, point: tuple[float, float, float]) -> float:
+        """Return the arc length of a point of the path, x [m], y [m] and direction [rad] [m].
+
+        Where the path meets itself the direction tells the branches apart.
+        """
+        x_m, y_m, heading_rad = point
+        best_m, best = math.inf, 0.0
+        for piece in self.pieces:
+            way_m = find_nearest_on(piece, x_m, y_m, 0.0, piece.length_m)
+            found = PathPoint(*locate_on(piece, way_m))
+            away_m = math.hypot(x_m - found.x_m, y_m - found.y_m)
+            away_m += abs(wrap_angle(heading_rad - found.heading_rad))  # 1 m for 1 rad
+            if away_m < best_m:
+                best_m, best = away_m, piece.start_m + way_m
+        return best
+
+    def find_ahead(self, x_m: float, y_m: float, lookahead_m: float, from_m: float) -> PathPoint:
+        """Return the first point from an arc length on that is a lookahead away from a position.
+
+        Where the path at `from_m` is further away than that, the point there; where no point of a
+        closed path is that far away, the point that is a lookahead further along it.
+        """
+        found = find_ahead(self.numbers, self.ways, (x_m, y_m), lookahead_m, from_m)
+        return PathPoint(*found)
+
+    @cached_property
+    def pieces(self) -> tuple[PathPiece, ...]:
+        """What it consists of, in order."""
+        if self.points is None:
+            return tuple(_build_round(self))
+        points = (*self.points, self.points[0]) if self.is_closed else self.points
+        return tuple(join_points(points))
+
+    @cached_property
+    def ways(self) -> tuple[PathPiece, ...]:
+        """Its pieces, then the tangents at its end and at its beginning."""
+        first, last = self.pieces[0], self.pieces[-1]
+        return (*self.pieces, last.go_straight(last.length_m), first.go_straight(0.0))
+
+    @cached_property
+    def numbers(self) -> PathNumbers:
+        """What functions of paths and loops read of it, beside its pieces."""
+        # A quarter of a short closed path: the way round the other side is further.
+        reach_m = min(REACH_M, self.length_m / 4.0) if self.is_closed else REACH_M
+        return PathNumbers(
+            count=len(self.pieces),
+            is_closed=self.is_closed,
+            length_m=self.length_m,
+            reach_m=reach_m,
+            has_speed=self.speed_m_s is not None,
+            speed_m_s=self.speed_m_s or 0.0,
+        )
+
+
+PATH_KEYS: Final = tuple(f"path.{one.name}" for one in fields(Path))
+"""Scenario keys of a path, which are absent where there is none."""
+
+
+class PathFollower:
+    """Keeps track of the point of a path that is nearest to a robot, pose by pose.
+
+    The robot first has to come to the path: to its beginning, where it is open and no time belongs
+    to it; to the stretch that the reference has passed, by time; to a closed path anywhere. From
+    then on the nearest point is looked for within `REACH_M` of the one before, so that a path that
+    crosses itself is followed in its order.
+
+    Attributes:
+        arc_m: Arc length of the nearest point [m], None until the robot has come to the path.
+        reach_m: How far along the path from the one before the next is looked for, either way [m].
+    """
+
+    __slots__ = ("_path", "arc_m", "reach_m")
+
+    def __init__(self, path: Path, arc_m: float | None = None) -> None:
+        """Begin off the path, or at an arc length [m]."""
+        self._path, self.arc_m, self.reach_m = path, arc_m, path.numbers.reach_m
+
+    def advance(self, x_m: float, y_m: float, due_m: float | None = None) -> PathPlace:
+        """Return where the robot is now; `due_m` is how far the reference is, by time [m]."""
+        path, before_m = self._path, math.nan if self.arc_m is None else self.arc_m
+        due_m = math.nan if due_m is None else due_m
+        arc_m, offset_m, next_m = follow(path.numbers, path.ways, before_m, (x_m, y_m), due_m)
+        self.arc_m = None if math.isnan(next_m) else next_m
+        return PathPlace(arc_m, offset_m)
+
+
+def restore_path(parameters: Mapping[str, Any]) -> Path | None:
+    """Return the path among a run's parameters (`path.kind` ...); None where there is none.
+
+    Raises:
+        PathError: Where they make no path.
+    """
+    found = [key for key in PATH_KEYS if key in parameters]
+    values = {key.removeprefix("path."): parameters[key] for key in found}
+    if not values:
+        return None
+    points = values.get("points")
+    if isinstance(points, list | tuple):
+        values["points"] = tuple(tuple(one) if isinstance(one, list) else one for one in points)
+    try:
+        return _build_path(tuple(values.items()))
+    except TypeError as err:  # a list where a number belongs, or no kind
+        raise PathError(f"expected a path, found {values!r:.60}") from err
+
+
+@lru_cache(maxsize=16)
+def _build_path(values: tuple[tuple[str, Any], ...]) -> Path:
+    # Kept, as a run asks for its path again and again: its pieces are found once.
+    return Path(**dict(values))
+
+
+_ROUND: Final = ("circle", "figure-eight")
+
+
+def _require_finite(place: str, value: Any) -> float:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not math.isfinite(value):
+        raise PathError(f"{place}: expected a finite number, found {value!r:.40}")
+    return float(value)
+
+
+def _find_turn(before: PathPiece, after: PathPiece) -> float:
+    end = before.heading_rad + before.curvature_1_m * before.length_m
+    return wrap_angle(after.heading_rad - end)
+
+
+def _build_round(path: Path) -> Iterator[PathPiece]:
+    x_m, y_m, size_m = path.center_x_m or 0.0, path.center_y_m or 0.0, path.size_m or 0.0
+    turn_m = 2.0 * math.pi * size_m
+    if path.kind == "circle":
+        yield PathPiece(0, 0.0, turn_m, x_m + size_m, y_m, math.pi / 2.0, 1.0 / size_m)
+        return
+    yield PathPiece(0, 0.0, turn_m, x_m, y_m, 0.0, 1.0 / size_m)
+    yield PathPiece(1, turn_m, turn_m, x_m, y_m, 0.0, -1.0 / size_m)

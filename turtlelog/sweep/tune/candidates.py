@@ -1,0 +1,257 @@
+"""Candidates simulated, measured and judged, many at a time and none twice."""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any, Final
+
+from turtlelog.errors import ScenarioError, TuneError
+from turtlelog.laws import is_given
+from turtlelog.measure import list_metrics
+from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes, start_pool
+from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
+from turtlelog.simulate import declare_scenario
+from turtlelog.simulate.step_budget import STEP_BUDGET_S
+from turtlelog.sweep.plan import build_row_scenario
+from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
+from turtlelog.sweep.tune.goal import ConstraintFinding, TuningGoal
+
+Point = tuple[float | int, ...]
+
+_CUTS: Final = 8
+"""Parts of a generation, at least: some for each of a few processes."""
+
+_ROWS: Final = "grid: "
+"""Begins what is wrong with the values of a row."""
+
+_CHUNK_S: Final = 0.5
+"""Work handed out at a time [s], about: long against handing it out, short beside what a user
+waits for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """Values of the keys, and what comes of them.
+
+    Attributes:
+        point: A value for each key.
+        objective: None where it has no value.
+        constraints: What becomes of each.
+        failed: Why the run failed; empty where it did not.
+        missing: Why the objective has no value, in the words of the metrics; empty where it has.
+    """
+
+    point: Point
+    objective: float | None
+    constraints: tuple[ConstraintFinding, ...]
+    failed: str = ""
+    missing: str = ""
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether it has an objective and every constraint holds."""
+        return self.objective is not None and all(one.holds for one in self.constraints)
+
+    @property
+    def violation(self) -> float:
+        """How far the constraints that do not hold are from holding, added up."""
+        # Not by `sum`, which rounds otherwise from Python 3.12 on.
+        total = 0.0
+        for one in self.constraints:
+            total += 0.0 if one.holds else max(-one.margin, 0.0)
+        return total
+
+
+class Candidates:
+    """What is known of the candidates of a scenario.
+
+    Attributes:
+        keys: That vary.
+        evaluations: How many different candidates were simulated.
+    """
+
+    def __init__(  # noqa: PLR0913  (all but the first three have defaults)
+        self,
+        base: Scenario,
+        keys: Sequence[str],
+        goal: TuningGoal,
+        *,
+        jobs: "int | Executor | None" = None,
+        expected: int = 1000,
+        watch: Callable[[int], None] | None = None,
+        trust_law: bool = False,
+        step_budget_s: float = STEP_BUDGET_S,
+        tell: Callable[[str], None] | None = None,
+        source: str = "grid",
+    ) -> None:
+        """Take what the candidates vary.
+
+        Args:
+            base: Its law may run.
+            keys: Dotted.
+            goal: What they are judged by.
+            jobs: Processes, or what takes the work; None: as many as cores where that is quicker.
+            expected: How many candidates there will be, about.
+            watch: Called with the number of candidates that are known.
+            trust_law: Whether a law that a recording names may run, too.
+            step_budget_s: Time that the law may compute for one answer [s].
+            tell: Called once, with the first candidate whose law takes longer.
+            source: Begins error lines about the values of a candidate.
+
+        Raises:
+            ScenarioError: Where the base is no scenario, or its law may not run.
+            ExpressionError: Where the goal names what is not there.
+            TuneError: Where the goal is none.
+        """
+        self.keys = tuple(keys)
+        self.evaluations = 0
+        resolved = resolve_scenario(base, trust_law=trust_law)
+        self._parameters: Mapping[str, Any] = flatten_scenario(resolved)
+        self._source = source
+        self._goal, self._base = goal, format_scenario(base)
+        self._jobs, self._expected = jobs, expected
+        self._watch = watch or (lambda _: None)
+        self._step_budget_s, self._tell = step_budget_s, tell
+        self._known: dict[Point, Candidate] = {}
+        self._row_s: float | None = None
+        self._is_batch = False
+        known = list_metrics(declare_scenario(resolved))
+        unknown = [name for name in goal.metrics if name not in known]
+        if unknown:
+            raise TuneError(
+                f"{unknown[0]}: expected a metric of the law {resolved.law.kind}, which has no such"
+                " loop"
+            )
+        self._scenario, self._trusts = base, trust_law
+        numbers = dict.fromkeys([*self.keys, *known], 1.0)
+        goal.require_sound({**self._parameters, **numbers})
+
+    def build_scenario(self, point: Point) -> Scenario:
+        """Return the scenario of a candidate, under the name of the base."""
+        trusted = True if self._trusts else None
+        keys, values = [*self.keys, "name"], [*point, self._scenario.name]
+        return build_row_scenario(
+            self._scenario, keys, values, 0, source=self._source, trust_law=trusted
+        )
+
+    def require_bounds(self, points: Sequence[Point]) -> None:
+        """Refuse bounds at none of which there is a scenario.
+
+        Raises:
+            ScenarioError: With the reason of the first.
+        """
+        errors = []
+        for point in points:
+            try:
+                resolve_scenario(self.build_scenario(point), trust_law=self._trusts)
+            except ScenarioError as err:
+                errors.append(err)
+        if len(errors) == len(points):
+            raise errors[0]
+
+    def evaluate(self, points: Sequence[Point]) -> list[Candidate]:
+        """Return what comes of each point; what is known is not simulated again."""
+        new = [point for point in dict.fromkeys(points) if point not in self._known]
+        for first, results in self._simulate(new):
+            for place, point in enumerate(new[first : first + len(results)]):
+                self._known[point] = self._judge(point, results, place)
+                self.evaluations += 1
+            late = results.find_late()
+            if late is not None and self._tell is not None:
+                self._tell(f"{self._source}: {late.partition(': ')[2]}")
+                self._tell = None
+            self._watch(len(self._known))
+        return [self._known[point] for point in points]
+
+    def list_known(self) -> list[Candidate]:
+        """Return all candidates, in the order in which they were simulated."""
+        return [*self._known.values()]
+
+    def _simulate(self, points: Sequence[Point]) -> Iterator[tuple[int, RowResults]]:
+        """Yield results of stretches of the points, the first alone to see how long one takes."""
+        if not points:
+            return
+        done = 0
+        if self._row_s is None:
+            self._is_batch = is_batch(self._cut(points[:1]))
+            begun = time.perf_counter()
+            results = simulate_rows(self._cut(points[:1]))
+            self._row_s = time.perf_counter() - begun
+            yield 0, results
+            done = 1
+        jobs = self._choose_jobs()
+        if isinstance(jobs, int) and self._is_batch:
+            jobs, threads, size = 1, jobs, len(points)
+        else:
+            # A generation is cut for all who work, and for those who are done sooner.
+            threads, size = 1, -(-len(points) // _CUTS)
+            size = max(1, min(size, int(_CHUNK_S / self._row_s)))
+        is_forked = is_given(self._scenario.law.kind)
+        chunks = [
+            self._cut(points[first : first + size], threads=threads)
+            for first in range(done, len(points), max(size, 1))
+        ]
+        for results in map_in_processes(
+            simulate_rows, chunks, jobs, name=_name_chunk, is_forked=is_forked
+        ):
+            yield done, results
+            done += len(results)
+
+    def _choose_jobs(self) -> "int | Executor":
+        if self._jobs is None:
+            rest_s = (self._expected - self.evaluations) * (self._row_s or 0.0)
+            self._jobs = count_cores() if rest_s > LONG_S else 1
+        if is_given(self._scenario.law.kind):
+            # Processes of a pool are spawned, and would not find a law of this session.
+            return self._jobs if CAN_FORK or not isinstance(self._jobs, int) else 1
+        if isinstance(self._jobs, int) and self._jobs > 1 and not self._is_batch:
+            self._jobs = start_pool(self._jobs)
+        return self._jobs
+
+    def _cut(self, points: Sequence[Point], *, threads: int = 1) -> RowChunk:
+        return RowChunk(
+            base=self._base,
+            keys=self.keys,
+            first=0,
+            values=tuple(points),
+            metrics=self._goal.metrics,
+            ahead=max(self._expected - self.evaluations, 0),
+            threads=threads,
+            step_budget_s=self._step_budget_s,
+        )
+
+    def _judge(self, point: Point, results: RowResults, place: int) -> Candidate:
+        found = {name: cells.values[place] for name, cells in results.metrics.items()}
+        values = {
+            **self._parameters,
+            **dict(zip(self.keys, point, strict=True)),
+            **dict.fromkeys(self._goal.metrics),
+            **found,
+        }
+        failed = results.failed[place] or ""
+        if failed.startswith(_ROWS):
+            failed = f"{self._source}: {failed.removeprefix(_ROWS)}"
+        objective = None if failed else self._goal.compute_objective(values)
+        if objective is not None and not math.isfinite(objective):
+            objective = None
+        missing = ""
+        if objective is None and not failed:
+            reasons = [
+                f"{name}: {cells.statuses[place]}"
+                for name, cells in results.metrics.items()
+                if name in self._goal.objective.names and cells.values[place] is None
+            ]
+            missing = ", ".join(reasons) or "it has no finite value"
+        return Candidate(
+            point=point,
+            objective=objective,
+            constraints=self._goal.judge(values),
+            failed=failed,
+            missing=missing,
+        )
+
+
+def _name_chunk(chunk: RowChunk) -> str:
+    return f"{len(chunk.values)} candidates"

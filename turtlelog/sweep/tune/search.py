@@ -1,0 +1,233 @@
+"""The search for the best values: spread over the range, then evolved, then refined.
+
+First a scrambled Sobol sequence covers the range evenly. Differential evolution (R. Storn and K.
+Price, J. Global Optimization 11, 1997; as scipy has it) goes on from its best points, whole
+generations at a time. A compass search (T. G. Kolda, R. M. Lewis and V. Torczon, SIAM Review 45,
+2003) then halves its steps around the best. Of two candidates the better one fulfils the
+constraints; where both do, has the better objective; where none does, violates them less
+(K. Deb, "An efficient constraint handling method for genetic algorithms", Computer Methods in
+Applied Mechanics and Engineering 186, 2000).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import TuneError
+from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point
+from turtlelog.sweep.tune.searched_keys import SearchedKey
+
+_SPREAD: Final = 32
+"""Points for each key that cover the range: one key in steps of 3 % of it. A power of two, as the
+sequence wants."""
+
+_POPULATION: Final = 12
+"""Of the evolution, for each key: its authors advise 10, scipy takes 15."""
+
+_FEWEST: Final = 16
+"""Of the evolution with one key."""
+
+_FIRST_STEP: Final = 1.0 / 16.0
+_LAST_STEP: Final = 1e-5
+"""Of the compass search, as shares of the range: from the distance of two points of the cover to
+less than anybody types."""
+
+_CORNERS: Final = 6
+"""With so many keys or fewer the corners of the range are candidates, too: 64 at most."""
+
+_FAR: Final = 1e100
+"""Added to the violation of a candidate, so that it comes after all that violate nothing."""
+
+Order = tuple[int, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tuned:
+    """What a search came to.
+
+    Attributes:
+        best: The best candidate: `is_feasible` tells whether it fulfils the constraints.
+        evaluations: How many candidates were simulated.
+        failed: How many of them failed.
+        failure: Why the first of these did; empty where none did.
+        feasible: How many fulfilled the constraints.
+        at_bounds: Keys whose best value is a bound of their range.
+        is_flat: Whether all that fulfilled the constraints, two at least, have the same objective.
+    """
+
+    best: Candidate
+    evaluations: int
+    failed: int
+    feasible: int
+    at_bounds: tuple[str, ...]
+    is_flat: bool = False
+    failure: str = ""
+
+
+def search_best(
+    candidates: Candidates,
+    keys: Sequence[SearchedKey],
+    *,
+    evaluations: int,
+    is_maximised: bool = False,
+    seed: int = 0,
+    first: Sequence[Point] = (),
+) -> Tuned:
+    """Return the best values of keys.
+
+    Args:
+        candidates: Simulates and judges.
+        keys: Where to look.
+        evaluations: How many candidates at most, about.
+        is_maximised: Whether the objective should be large.
+        seed: Of the search. The same gives the same.
+        first: Points to begin with, as the values that the scenario has.
+
+    Raises:
+        TuneError: Where no candidate has an objective.
+    """
+    search = _Search(candidates, keys, evaluations, -1.0 if is_maximised else 1.0)
+    search.spread(seed, first)
+    search.evolve(seed)
+    search.refine()
+    found = sum_up(candidates, keys, is_maximised=is_maximised)
+    if found.best.objective is None:
+        reason = found.best.failed or found.best.missing
+        raise TuneError(f"no candidate has a value to compare: {reason}")
+    return found
+
+
+def sum_up(
+    candidates: Candidates, keys: Sequence[SearchedKey], *, is_maximised: bool = False
+) -> Tuned:
+    """Return what is known of the candidates so far; at least one is."""
+    known, best = candidates.list_known(), find_best(candidates, is_maximised=is_maximised)
+    feasible = [one.objective for one in known if one.is_feasible]
+    return Tuned(
+        best=best,
+        evaluations=candidates.evaluations,
+        failed=sum(bool(one.failed) for one in known),
+        failure=next((one.failed for one in known if one.failed), ""),
+        feasible=len(feasible),
+        is_flat=len(feasible) > 1 and len(set(feasible)) == 1,
+        at_bounds=tuple(
+            key.key
+            for key, value in zip(keys, best.point, strict=True)
+            if value in {key.low, key.high}
+        ),
+    )
+
+
+def find_best(candidates: Candidates, *, is_maximised: bool = False) -> Candidate:
+    """Return the best candidate that is known; of equal ones the first.
+
+    Raises:
+        ValueError: Where none is known.
+    """
+    sign = -1.0 if is_maximised else 1.0
+    return min(candidates.list_known(), key=lambda one: _order(one, sign))
+
+
+def _order(candidate: Candidate, sign: float) -> Order:
+    """Return what sorts candidates, the best first."""
+    if candidate.is_feasible and candidate.objective is not None:
+        return 0, sign * candidate.objective
+    return (2, 0.0) if candidate.objective is None else (1, candidate.violation)
+
+
+class _Search:
+    def __init__(
+        self, candidates: Candidates, keys: Sequence[SearchedKey], most: int, sign: float
+    ) -> None:
+        self._candidates, self._keys, self._most, self._sign = candidates, keys, most, sign
+        self._low = np.array([key.low for key in keys], float)
+        self._width = np.array([key.high - key.low for key in keys], float)
+
+    @property
+    def _left(self) -> int:
+        return self._most - self._candidates.evaluations
+
+    def _place(self, shares: NDArray[np.float64]) -> list[Point]:
+        """Return the points at shares of the range, shape (n, number of keys)."""
+        values = self._low + shares * self._width
+        # What is added up may fall short of a bound by its last digit.
+        values = np.where(shares >= 1.0, [key.high for key in self._keys], values)
+        return [
+            tuple(key.round(value) for key, value in zip(self._keys, row, strict=True))
+            for row in values.tolist()
+        ]
+
+    def _score(self, points: Sequence[Point]) -> NDArray[np.float64]:
+        """Return a number for each point that orders candidates alike."""
+        orders = map(self._order, self._candidates.evaluate(points))
+        return np.array([_number(order) for order in orders])
+
+    def _find_best(self) -> Candidate:
+        return min(self._candidates.list_known(), key=self._order)
+
+    def _order(self, candidate: Candidate) -> Order:
+        return _order(candidate, self._sign)
+
+    def spread(self, seed: int, first: Sequence[Point]) -> None:
+        """Cover the range."""
+        from scipy.stats import qmc
+
+        count = len(self._keys)
+        points = [*first]
+        points += self._place(np.full((1, count), 0.5))
+        if count <= _CORNERS:
+            points += self._place(np.array([*product((0.0, 1.0), repeat=count)]))
+        wanted = max(min(_SPREAD * count, self._most // 2), 2)
+        generator = np.random.default_rng(seed)
+        sequence: Any = qmc.Sobol(count, rng=generator)
+        points += self._place(sequence.random_base2(max(math.floor(math.log2(wanted)), 1)))
+        self._candidates.evaluate(points[: max(self._most, 1)])
+
+    def evolve(self, seed: int) -> None:
+        """Evolve the best points, whole generations at a time."""
+        from scipy.optimize import differential_evolution
+
+        count = len(self._keys)
+        size = max(_FEWEST, _POPULATION * count)
+        known = sorted(self._candidates.list_known(), key=self._order)[:size]
+        generations = int(0.75 * self._left) // size
+        if generations < 1 or len(known) < 5:  # scipy wants five
+            return
+        shares = (np.array([one.point for one in known], float) - self._low) / self._width
+        differential_evolution(
+            lambda columns: self._score(self._place(columns.T)),
+            [(0.0, 1.0)] * count,
+            init=np.clip(shares, 0.0, 1.0),
+            maxiter=generations,
+            rng=np.random.default_rng(seed + 1),
+            polish=False,
+            vectorized=True,
+            updating="deferred",
+            tol=1e-6,
+        )
+
+    def refine(self) -> None:
+        """Walk from the best in steps that halve, in every direction and between two."""
+        count = len(self._keys)
+        directions = [*np.eye(count), *-np.eye(count)]
+        if 1 < count <= _CORNERS:
+            directions += [np.array(one) for one in product((-1.0, 1.0), repeat=count)]
+        step, best = _FIRST_STEP, self._find_best()
+        while step >= _LAST_STEP and self._left >= len(directions):
+            here = (np.array(best.point, float) - self._low) / self._width
+            around = np.clip(here + step * np.array(directions), 0.0, 1.0)
+            self._candidates.evaluate(self._place(around))
+            found = self._find_best()
+            if found is best:
+                step /= 2.0
+            best = found
+
+
+def _number(order: Order) -> float:
+    group, value = order
+    return value if group == 0 else math.inf if group == 2 else _FAR + _FAR * min(value, 1e100)

@@ -1,0 +1,202 @@
+"""A search for the best values in one call."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from turtlelog.display import fit_line, format_answer, format_html, format_number
+from turtlelog.errors import TuneError
+from turtlelog.expressions import parse_expression
+from turtlelog.measure import find_metric_kind
+from turtlelog.scenario import (
+    Scenario,
+    choose_scenario,
+    flatten_scenario,
+    override_scenario,
+    resolve_scenario,
+    unwrap_number,
+)
+from turtlelog.simulate.step_budget import STEP_BUDGET_S
+from turtlelog.sweep.tune.candidates import Candidates
+from turtlelog.sweep.tune.goal import TuningGoal
+from turtlelog.sweep.tune.neighbourhood import NEIGHBOURS, Neighbourhood, explore_best
+from turtlelog.sweep.tune.search import Tuned, search_best
+from turtlelog.sweep.tune.searched_keys import SearchedKey, parse_searched_keys
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+FOR_EACH_KEY: Final = 300
+"""Candidates for each key: the cover takes 32, and a generation of the evolution 12."""
+
+FEWEST: Final = 8
+"""Candidates of a search."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class TunedScenario:
+    """The best values that a search found.
+
+    Attributes:
+        scenario: With the best values.
+        keys: Where they were looked for.
+        goal: What they were tuned for.
+        tuned: What the search came to.
+        around: How far each key can go; None where no candidate fulfils the constraints.
+    """
+
+    scenario: Scenario
+    keys: tuple[SearchedKey, ...]
+    goal: TuningGoal
+    tuned: Tuned
+    around: Neighbourhood | None = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The best value of each key."""
+        return dict(zip((one.key for one in self.keys), self.tuned.best.point, strict=True))
+
+    @property
+    def objective(self) -> float:
+        """What is smallest or largest there."""
+        found = self.tuned.best.objective
+        return math.nan if found is None else found
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether the constraints hold there."""
+        return self.tuned.best.is_feasible
+
+    def _describe(self) -> str:
+        kind = None if self.goal.metric is None else find_metric_kind(self.goal.metric)
+        value = format_number(self.objective, "" if kind is None else kind.unit)
+        told = ", ".join(f"{key} = {one:.5g}" for key, one in self.values.items())
+        no = "" if self.is_feasible else "no candidate fulfils the constraints, "
+        return f"{no}{self.goal.objective.text} is {value} with {told}"
+
+    def __repr__(self) -> str:
+        return fit_line(f"<TunedScenario: {self._describe()}>")
+
+    def _repr_html_(self) -> str:
+        heads = ("key", "best", "good from", "to", "looked from", "to")
+        ranges = {} if self.around is None else {one.key: one for one in self.around.ranges}
+        rows = []
+        for one in self.keys:
+            found = ranges.get(one.key)
+            ends = (None, None) if found is None else (found.low, found.high)
+            rows.append((one.key, self.values[one.key], *ends, one.low, one.high))
+        return format_answer(self._describe(), format_html(rows, heads=heads))
+
+
+def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
+    scenario: Scenario | str | Path,
+    ranges: Mapping[str, tuple[float, float]],
+    *,
+    minimise: str | None = None,
+    maximise: str | None = None,
+    subject_to: Sequence[str] = (),
+    law: Any = None,
+    changes: Mapping[str, Any] | None = None,
+    evaluations: int | None = None,
+    seed: int = 0,
+    jobs: "int | Executor | None" = None,
+    step_budget_s: float = STEP_BUDGET_S,
+) -> TunedScenario:
+    """Look for the values of keys that are best, and for how far each can go alone.
+
+    Args:
+        scenario: What varies: a scenario, the name of a preset, or a file.
+        ranges: From where to where by dotted key, as in `{"law.kp_linear": (1, 6)}`.
+        minimise: A metric or a formula of metrics and keys that should be small.
+        maximise: One that should be large, instead.
+        subject_to: What must hold, as in `["rotate.overshoot <= 2"]`.
+        law: What drives instead of the scenario's law, as in `simulate_run`.
+        changes: Values by dotted key that all candidates have.
+        evaluations: How many candidates at most, about; None: 300 for each key.
+        seed: Of the search. The same gives the same.
+        jobs: Processes, or what takes the work; None: as many as cores where that is quicker.
+        step_budget_s: Time that the law may compute for one answer [s].
+
+    Raises:
+        TuneError: Where arguments do not go together, or no candidate has a value.
+        ExpressionError: Where a formula cannot be read, or names what is not there.
+        LawError: Where `law` is no law.
+        ScenarioError: Where there is no such scenario, or the ranges make none.
+    """
+    goal = _read_goal(minimise, maximise, subject_to)
+    texts = [*_list_ranges(ranges)]
+    most = FOR_EACH_KEY * len(texts) if evaluations is None else evaluations
+    if most < FEWEST or seed < 0:
+        name, least, found = ("seed", 0, seed) if seed < 0 else ("evaluations", FEWEST, most)
+        raise TuneError(f"{name}: expected at least {least}, found {found}")
+    base = choose_scenario(scenario, law=law, changes=changes)
+    base, keys = complete_searched(base, texts, source="ranges")
+    candidates = Candidates(
+        base,
+        [one.key for one in keys],
+        goal,
+        jobs=jobs,
+        expected=most + NEIGHBOURS * len(keys),
+        step_budget_s=step_budget_s,
+        source="ranges",
+    )
+    candidates.require_bounds([tuple(one.low for one in keys), tuple(one.high for one in keys)])
+    is_maximised, around = goal.is_maximised, None
+    tuned = search_best(candidates, keys, evaluations=most, is_maximised=is_maximised, seed=seed)
+    if tuned.best.is_feasible:
+        tuned, around = explore_best(candidates, keys, tuned, is_maximised=is_maximised)
+    best = candidates.build_scenario(tuned.best.point)
+    return TunedScenario(scenario=best, keys=keys, goal=goal, tuned=tuned, around=around)
+
+
+def complete_searched(
+    scenario: Scenario, texts: Sequence[str], *, source: str, trust_law: bool = False
+) -> tuple[Scenario, tuple[SearchedKey, ...]]:
+    """Return the keys, and the scenario with a value for each: a law need not have defaults.
+
+    Args:
+        scenario: That varies.
+        texts: Keys with their bounds, as `parse_searched_keys` reads them.
+        source: Begins error lines.
+        trust_law: Whether a law that a recording names may run, too.
+    """
+    known = flatten_scenario(scenario)
+    keys = parse_searched_keys(texts, known, source=source)
+    lows = {one.key: one.low for one in keys if one.key not in known}
+    whole = {key: int(low) if float(low).is_integer() else low for key, low in lows.items()}
+    scenario = override_scenario(scenario, whole, source=source)
+    resolved = flatten_scenario(resolve_scenario(scenario, trust_law=trust_law))
+    return scenario, parse_searched_keys(texts, resolved, source=source)
+
+
+def _read_goal(minimise: str | None, maximise: str | None, subject_to: Sequence[str]) -> TuningGoal:
+    if (minimise is None) == (maximise is None):
+        raise TuneError("tune_scenario: expected minimise or maximise, one of them")
+    name, text = ("minimise", minimise) if maximise is None else ("maximise", maximise)
+    constraints = [subject_to] if isinstance(subject_to, str) else subject_to
+    return TuningGoal(
+        objective=parse_expression(str(text), source=name),
+        is_maximised=maximise is not None,
+        constraints=tuple(parse_expression(one, source="subject_to") for one in constraints),
+    )
+
+
+def _list_ranges(ranges: Mapping[str, tuple[float, float]]) -> list[str]:
+    example = '{"law.kp_linear": (1, 6)}'
+    if not isinstance(ranges, Mapping) or not ranges:
+        raise TuneError(f"ranges: expected bounds by key, as in {example}, found {ranges!r:.60}")
+    return [_write_range(key, bounds, example) for key, bounds in ranges.items()]
+
+
+def _write_range(key: str, bounds: Any, example: str) -> str:
+    try:
+        low, high = (unwrap_number(one) for one in bounds)
+        is_sound = math.isfinite(low) and math.isfinite(high)
+    except (TypeError, ValueError):
+        is_sound = False
+    if not is_sound:
+        expected = f"two finite numbers, as in {example}"
+        raise TuneError(f"ranges: {key}: expected {expected}, found {bounds!r:.60}")
+    return f"{key}={low!r}:{high!r}"
