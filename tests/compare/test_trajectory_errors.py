@@ -232,7 +232,7 @@ def test_a_delta_needs_a_length_and_a_unit(text: str) -> None:
 
 def test_a_delta_longer_than_the_way_says_how_long_that_is() -> None:
     with pytest.raises(
-        CompareError, match=r"no relative motion of 1000 m: .* cover .* m and 5.95 s"
+        CompareError, match=r"no relative motion of 1000 m: .* cover .* m and 5.95 s and turn"
     ):
         compare(TRUTH, deltas=(parse_delta("1000m"),))
 

@@ -117,11 +117,14 @@ def test_poses_of_foxglove_are_read(name: str, tmp_path: Path) -> None:
     assert trajectory.time_ns[1] - trajectory.time_ns[0] == 50_000_000
 
 
-def test_transforms_of_several_frames_are_no_poses_of_one_robot(tmp_path: Path) -> None:
-    messages = say("FrameTransform", frames=("base", "camera"))
+def test_transforms_of_several_frames_are_told_apart(tmp_path: Path) -> None:
+    messages = say("FrameTransform", frames=("base_link", "camera"))
     path = write(tmp_path / "a.mcap", "FrameTransform", messages)
-    with pytest.raises(LogError, match="transforms of one frame, the robot's, found base, camera"):
-        read_run(path)
+    run = read_run(path)
+    assert run.notes["pose_topic"] == "/pose (foxglove.FrameTransform): map -> base_link"
+    assert len(run.poses) == 20
+    other = read_run(path, pose_frame="camera")
+    assert other.poses.xy_m[:, 0] == pytest.approx([0.1 * row for row in range(1, 40, 2)])
 
 
 def test_what_was_not_written_is_zero_or_absent(tmp_path: Path) -> None:

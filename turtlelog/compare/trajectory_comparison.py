@@ -23,10 +23,11 @@ from turtlelog.compare.trajectory_errors import (
     find_origin_alignment,
     measure_absolute_errors,
     measure_relative_errors,
+    measure_steps,
     project_trajectory,
     summarise_errors,
 )
-from turtlelog.display import describe_count, fit_line, format_short
+from turtlelog.display import describe_count, fit_line, format_short, join_words
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.run.trajectory import Trajectory
 
@@ -338,11 +339,15 @@ def _list_errors(
         yield TrajectoryError(kind=kind, quantity=quantity, delta=delta, statistics=statistics)
 
 
+_EXTENTS: Final[tuple[DeltaUnit, ...]] = ("m", "deg")
+
+
 def _describe_extent(trajectory: Trajectory) -> str:
-    way_m = float(np.linalg.norm(np.diff(trajectory.xyz_m, axis=0), axis=1).sum())
+    """Return how far, and how long, a trajectory goes, and how much it turns."""
     span_s = float(trajectory.time_ns[-1] - trajectory.time_ns[0]) / 1e9
-    times = "" if trajectory.clock == "frame" else f" and {span_s:.3g} s"
-    return f"cover {way_m:.3g} m{times}"
+    way_m, turn_deg = (float(measure_steps(trajectory, unit).sum()) for unit in _EXTENTS)
+    told = [f"cover {way_m:.3g} m", *([] if trajectory.clock == "frame" else [f"{span_s:.3g} s"])]
+    return f"{join_words(told)} and turn by {turn_deg:.3g} deg"
 
 
 def _list_notes(

@@ -22,6 +22,8 @@ from turtlelog.log.read_choice import CHOSEN, ReadChoice, split_topic
 from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_columns import PoseShape, find_pose_shape
 from turtlelog.log.ros2.bag_poses import find_poses
+from turtlelog.log.ros2.bag_robots import select_robot
+from turtlelog.log.ros2.bag_topics import NoPosesError
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock, read_stamps
 from turtlelog.run.trajectory import (
     Trajectory,
@@ -197,7 +199,12 @@ class _Rows:
 def _read_bag(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory | None:
     """Return the poses of a bag as its messages have them; None if its fields are no such poses."""
     with name_file(bag.path, expected="a bag"):
-        source = find_poses(bag, bag.topics, choice)
+        is_asked = choice.pose_topic is not None and choice.robot is None
+        topics = bag.topics if is_asked else select_robot(bag.topics, choice.robot)[0]
+        try:
+            source = find_poses(bag, topics, choice)
+        except NoPosesError:
+            return None  # of commands alone a run may be made
         rows = _Rows([], [], [], [])
         is_spatial = True
         for of_file in source.found:

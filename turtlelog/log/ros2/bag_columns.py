@@ -46,8 +46,6 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
             "turn_rate": _widen(fields["angular_velocity"]),
         }
     shape = _SHAPES.get(kind) or find_pose_shape(fields) or _NO_SHAPE
-    if kind not in _SHAPES:
-        _require_one_frame(fields)
     if shape.heading is not None:
         heading_rad = _widen(fields[shape.heading])
         columns = {"heading": np.radians(heading_rad) if shape.is_degrees else heading_rad}
@@ -66,20 +64,6 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
         columns["measured_lateral_speed"] = _widen(fields[f"{twist}.linear.y"])
         columns["measured_turn_rate"] = _widen(fields[f"{twist}.angular.z"])
     return columns
-
-
-def _require_one_frame(fields: Fields) -> None:
-    """Refuse transforms of several frames in messages that are taken for poses."""
-    frames = sorted({*map(str, fields.get("child_frame_id", ()))})
-    if len(frames) > 1:
-        named = ", ".join(frames[:_SHOWN_FRAMES]) + (", ..." if len(frames) > _SHOWN_FRAMES else "")
-        raise LogError(
-            f"expected transforms of one frame, the robot's, found {named}: choose a topic with"
-            " --pose-topic"
-        )
-
-
-_SHOWN_FRAMES: Final = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

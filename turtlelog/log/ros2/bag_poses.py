@@ -16,7 +16,7 @@ from turtlelog.log.ros2.bag_topics import (
     FIX,
     JOINTS,
     NEEDS_WHEELS,
-    TRANSFORMS,
+    TRANSFORM_TYPES,
     NoPosesError,
     Pick,
     choose_joint_topic,
@@ -76,7 +76,7 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
     if asked and choice.pose_topic is None:
         return _trace_poses(bag, _pick_transforms(topics), topics, choice)
     pick = _pick(bag, topics, choice.pose_topic)
-    if pick.topic.type == TRANSFORMS:
+    if pick.topic.type in TRANSFORM_TYPES:
         try:
             return _trace_poses(bag, pick, topics, choice)
         except LogError:
@@ -154,7 +154,7 @@ def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
     Raises:
         LogError: Where they cannot be read.
     """
-    held = [topic.topic for topic in topics if topic.type == TRANSFORMS and topic.count]
+    held = [topic.topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     place = home.rpartition("/")[0]
     own = [name for name in held if name.rpartition("/")[0] == place]
     names = own if any(not _is_static(name) for name in own) else held
@@ -199,7 +199,7 @@ def _holds_poses(bag: Bag, topic: str) -> bool:
 
 
 def _pick_transforms(topics: Collection[TopicInfo]) -> Pick:
-    fitting = [topic for topic in topics if topic.type == TRANSFORMS and topic.count]
+    fitting = [topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     moving = [topic for topic in fitting if not _is_static(topic.topic)]
     if not moving:
         raise LogError("no transforms (/tf)")
