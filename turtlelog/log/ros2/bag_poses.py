@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_info import TopicInfo
@@ -246,7 +247,8 @@ def _note_frames(chosen: FrameChoice, held: Sequence[str], dropped: int) -> dict
     if held:
         notes["held_transforms"] = f"{', '.join(held)}: the newest that was recorded counts"
     if dropped:
-        notes["dropped_before_transforms"] = f"{dropped} poses before the first of {held[0]}"
+        poses = describe_count(dropped, "pose")
+        notes["dropped_before_transforms"] = f"{poses} before the first of {held[0]}"
     return notes
 
 
