@@ -27,15 +27,17 @@ test test-all:
 	$(BIN)/python -m pytest -n 3 -m "realtime $(CHOSEN)" \
 		$$(grep -rl realtime tests --include='test_*.py')
 
-# Once: each worker of the tests would compile them for itself.
+# Once: each worker of the tests would compile the loops, and the tests' own files, for itself.
 LOOPS := $(wildcard turtlelog/*.py turtlelog/effects/*.py turtlelog/laws/*.py turtlelog/plants/*.py) \
-	$(wildcard turtlelog/simulate/*.py turtlelog/sweep/*batch*.py)
+	$(wildcard turtlelog/simulate/*.py turtlelog/run/*.py turtlelog/sweep/*batch*.py)
 .venv/compiled: .venv/installed-dev $(LOOPS)
 	$(BIN)/python -m tests.compile_loops
+	$(BIN)/python -m pytest --collect-only -q > /dev/null
 	@touch $@
 
 .venv/compiled-all: .venv/installed-dev $(LOOPS)
 	$(BIN)/python -m tests.compile_loops all
+	$(BIN)/python -m pytest --collect-only -q > /dev/null
 	@touch .venv/compiled $@
 
 check: .venv/installed-dev

@@ -87,7 +87,7 @@ def format_report(rows: Sequence[Row]) -> str:
     met = sum(row.is_met is True for row in aims)
     better = tell_better_peers(rows) or ["- no job of this table"]
     lines = [describe_machine(), "", format_table(rows), "", f"{met} of {len(aims)} aims are met."]
-    return "\n".join([*lines, "", "Where a peer does the same for less:", "", *better]) + "\n"
+    return "\n".join([*lines, "", "Peers that do the same for less:", "", *better]) + "\n"
 
 
 def describe_machine() -> str:

@@ -109,7 +109,7 @@ def describe(run: tl.Run) -> dict[str, Any]:
 
 def digest_signals(run: tl.Run) -> Iterator[tuple[str, str]]:
     for name in tl.SIGNALS:
-        signal = tl.read_signal(run, name)
+        signal = tl.measure.find_signal(run, name)
         if signal is not None:
             columns = signal.time_ns, np.ascontiguousarray(signal.values)
             yield name, hashlib.sha256(b"".join(map(bytes, columns))).hexdigest()[:16]

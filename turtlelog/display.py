@@ -1,5 +1,6 @@
 """How public values show themselves: one line in a console, a table in a notebook."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from math import degrees, isfinite
@@ -8,6 +9,9 @@ from typing import Any, Final, TypeVar
 from turtlelog.escapes import escape_controls
 
 Value = TypeVar("Value")
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_LARGEST_NS: Final = 2**62
 
 _LISTED: Final = 4
 """Names that the line of a catalogue lists."""
@@ -220,3 +224,19 @@ def format_utc(time_ns: int) -> str:
         return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
     except (OverflowError, OSError, ValueError):  # beyond the year 9999
         return f"{time_ns} ns"
+
+
+def parse_utc(text: str) -> int | None:
+    """Return an ISO 8601 time in nanoseconds since 1970 UTC; None where it is no such time.
+
+    A time that names no zone is taken for UTC: where it was told is not known.
+    """
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    moment = moment.replace(tzinfo=moment.tzinfo or UTC)
+    fraction = re.search(r":\d\d[.,](\d+)", text)
+    seconds = (moment.replace(microsecond=0) - _EPOCH) // (moment.resolution * 1_000_000)
+    time_ns = seconds * 1_000_000_000 + int(f"{fraction[1] if fraction else '':0<9}"[:9])
+    return time_ns if abs(time_ns) < _LARGEST_NS else None

@@ -24,7 +24,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_identify_tells_limits_with_intervals(call: Call, bags: Path) -> None:
     """A robot with two limits is identified twice, for the text and for JSON."""
     text = " ".join(call("identify", bags / "bound.mcap").out.split())
-    assert "Turn rate reaches at most 0.8 rad/s (" in text
+    assert "Turn rate settles at 0.8 rad/s (" in text
     assert "Turn rate changes by at most 2.5" in text
     assert "within its velocity loop" in text
     assert "Doubt" not in text

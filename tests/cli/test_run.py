@@ -238,7 +238,7 @@ def test_run_notes_a_gain_above_theorys_limit_and_changes_nothing_else(
     assert answer.code == 0
     assert answer.err == (
         "rotate: law.kp_angular = 125.1 is above 125 1/s, where theory's loop with a period of"
-        " 16 ms and no dead time becomes unstable; clipping only bounds how far it swings\n"
+        " 16 ms and no dead time becomes unstable; clipping only bounds its oscillation\n"
     )
     assert answer.json["name"] == "textbook law.kp_angular=125.1"
     assert call("run", "textbook", "--set", "law.kp_angular=125").err == ""

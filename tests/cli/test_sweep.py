@@ -130,6 +130,10 @@ def test_row_that_cannot_be_run_is_one_line(
         ((*GRID, "--sample", "0"), "--sample: expected at least 1, found 0"),
         ((*GRID, "--record-where", "1 > 2"), "--record-where: needs --record DIR"),
         (
+            ("--grid", "kp=1:2", "--set", "law.kp_linear=3"),
+            "--set: law.kp_linear is varied by --grid; leave one of them out",
+        ),
+        (
             (*GRID, "--set", "law.kp_linear=3"),
             "--set: law.kp_linear is varied by --grid; leave one of them out",
         ),

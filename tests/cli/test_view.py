@@ -54,6 +54,8 @@ def test_web_serves_on_this_machine_only_until_it_is_ended(kp10: Path) -> None:
         (["a.mcap", "--follow", "--save", "a.rrd"], "--follow: leave out --save"),
         (["a.mcap", "--connect", "rerun+http://127.0.0.1:9/proxy"], "--connect: needs --follow"),
         (["a.mcap", "--timeline", "translate_time"], "--timeline: needs --snapshot"),
+        (["a.mcap", "--save", "a.png"], "did you mean --snapshot a.png?"),
+        (["a.mcap", "--save", "a.gif"], "did you mean --movie a.gif?"),
         (["a.mcap", "--follow"], "a.mcap: no such file"),
     ],
 )

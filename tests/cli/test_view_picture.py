@@ -6,7 +6,11 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
+from tests.cli.conftest import Call
+from tests.draw.rerun.rrds import list_entities
 from tests.fresh_process import run_command
+from tests.log.ros2.robots import say_odometry, write_robot
+from tests.log.ros2.test_bag_scans import say_map, say_scan
 from turtlelog.cli.movie import MovieOptions
 from turtlelog.cli.view import PictureOptions, _choose_time, _parse_size, _require_picture
 from turtlelog.draw.rerun.snapshot import _require_inside
@@ -65,3 +69,14 @@ def test_a_picture_that_shows_nothing_is_one_line_and_no_file(tmp_path: Path) ->
     assert answer.returncode == 2
     assert answer.stderr.splitlines()[-1].startswith("turtlelog: error: --at 99.0: must be at most")
     assert not (tmp_path / "x.png").exists()
+
+
+def test_the_view_of_a_bag_has_its_scans_unless_told_not_to(call: Call, tmp_path: Path) -> None:
+    bag = write_robot(tmp_path, say_odometry(count=4), say_scan(1.0), say_map([100], 1))
+    shown, bare = tmp_path / "shown.rrd", tmp_path / "bare.rrd"
+    answer = call("view", bag, "--save", shown)
+    assert f"{bag}: Scans of /scan: 1 scan." in answer.err
+    assert f"{bag}: Map of /map: 1 occupied cell of 0.5 m." in answer.err
+    assert {"/plane/scan", "/plane/walls", "/plane/map"} <= list_entities(shown)
+    assert "Scans of" not in call("view", bag, "--save", bare, "--no-scans").err
+    assert not {"/plane/scan", "/plane/walls", "/plane/map"} & list_entities(bare)

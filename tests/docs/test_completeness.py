@@ -85,8 +85,8 @@ def test_every_command_says_what_its_json_holds() -> None:
     assert [section.split()[0] for section in sections if "`--json`" not in section] == []
 
 
-def test_the_readme_names_every_command() -> None:
-    rows = re.findall(r"^\| `turtlelog ([a-z]+)", read_page("README.md"), re.M)
+def test_the_page_of_commands_begins_with_a_list_of_them() -> None:
+    rows = re.findall(r"^\| `turtlelog ([a-z]+)", read_page("docs/commands.md"), re.M)
     assert rows == list_commands()
 
 
@@ -119,9 +119,11 @@ def test_defaults_of_a_law_are_those_on_its_page(kind: str) -> None:
             assert shown == words.get(default, default), name
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_the_readme_leads_to_every_page(page: Path) -> None:
-    assert f"](docs/{page.name})" in read_page("README.md")
+def test_the_readme_leads_to_the_index_and_the_index_to_every_page() -> None:
+    assert "](docs/index.md)" in read_page("README.md")
+    index = read_page("docs/index.md")
+    left_out = [page.name for page in PAGES if f"]({page.name})" not in index]
+    assert left_out == ["index.md"]
 
 
 def list_names() -> list[str]:
@@ -142,3 +144,16 @@ def test_public_names_are_those_that_one_writes() -> None:
         *errors,
         *(name for room in (tl.log, tl.check) for name in room.__all__),
     }
+
+
+def list_doors() -> list[str]:
+    """Files and folders that the table of changes names."""
+    table = (
+        read_page("docs/architecture.md").partition("## To add X")[2].partition("\nTests add")[0]
+    )
+    return sorted({place for place in re.findall(r"`([\w/.]+)`", table) if "/" in place})
+
+
+@pytest.mark.parametrize("door", list_doors())
+def test_a_change_goes_where_the_page_says(door: str) -> None:
+    assert (PACKAGE / door).exists()

@@ -25,6 +25,7 @@ import pytest
 import turtlelog as tl
 from tests.cli.conftest import SPEC, Call, call as call
 from tests.docs.test_pages import README, ROOT, list_console, matches_shown
+from tests.docs.test_words import find_hard_words, list_lines
 from tests.fresh_process import run_command
 from tests.identify.robots import Log, Truth, make_run, write_bag
 from tests.log.ros2.bags import write_metadata
@@ -133,10 +134,12 @@ def run(
 
 
 def describe_fault(ended: Ended, code: int = 0) -> list[str]:
-    """Return what is wrong with how a command ended, if anything is."""
-    if ended.code == code and NOISE.search(ended.err) is None:
-        return []
-    return [f"turtlelog {ended.command}: exit code {ended.code}\n{ended.err}"]
+    """Return what is wrong with how a command ended, and with the words that it printed."""
+    name = f"turtlelog {ended.command}"
+    faults = find_hard_words(list_lines(ended.out + ended.err), name)
+    if ended.code != code or NOISE.search(ended.err) is not None:
+        faults.append(f"{name}: exit code {ended.code}\n{ended.err}")
+    return faults
 
 
 def run_readme(folder: Path) -> list[str]:
@@ -177,9 +180,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(ROOT / "recordings" / "paper" / f"{name}.mcap", folder)
     for name, source in {"good": "kp4", "new": "kp2", "run": "kp4"}.items():
         shutil.copy(folder / f"{source}.mcap", folder / f"{name}.mcap")
-    (folder / "runs").mkdir()
-    for name in ("kp1", "kp2", "kp4"):
-        os.link(folder / f"{name}.mcap", folder / "runs" / f"{name}.mcap")
+    for below in ("runs", "handed-in"):
+        (folder / below).mkdir()
+        for name in ("kp1", "kp2", "kp4"):
+            os.link(folder / f"{name}.mcap", folder / below / f"{name}.mcap")
     (folder / "cut.mcap").write_bytes((folder / "kp4.mcap").read_bytes()[:-2000])
     (folder / "spec.toml").write_text(SPEC, "utf-8")
     short = tl.override_scenario(tl.load_scenario("paper"), {"max_duration_s": 3.0})

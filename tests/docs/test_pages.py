@@ -22,8 +22,8 @@ ALL_PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 Command = Callable[..., str]
 
 LONG_PAGES: Final = {
-    *("classroom", "derivative-noise", "figures", "gallery", "jitter", "map", "paper", "push"),
-    *("ramps", "report", "rerun", "sampling", "theory", "tracking"),
+    *("classroom", "comparing-laws", "effects", "figures", "gallery", "paper"),
+    *("report", "rerun", "theory"),
 }
 """Pages whose blocks simulate or draw for seconds what others show once: they are thorough."""
 
@@ -147,11 +147,24 @@ def test_the_test_of_a_law_of_ones_own_passes(tmp_path: Path) -> None:
     assert " 1 passed" in run_python(*options, "test_my_law.py", folder=tmp_path)
 
 
+def list_anchors(page: Path) -> set[str]:
+    """Return where links into a page may lead: its headings, as GitHub names them."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text("utf-8"), flags=re.M | re.S)
+    plain = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    headings = re.findall(r"^#+ (.+)$", plain, re.M)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in headings}
+
+
 @pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.stem)
 def test_links_lead_somewhere(page: Path) -> None:
     text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text("utf-8"), flags=re.S)
-    targets = re.findall(r"\]\((?!https?:)([^)#]+)", text)
-    assert [target for target in targets if not (page.parent / target).exists()] == []
+    lost = []
+    for link in re.findall(r"\]\((?!https?:)([^)]+)", text):
+        file, _, anchor = link.partition("#")
+        target = page.parent / file if file else page
+        if not target.exists() or (anchor and anchor not in list_anchors(target)):
+            lost.append(link)
+    assert lost == []
 
 
 def test_the_example_law_reaches_the_goal(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.explain.logs import as_log, forget, read_values, simulate
 from turtlelog.errors import SimulationError
-from turtlelog.explain import identify, identify_run
+from turtlelog.explain import identify_run, identify_scenario
 from turtlelog.run import Run, SampleColumns
 
 
@@ -102,7 +102,7 @@ def test_a_clock_of_days_is_refused_in_words() -> None:
 def test_a_loop_of_many_seconds_is_refused_in_words(
     slower: int, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(identify, "search_loop", stop_here)
+    monkeypatch.setattr(identify_scenario, "search_loop", stop_here)
     log = as_log(simulate("paper-kp4"))
     samples = replace(log.samples, time_ns=log.samples.time_ns * slower)
     poses = replace(log.poses, time_ns=log.poses.time_ns * slower)
@@ -120,8 +120,8 @@ def test_of_a_run_that_is_too_long_the_beginning_is_looked_at(
 ) -> None:
     log = as_log(simulate("paper-kp4"))
     length_s = float(log.end_ns - log.poses.time_ns[0]) / 1e9
-    monkeypatch.setattr(identify, "LONGEST_S", length_s + spare_s)
-    monkeypatch.setattr(identify, "_BEGINNING_S", 8.0)
+    monkeypatch.setattr(identify_scenario, "LONGEST_S", length_s + spare_s)
+    monkeypatch.setattr(identify_scenario, "_BEGINNING_S", 8.0)
     found = identify_run(log)
     assert found.findings["law.kp_angular"].value == 4.0
     is_whole = spare_s > 0.0

@@ -200,7 +200,6 @@ def test_tracker_comes_to_the_path(kind: str, start: tuple[float, float, float])
     run = tl.simulate_run(scenario)
     assert run.stop_reason == "path_end"
     late = tl.measure.read_signal(run, "cross_track")
-    assert late is not None
     assert np.abs(late.values[-len(late.values) // 4 :]).max() < 0.02
 
 

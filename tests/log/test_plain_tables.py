@@ -243,7 +243,7 @@ def test_rows_may_lack_a_command_or_a_measurement(tmp_path: Path) -> None:
         ("t,x,y,yaw\n2024-13-01T00:00:00,0,0,0\n", "line 2, column t: expected a time"),
         ("t,x,y,yaw\n0,0,0\n", "line 2: expected 4 cells, found 3"),
         ("t,x,y,yaw\n", "no rows below the header t, x, y, yaw"),
-        ("0,0,0,0\n1,0,0,0\n", "expected a header that names the columns, or the 8 columns of a"),
+        ("0,0,0,0\n1,0,0,0\n", "expected a header that names the columns, the 8 columns of a"),
         ("", "expected a table, found no rows"),
         ("# t\n", "expected a table, found no rows"),
         ('t,x,y,yaw\n"0,0,0,0\n', "line 2: expected cells, found"),

@@ -227,7 +227,7 @@ def test_law_without_a_goal_has_no_geometry_and_no_errors() -> None:
     run = tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), values))
     assert (run.goal_xy_m, run.goal_line, run.samples.error_xy_m) == (None, None, None)
     assert (run.samples.bearing_rad, run.samples.distance_m) == (None, None)
-    assert all(tl.read_signal(run, name) is None for name in ("distance", "along_track"))
+    assert all(tl.measure.find_signal(run, name) is None for name in ("distance", "along_track"))
     metrics = tl.measure_run(run)
     assert metrics["final.position_error"].status is tl.measure.Status.ABSENT
     assert metrics["final.heading_error"].status is tl.measure.Status.ABSENT

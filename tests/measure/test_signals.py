@@ -8,7 +8,7 @@ import pytest
 from tests.effects_cases import build_case
 from tests.sequential import DECLARATION
 from turtlelog.errors import MeasureError
-from turtlelog.measure.signals import SIGNALS, explain_no_signal, read_signal
+from turtlelog.measure.signals import SIGNALS, explain_no_signal, find_signal, read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.simulate import simulate_run
 
@@ -145,17 +145,17 @@ def test_unknown_signal_is_refused_with_those_that_are_known() -> None:
 )
 def test_signal_that_was_not_recorded_is_none(name: str, column: str) -> None:
     changes: dict[str, Any] = {column: None}
-    assert read_signal(make_run(**changes), name) is None
+    assert find_signal(make_run(**changes), name) is None
 
 
 @pytest.mark.parametrize("name", ["error_x", "error_y", "distance"])
 def test_signal_without_a_goal_is_none(name: str) -> None:
-    assert read_signal(dataclasses.replace(make_run(), goal_xy_m=None), name) is None
+    assert find_signal(dataclasses.replace(make_run(), goal_xy_m=None), name) is None
 
 
 @pytest.mark.parametrize("name", ["heading_error", "along_track", "cross_track"])
 def test_signal_without_a_bearing_is_none(name: str) -> None:
-    assert read_signal(make_run(samples=0), name) is None
+    assert find_signal(make_run(samples=0), name) is None
 
 
 def test_poses_alone_have_signals() -> None:
@@ -186,7 +186,7 @@ def test_a_run_of_which_nothing_was_sensed_has_no_such_signal() -> None:
     )
     for found in (run, dataclasses.replace(run, poses=poses)):
         for name in ("sensed_x", "sensed_y", "sensed_heading", "shaped_speed"):
-            assert read_signal(found, name) is None
+            assert find_signal(found, name) is None
 
 
 def test_what_is_applied_includes_a_disturbance_and_is_not_what_odometry_measures() -> None:
@@ -204,7 +204,7 @@ def test_what_is_applied_includes_a_disturbance_and_is_not_what_odometry_measure
         measured_turn_rate_rad_s=run.poses.turn_rate_rad_s,
     )
     odometry = dataclasses.replace(run, poses=poses)
-    assert read_signal(odometry, "applied_turn_rate") is None
+    assert find_signal(odometry, "applied_turn_rate") is None
     measured = read_signal(odometry, "measured_turn_rate")
     assert measured is not None
     assert (measured.values == applied.values).all()
@@ -240,5 +240,11 @@ def test_without_commands_there_is_no_signal_of_them() -> None:
         turn_rate_rad_s=none.copy(),
     )
     run = dataclasses.replace(make_run(samples=0), commands=commands)
-    assert read_signal(run, "speed") is None
+    assert find_signal(run, "speed") is None
     assert explain_no_signal(run, "speed") == "the recording holds no commands"
+
+
+def test_a_signal_that_a_run_lacks_is_an_error_that_says_why() -> None:
+    run = dataclasses.replace(make_run(), goal_xy_m=None, name="lab")
+    with pytest.raises(MeasureError, match="lab: has no signal distance: the goal is not known"):
+        read_signal(run, "distance")

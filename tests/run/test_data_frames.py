@@ -1,7 +1,5 @@
 """What Python's data libraries make of runs, signals, metrics and tables: right, or an error."""
 
-import sys
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -102,14 +100,12 @@ def test_rows_that_are_arrays_are_lists_in_a_table() -> None:
     assert [*Wide().to_pandas()["a"][1]] == [2, 3]
 
 
-def test_xarray_gets_dimensions_units_and_facts(monkeypatch: pytest.MonkeyPatch) -> None:
-    def build(data: Any, coords: Any, attrs: Any) -> Any:
-        return SimpleNamespace(data=data, coords=coords, attrs=attrs)
-
-    monkeypatch.setitem(sys.modules, "xarray", SimpleNamespace(Dataset=build))
+def test_xarray_gets_times_units_and_facts() -> None:
     found = RUN.to_xarray("samples")
-    dimension, values, attrs = found.data["distance_m"]
-    assert (dimension, attrs) == ("time", {"units": "m"})
-    np.testing.assert_array_equal(values, RUN.samples.distance_m)
-    assert found.coords["time_s"][1][0] == 0.0
+    assert (found.distance_m.dims, found.distance_m.attrs) == (("time_s",), {"units": "m"})
+    np.testing.assert_array_equal(found.distance_m, RUN.samples.distance_m)
+    assert found.time_s[0] == 0.0
     assert found.attrs["name"] == RUN.name
+    poses = RUN.to_xarray()
+    at = poses.sel(time_s=float(poses.time_s[1]) + 1e-4, method="nearest")
+    assert at.x_m == RUN.poses.xy_m[1, 0]

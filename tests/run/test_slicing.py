@@ -83,11 +83,11 @@ def test_slice_survives_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("start_s", "end_s", "message"),
     [
-        (20, 30, r"slice: expected a stretch with poses, .* -0.064 to 12.608 s, found 20 to 30 s"),
+        (20, 30, r"slice: expected a segment with poses, .* -0.064 to 12.608 s, found 20 to 30 s"),
         (5, 2, r"end_s: expected start_s = 5 or later, found 2"),
         (float("nan"), None, r"start_s: expected a time in s, found nan"),
         (None, float("inf"), r"end_s: expected a time in s, found inf"),
-        (None, -1, r"slice: expected a stretch with poses, .* found -0.064 to -1 s"),
+        (None, -1, r"slice: expected a segment with poses, .* found -0.064 to -1 s"),
     ],
 )
 def test_slice_refuses_what_is_no_stretch_of_the_run(

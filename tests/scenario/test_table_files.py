@@ -264,7 +264,7 @@ def test_longest_path_fits_into_a_recording(tmp_path: Path) -> None:
     points = ((1.0, 1.0), *((x_m, x_m) for x_m in long[:0:-1]))
     scenario = parse_scenario('max_duration_s = 1.0\n[law]\nkind = "kanayama"')
     short = tl.format_scenario(scenario)
-    scenario = replace(scenario, path=tl.paths.Path(kind="waypoints", points=points))
+    scenario = replace(scenario, path=tl.run.paths.Path(kind="waypoints", points=points))
     added = len(tl.format_scenario(scenario)) - len(short)
     assert added < 56 * MOST_POINTS < 2**18
     run = tl.simulate_run(scenario)

@@ -18,7 +18,7 @@ from turtlelog.theory import (
     is_pid_stable,
 )
 
-CLIPPING = "; clipping only bounds how far it swings"
+CLIPPING = "; clipping only bounds its oscillation"
 TICK_S = 0.016
 
 
@@ -425,7 +425,7 @@ def test_a_plant_that_turns_the_feedback_around_is_named_and_drives_away() -> No
             "sensing.outlier_m and sensing.outlier_rad have no effect,"
             " for sensing.outlier_probability is 0",
         ),
-        ({"disturbance.from_s": 2}, "disturbance.from_s: there is no push and no noise to begin"),
+        ({"disturbance.from_s": 2}, "disturbance.from_s: there is no disturbance and no noise to"),
     ],
 )
 def test_what_has_no_effect_alone_is_named(values: dict[str, Any], note: str) -> None:

@@ -1,3 +1,4 @@
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -78,6 +79,33 @@ def test_last_key_of_a_grid_is_the_fastest_and_zipped_keys_come_last() -> None:
         (2, "x", 1, 5),
     ]
     assert plan.row_count == 8
+
+
+def test_kp_is_all_gains_of_the_law_together() -> None:
+    plan = build_plan(["kp=1:3", "seed=0:1"]).spread_gains(["law.kp_linear", "law.kp_angular"])
+    assert plan.keys == ("seed", "law.kp_linear", "law.kp_angular")
+    assert list_rows(plan) == [(seed, kp, kp) for seed in (0, 1) for kp in (1, 2, 3)]
+
+
+def test_a_sampled_kp_is_one_number_for_all_gains() -> None:
+    plan = build_plan(["kp=1.5:3.5"], sampling=Sampling(count=20)).spread_gains(["a", "b"])
+    rows = list_rows(plan)
+    assert all(first == second for first, second in rows)
+    assert len(set(rows)) == 20
+
+
+@pytest.mark.parametrize(
+    ("gains", "zipped", "message"),
+    [
+        ([], [], "--grid: kp: the law declares no gain"),
+        (["a", "b"], ["c=1:2"], "--zip: leave it out beside --grid kp, which varies a and b"),
+    ],
+)
+def test_kp_without_a_gain_or_beside_zip_is_refused(
+    gains: list[str], zipped: list[str], message: str
+) -> None:
+    with pytest.raises(SweepError, match=re.escape(message)):
+        build_plan(["kp=1:2"], zipped).spread_gains(gains)
 
 
 @pytest.mark.parametrize(

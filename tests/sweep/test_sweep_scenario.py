@@ -67,7 +67,7 @@ def test_a_row_that_fails_says_why_by_the_argument() -> None:
         ({"law.kp": [1.0]}, "grid: law.kp: unknown key; did you mean"),
         ({"law.kp_linear": 1.0}, "grid: law.kp_linear: expected values, as in"),
         ({"law.kp_linear": "1:4"}, "grid: law.kp_linear: expected values, as in .* found '1:4'"),
-        ({"law.kp_linear": []}, "grid: law.kp_linear: expected at least one value"),
+        ({"law.kp_linear": []}, "grid: law.kp_linear: has no values; give them as in"),
         ({"law.kp_linear": [1.0, "a"]}, "expected numbers, texts or truths alone"),
         ({"law.kp_linear": [None]}, "expected numbers, texts or truths alone"),
         ({"law.kp_linear": [math.nan]}, "grid: law.kp_linear: expected a finite number"),

@@ -18,7 +18,7 @@ from turtlelog.measure import (
     MeasureSettings,
     Metric,
     find_dead_time,
-    read_signal,
+    find_signal,
 )
 from turtlelog.measure.metric import Missing
 from turtlelog.measure.response import Response, find_loop_samples, find_response
@@ -206,7 +206,7 @@ def read_marked_curve(run: Run, signal: str) -> Curve | None:
 def _find_response(
     run: Run, loop: ControlLoop, settings: MeasureSettings | None
 ) -> Response | None:
-    signal = read_signal(run, loop.signal)
+    signal = find_signal(run, loop.signal)
     found = find_response(run, loop, signal, settings or MeasureSettings())
     return None if isinstance(found, Missing) else found
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ShowError
-from turtlelog.measure import find_first_stretch, list_signals, read_reference, read_signal
+from turtlelog.measure import find_first_stretch, find_signal, list_signals, read_reference
 from turtlelog.measure.references import project_on_line
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
@@ -109,7 +109,7 @@ def read_curve(run: Run, signal_name: str) -> Curve | None:
         values = velocity[1][:, "xy".index(signal_name[-1])]
         return Curve(start_ns=run.start_ns, time_ns=velocity[0], values=values, holds=True)
     is_known = signal_name in list_signals(run.declaration)
-    signal = read_signal(run, signal_name) if is_known else None
+    signal = find_signal(run, signal_name) if is_known else None
     if signal is None or not len(signal.values):
         return None
     return Curve(
@@ -205,7 +205,7 @@ def list_levels(run: Run, signal: str) -> list[Level]:
 
 def _count_turns(run: Run, loop: ControlLoop, reference: float) -> float:
     """Return a goal's heading with the full turns of the robot that its loop has turned to it."""
-    stretch, signal = find_first_stretch(run, loop), read_signal(run, "heading")
+    stretch, signal = find_first_stretch(run, loop), find_signal(run, "heading")
     if loop.reference != "goal_heading" or signal is None or not stretch:
         return reference
     row = int(np.searchsorted(signal.time_ns, stretch[-1].end_ns))
@@ -375,7 +375,7 @@ def _read_bearings(run: Run) -> Curve | None:
 
 def _bring_near(run: Run, heading_rad: Values, rows: NDArray[np.int64]) -> Values:
     """Return headings [deg] with the full turns that bring them nearest to those of some poses."""
-    signal = read_signal(run, "heading")
+    signal = find_signal(run, "heading")
     measured = run.poses.heading_rad if signal is None else signal.values
     return np.degrees(measured[rows] + subtract_headings(heading_rad, measured[rows]))
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turtlelog.charts.curves import Curve, Values, list_loops, read_curve
-from turtlelog.measure import find_first_stretch, read_reference, read_signal
+from turtlelog.measure import find_first_stretch, find_signal, read_reference
 from turtlelog.run import Run
 from turtlelog.run.loops import ControlLoop
 from turtlelog.theory import compute_step_response
@@ -72,7 +72,7 @@ def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
 
     The reference stands still, the signal integrates the command, and the gain is known.
     """
-    signal = read_signal(run, signal_name)
+    signal = find_signal(run, signal_name)
     for loop in list_loops(run, signal_name):
         if loop.moves or not loop.has_theory:
             continue

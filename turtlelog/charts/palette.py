@@ -77,6 +77,12 @@ REFERENCE: Final[Color] = (150, 150, 150)
 TRACKED: Final[Color] = (95, 95, 95)
 """A path that laws track: a broad line, dark enough for the driven way to be seen on it."""
 
+WALLS: Final[Color] = (118, 118, 118)
+"""Where scans ended: below all that is driven, and still seen on the ground."""
+
+SCAN: Final[Color] = (232, 128, 52)
+"""What the robot sees at the moment."""
+
 PATH_OF_MANY: Final[Color] = (105, 105, 105)
 """Paths of very many runs on dark ground: their ends have the colours."""
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.close_up import Label, Lettering, format_length
 from turtlelog.charts.curves import Curve, list_loops
-from turtlelog.measure import read_signal
+from turtlelog.measure import find_signal
 from turtlelog.measure.references import hold_reference, read_reference
 from turtlelog.run import Run
 from turtlelog.run.paths import Path
@@ -68,7 +68,7 @@ def read_along_error(run: Run) -> Curve | None:
     """
     loops = [loop for loop in list_loops(run, "along_track") if loop.moves]
     along, reference = (
-        read_signal(run, "along_track"),
+        find_signal(run, "along_track"),
         read_reference(run, loops[0]) if loops else None,
     )
     if along is None or not isinstance(reference, np.ndarray):
@@ -117,7 +117,7 @@ def find_worst_place(runs: Sequence[Run]) -> WorstPlace | None:
     if not len(offsets_m) or not offsets_m.max() > ON_PATH_M:
         return None
     row, run = int(offsets_m.argmax()), runs[number]
-    along = read_signal(run, "along_track")
+    along = find_signal(run, "along_track")
     arc_m = 0.0 if along is None else float(along.values[row])
     point = paths[0].locate(arc_m)
     path_xy_m, xy_m = (point.x_m, point.y_m), _to_point(run.poses.xy_m[row])
@@ -147,7 +147,7 @@ def label_worst_place(worst: WorstPlace, lettering: Lettering) -> Label:
 
 
 def _read_offsets(run: Run) -> Values:
-    signal = read_signal(run, "cross_track")
+    signal = find_signal(run, "cross_track")
     return np.zeros(0) if signal is None else np.abs(signal.values)
 
 

@@ -20,7 +20,7 @@ from turtlelog.errors import CheckError, LibraryError, ShowError
 from turtlelog.escapes import escape_controls
 from turtlelog.files.urls import make_path
 from turtlelog.log import write_recording
-from turtlelog.measure import is_lawless, list_signals, read_signal
+from turtlelog.measure import find_signal, is_lawless, list_signals
 from turtlelog.run import Run, slice_run
 
 if TYPE_CHECKING:
@@ -153,18 +153,18 @@ def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[s
 
 def _is_published(run: Run, name: str, time_ns: int) -> bool:
     """Whether a signal is of commands, and one was published at that very time."""
-    signal = read_signal(run, name)
+    signal = find_signal(run, name)
     return signal is not None and signal.kind.source == "command" and time_ns in signal.time_ns
 
 
 def _choose_held(run: Run, names: Sequence[str]) -> list[str]:
     """Return the signals that a run holds; where it holds less than named, where the robot is."""
-    held = [name for name in names if read_signal(run, name) is not None]
+    held = [name for name in names if find_signal(run, name) is not None]
     return held if held == [*names] and held else ["x", "y", *(n for n in held if n not in "xy")]
 
 
 def _read_value(run: Run, name: str, time_ns: int) -> str:
-    signal = read_signal(run, name)
+    signal = find_signal(run, name)
     if signal is None:
         return "-"
     row = int(np.searchsorted(signal.time_ns, time_ns, side="right")) - 1

@@ -15,11 +15,11 @@ from turtlelog.log import ReadChoice
 from turtlelog.measure import (
     Metric,
     MetricKind,
+    find_signal,
     is_lawless,
     list_essential_metrics,
     list_metrics,
     measure_run,
-    read_signal,
 )
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run
@@ -140,7 +140,7 @@ def _list_of_motion(run: Run) -> Iterator[str]:
         yield "# always(abs(speed) <= ...): not read off, as part of the run is lost"
         return
     for name in ("speed", "turn_rate"):
-        signal = read_signal(run, name)
+        signal = find_signal(run, name)
         assert signal is not None
         yield from _list_bound(name, float(np.abs(signal.values).max()), signal.kind.unit)
 

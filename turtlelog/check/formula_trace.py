@@ -20,7 +20,7 @@ from turtlelog.expressions import (
     iterate_nodes,
 )
 from turtlelog.log.recording.recovery_note import LOSS_NOTES, NO_LOSS
-from turtlelog.measure import COMMANDED, list_signals, measure_run, read_signal
+from turtlelog.measure import COMMANDED, find_signal, list_signals, measure_run
 from turtlelog.run import Run
 from turtlelog.run.loops import PAUSE
 
@@ -198,7 +198,7 @@ def read_signals(run: Run, names: Sequence[str]) -> Signals:
 
 
 def _read_column(run: Run, name: str) -> Column | None:
-    signal = read_signal(run, name)
+    signal = find_signal(run, name)
     if signal is None:
         return None
     if signal.kind.compared_as != "label":

@@ -21,11 +21,11 @@ from turtlelog.files.urls import make_path
 from turtlelog.measure import (
     Metric,
     find_metric_kind,
+    find_signal,
     list_metrics,
     list_signal_units,
     list_signals,
     measure_run,
-    read_signal,
 )
 from turtlelog.replay import Difference, LawReplay, LoopReplay, PlantReplay, SignalDifference
 from turtlelog.run import Run
@@ -267,7 +267,7 @@ def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
         name: kind
         for found in (run, reference)
         for name, kind in list_signals(found.declaration).items()
-        if read_signal(found, name) is not None
+        if find_signal(found, name) is not None
     }
     names = list_signal_units([run.declaration, reference.declaration])
     return Tolerances(

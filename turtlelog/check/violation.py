@@ -17,7 +17,7 @@ from turtlelog.check.result import CheckResult, JudgedMetric, JudgedSignal, Verd
 from turtlelog.check.spec import Check
 from turtlelog.compare.signal_comparison import trace_tube
 from turtlelog.expressions import Call, Comparison, Name
-from turtlelog.measure import MIRRORED, list_metrics, list_signals, measure_run, read_signal
+from turtlelog.measure import MIRRORED, find_signal, list_metrics, list_signals, measure_run
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -174,7 +174,7 @@ def _find_carrier(
 ) -> tuple[str, Curve, int] | None:
     """Return the signal whose magnitude at a moment is a value, and the row; headings in deg."""
     for name in names:
-        signal = read_signal(run, name)
+        signal = find_signal(run, name)
         if signal is None or signal.kind.compared_as == "label" or value is None:
             continue
         factor = find_scale(signal.kind.unit)[1]

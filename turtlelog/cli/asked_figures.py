@@ -36,7 +36,7 @@ class AskedOptions:
     Attributes:
         metric: The metric that attribution and luck are of, by its id (turtlelog list metrics); or
             those that gains and strips show: ids, patterns, or names of metrics of any loop
-            (overshoot), separated by commas. Of a table the metrics to show; otherwise up to four.
+            (overshoot), separated by commas. For a table the metrics to show. Default: up to four.
         expect: The formula whose signal violation shows, as in "always(abs(cross_track) <= 0.05)".
     """
 

@@ -23,7 +23,7 @@ from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Scenario
-    from turtlelog.compare import ErrorBand, RobotComparison
+    from turtlelog.compare import ErrorBand, NoiseLevel, RobotComparison
     from turtlelog.run import Clock
 
 
@@ -125,6 +125,7 @@ class _RobotRun:
     signals: tuple[()] = ()
     metrics: tuple[()] = ()
     errors: list[_BandAnswer]
+    noise: "tuple[NoiseLevel, ...]"
     clock: "Clock | None"
     notes: tuple[str, ...]
 
@@ -146,6 +147,7 @@ def _build_run(file: Path, found: "RobotComparison") -> _RobotRun:
         name=found.name,
         overlap_s=int(time_ns[-1] - time_ns[0]) / 1e9,
         errors=[_build_band(band) for band in found.bands],
+        noise=found.noise,
         clock=found.clock,
         notes=found.notes,
     )

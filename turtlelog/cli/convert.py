@@ -56,9 +56,10 @@ class TableOptions:
     Attributes:
         to: What to write where the name of OUT does not say it: into a folder a ROS 2 bag (the
             usual) or a file per table; tum writes a trajectory, whatever the file is called.
-        table: Which table to write; otherwise a file holds the poses, and a folder all tables.
+        table: Table to write. Default: the poses to a file, all tables to a folder.
         sort: Sort the rows of a paper's log by time and drop exact duplicates, and count both,
             instead of refusing them.
+        own_topics: Leave /odom, /tf and /path out of a recording or bag.
         recover: Copy every message that a damaged or unfinished recording still holds into a
             complete .mcap, or a bag into a new folder.
     """
@@ -68,6 +69,7 @@ class TableOptions:
     ] = None
     table: _TableName | None = None
     sort: bool = False
+    own_topics: Annotated[bool, Parameter(negative=())] = False
     recover: bool = False
 
 
@@ -101,14 +103,16 @@ def convert(
 ) -> None:
     """Convert a recording, bag, log or table: to .mcap, .csv, .parquet, .tum, or a ROS 2 folder.
 
-    The suffix of OUT says what is written: .mcap a recording, .csv and .parquet one table of the
-    run, .tum its poses as a trajectory for evo and its like; a name without one of these is a new
-    folder, for ROS 2 or for one file per table. Every file is read back and compared before the
-    command answers. A file replaces one that is there, a folder has to be new.
+    The suffix of OUT chooses the output: .mcap a recording, .csv and .parquet one table of the
+    run, .tum its poses as a trajectory for evo. A name without a suffix is a new folder, for ROS 2
+    or for one file per table. Every file is read back and compared before the command answers. A
+    file replaces an existing one, a folder has to be new.
 
-    What the source does not hold is listed as absent, never made up. A recording, a bag and a
-    folder of Parquet files hold the whole run. CSV holds its rows, without scenario, goal and
-    loops: converted back it makes a run that lacks these.
+    A recording and a bag also have the poses as /odom, /tf and /path, for Rerun, RViz and evo.
+    turtlelog ignores these topics in its own files.
+
+    The answer lists as absent all that the source lacks. A recording, a bag and a folder of Parquet
+    files contain the whole run. CSV contains its rows, without scenario, goal and loops.
 
     Example: turtlelog convert kp1_210.json -o kp1.mcap
 
@@ -139,6 +143,8 @@ def convert(
         for path in written:  # what stands, though another does not
             print_note(f"wrote {path}")
         raise
+    from turtlelog.log.recording.shared_topics import list_unshared
+
     kept = {name: text for name, text in run.notes.items() if name != tl.log.CHOSEN}
     notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items()]
     notes += [
@@ -156,6 +162,8 @@ def convert(
         for path, kind in kinds.items()
         if run is not flatten_run(run) and kind not in {"csv", "parquet"}
     ]
+    if {"mcap", "rosbag2"} & {*kinds.values()} and not tables.own_topics:
+        notes += list_unshared(run)
     if json:
         print_json(
             ConvertAnswer(
@@ -245,10 +253,10 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
     run = flatten_run(run) if kind not in {"csv", "parquet"} else run
     with show_progress("writing"):
         if kind == "mcap":
-            tl.write_recording(run, path)
+            tl.write_recording(run, path, shares_poses=not tables.own_topics)
             written: tuple[Path, ...] = (path,)
         elif kind == "rosbag2":
-            written = tl.log.export_rosbag2(run, path)
+            written = tl.log.export_rosbag2(run, path, shares_poses=not tables.own_topics)
         elif kind == "tum":
             written = tl.log.export_tum(run, path)
         elif kind == "csv":

@@ -51,7 +51,7 @@ def identify(
     rate = gain exp(-dead_time s) / (lag s + 1). Intervals contain the true value for 95 of 100
     robots. A second lag, a limit of acceleration or speed, a deadband, friction or another gain
     backwards must change a rate by 2 % and predict a part of the log that was held back better.
-    Where no model explains the motion, intervals are wider and a doubt is named. If a parameter
+    If no model explains the motion, intervals are wider and a doubt is named. If a parameter
     cannot be identified, the output gives the reason and suggests a test drive. Several files of
     one robot are fitted together, and differences between them are listed.
 

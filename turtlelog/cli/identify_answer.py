@@ -155,7 +155,7 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
         where = "within its velocity loop" if axis.limit_acts == "within_lag" else "before the lag"
         yield f"{name} changes by at most {_show_limit(limit)}, {where}."
     if axis.bound is not None:
-        yield f"{name} reaches at most {_show_limit(axis.bound)}: larger commands do no more."
+        yield f"{name} settles at {_show_limit(axis.bound)} at most: larger commands do no more."
     if axis.deadband is not None:
         yield f"{name}: commands below {_show_limit(axis.deadband)} move nothing."
     if axis.friction is not None:

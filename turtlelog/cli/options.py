@@ -164,8 +164,8 @@ class ReadingOptions(TopicOptions):
     """The same, and the goal of a robot whose file holds none.
 
     Attributes:
-        goal: Where the robot was to go [m], and its heading there [deg], as in 2,10 or 2,10,90;
-            takes the place of the bag's own.
+        goal: The robot's goal [m], and the heading there [deg], as in 2,10 or 2,10,90. It replaces
+            the bag's own.
     """
 
     goal: Annotated[str | None, Parameter(metavar="X,Y[,DEG]", allow_leading_hyphen=True)] = None

@@ -127,7 +127,7 @@ def print_lines(lines: Iterable[str]) -> None:
 def print_tables(tables: "Sequence[Table]", kind: str) -> None:
     """Print tables in a format, an empty line between them."""
     texts = (
-        fit_table(table) if kind == "txt" else tl.draw.fit_table(table, kind) for table in tables
+        fit_table(table) if kind == "txt" else tl.draw.format_table(table, kind) for table in tables
     )
     print_text("\n".join(texts), is_data=kind == "csv")
 
@@ -206,7 +206,7 @@ def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
 
 def fit_table(table: "Table", *, indent: int = 0) -> str:
     """Return a table that fits a line."""
-    return tl.draw.fit_table(table, width=find_width() - indent)
+    return tl.draw.format_table(table, width=find_width() - indent)
 
 
 _MOST_ROWS: Final = 20

@@ -32,9 +32,9 @@ class PageOptions:
         kind: column is one of two columns of a paper, page its whole width, slide 16:9 with large
             lettering; figures with panels side by side always take the page. Default: column, and
             page for the table of a sweep.
-        text_width: Width of the paper's text [mm], 120 to 1000; 181 unless given. Not of a slide.
-        dpi: Resolution of PNGs [dots per inch], 50 to 600; 300 unless given; 144 for a slide, which
-            then has 1920 by 1080 pixels.
+        text_width: Width of the paper's text [mm], 120 to 1000. Default: 181. Not for a slide.
+        dpi: Resolution of PNGs [dots per inch], 50 to 600. Default: 300; for a slide 144, which is
+            1920 by 1080 pixels.
         from_s: Begin time axes here, from the first sample [s].
         to_s: End time axes here [s].
         marks: Mark rise, settling time with its band, peak and overshoot, dead time and pause on

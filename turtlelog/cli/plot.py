@@ -64,7 +64,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     A name that ends in .pdf, .png or .svg is one figure: that of --only, otherwise an overview.
     Figures and tables that are there already are replaced.
 
-    Of the table of a sweep two keys that vary make a map of each metric; where a gain is one of
+    Two keys that vary in the table of a sweep make a map of each metric. If a gain is one of
     them, theory's limits of its loop are lines over it. One key makes curves. The other keys are
     held at the values of the scenario that was varied, or in the middle; --at holds others. Over
     seeds values are means. The lines name the best row of each metric, and the command that runs
@@ -95,11 +95,11 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         output: Write into this folder, or one figure to this .pdf, .png or .svg file; with --movie
             it may be missing.
         only: Figures by name, with commas (turtlelog list figures).
-        formats: Some of pdf, png, svg, with commas; otherwise pdf.
-        timeline: What the movie is driven on: sim_time, or PHASE_time, from the start of a later
+        formats: Some of pdf, png, svg, with commas. Default: pdf.
+        timeline: Timeline of the movie: sim_time, or PHASE_time, from the start of a later
             phase of each run, as translate_time.
-        jobs: Processes to draw in, on Linux; otherwise one for every three figures of a folder, as
-            many as cores at most. The files are the same.
+        jobs: Number of processes, on Linux. Default: one for every three figures of a folder, at
+            most one per core.
         json: Print one JSON object instead of lines.
     """
     jobs = require_jobs(jobs)

@@ -116,8 +116,8 @@ def run(
     viewer does not end it. If a law fails, the samples before the failure are written (exit code
     2).
 
-    A note on stderr says if a gain is above the stability limit of the theory, at the dead time
-    that the settings imply, and if the law ignores a goal, goal heading or path that was set.
+    Notes on stderr name a gain above the stability limit of the theory, at the dead time that the
+    settings imply, and a goal, goal heading or path that the law ignores.
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose
@@ -250,7 +250,7 @@ def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:
 
 def _strip(run: "Run", path: Path) -> "Run":
     """Return a run of which only what was observed is known: rows, goal, end, and its loops."""
-    known = tl.paths.PATH_KEYS  # a path was observed as the goal was: errors count from it
+    known = tl.run.paths.PATH_KEYS  # a path was observed as the goal was: errors count from it
     return replace(
         run,
         name=path.stem,
@@ -307,7 +307,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
         sinks += [] if viewer is None else [viewer]
         progress = show_progress("simulated", scenario.max_duration_s, "s at most")
         sinks.append(_Watcher(closing.enter_context(progress)))
-        result = tl.runner.run_live(
+        result = tl.log.run_live(
             scenario,
             sinks,
             realtime=live.realtime,

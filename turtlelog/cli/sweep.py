@@ -44,12 +44,12 @@ class PlanOptions:
     """Which rows there are.
 
     Attributes:
-        grid: Vary a key, as in law.kp_linear=0.5:12:0.25 (both ends belong to it; the step is 1
-            otherwise), or law.projection=bearing,heading; may stand several times, which gives
-            every combination, the last key fastest.
+        grid: Vary a key, as in law.kp_linear=0.5:12:0.25 (both ends included; default step: 1),
+            or law.projection=bearing,heading. kp=1:12 varies all gains of the law together. Given
+            several times, every combination is a row, the last key fastest.
         zip_: Vary keys together, each value of one with that of the other; stands once for each.
-        sample: Draw so many rows instead: any number of A:B, one of A:B:STEP or of a list.
-        seed: Of what is drawn; otherwise 0.
+        sample: Number of rows to draw instead: any number of A:B, one of A:B:STEP or of a list.
+        seed: Seed of the drawn values. Default: 0.
         latin: Draw from each key's range once in each of as many equal parts as there are rows.
     """
 
@@ -90,8 +90,8 @@ class SweepTableOptions:
 
     Attributes:
         output: Write the table to this .parquet file, or behind a URL.
-        metric: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics);
-            otherwise the essential ones of each row's law but dead_time.
+        metric: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics).
+            Default: the essential ones of each row's law, without dead_time.
         record: Write recordings of rows to this folder, or below a URL, as row-000123.mcap.
         record_where: Only of rows for which this holds, as in "translate.settling_time > 5".
     """
@@ -145,9 +145,9 @@ def sweep(
     """Vary a scenario, simulate and measure every variant, and write one table.
 
     A row of the Parquet table is a run: its number, the values of the keys, each metric with its
-    status, how the run ended, or why it failed; that is no error of the sweep. Rows are what `run`
-    gives for the same scenario, bit for bit, on however many cores, and the same command gives the
-    same file. What is interrupted goes on where the same command is given again.
+    status, and how the run ended or why it failed. A failed run is no error of the sweep. Rows are
+    what `run` gives for the same scenario, bit for bit, on any number of cores. The same command
+    gives the same file, and continues an interrupted sweep.
 
     Example: turtlelog sweep paper-kp4 --grid law.kp_linear=1:12:0.5 -o kp.parquet
 
@@ -203,10 +203,7 @@ def _prepare(
     inputs = [] if base is None else [make_path(base)]
     require_new_target(table.output, inputs, suffix=".parquet")
     rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
-    for key in list_given_keys(options):
-        if key in rows.keys:
-            raise UsageError(f"--set: {key} is varied by --grid; leave one of them out")
-    return tl.sweep.prepare_sweep(
+    prepared = tl.sweep.prepare_sweep(
         load_changed_scenario(base, options),
         rows,
         metrics=patterns,
@@ -215,6 +212,10 @@ def _prepare(
         step_budget_s=choose_step_budget(work.step_budget_ms),
         source="--grid",
     )
+    for key in list_given_keys(options):
+        if key in prepared.plan.keys:
+            raise UsageError(f"--set: {key} is varied by --grid; leave one of them out")
+    return prepared
 
 
 def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:

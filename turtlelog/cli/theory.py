@@ -126,8 +126,8 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
     Args:
         scenario: A preset, a scenario file (.toml), or a recording, whose period and dead times are
             measured.
-        kp: Gains [1/s], with commas between, at most 100; 1,2,4,10 by default. Of a scenario the
-            one gain to set.
+        kp: Gains [1/s], with commas between, at most 100; 1,2,4,10 by default. With a scenario
+            the one gain to set.
         terms: Other terms and the plant.
         period: Sampling period [s]; turtlesim's tick, 0.016, by default.
         dead_time: Dead time [ticks], 0 to 1000; 0, the default, is the least possible.

@@ -42,9 +42,9 @@ class GoalOptions:
         minimise: A metric, or a formula of metrics and keys, that should be small.
         maximise: The same, that should be large.
         subject_to: What must hold, as in "rotate.overshoot <= 2"; may stand several times.
-        evaluations: How many candidates the search takes at most, about; otherwise 300 for each
-            key. The neighbourhood takes 50 more for each, again where it holds a better one.
-        seed: Of the search, and of what --monte-carlo draws; otherwise 0.
+        evaluations: Approximate number of candidates. Default: 300 for each key. The neighbourhood
+            takes 50 more for each key, and again if it contains a better one.
+        seed: Seed of the search and of --monte-carlo. Default: 0.
     """
 
     grid: Annotated[
@@ -70,15 +70,15 @@ class GoalOptions:
                 " tune paper --grid law.kp_linear=0.5:12 --minimise run.duration"
             )
         text = self.maximise if self.minimise is None else self.minimise
-        return tl.tune.parse_goal(
+        return tl.sweep.tune.parse_goal(
             text or "", self.subject_to or (), is_maximised=self.minimise is None
         )
 
     def count_evaluations(self, keys: int) -> int:
         """Return how many candidates there are to be."""
-        found = tl.tune.FOR_EACH_KEY * keys if self.evaluations is None else self.evaluations
-        if found < tl.tune.FEWEST:
-            raise UsageError(f"--evaluations {found}: must be at least {tl.tune.FEWEST}")
+        found = tl.sweep.tune.FOR_EACH_KEY * keys if self.evaluations is None else self.evaluations
+        if found < tl.sweep.tune.FEWEST:
+            raise UsageError(f"--evaluations {found}: must be at least {tl.sweep.tune.FEWEST}")
         return found
 
     def choose_seed(self) -> int:
@@ -95,7 +95,7 @@ class RobustnessOptions:
     """How the best values are tried where the loop is not quite the same.
 
     Attributes:
-        monte_carlo: Simulate so many variants of the best: of other seeds, where the scenario has
+        monte_carlo: Number of variants of the best to simulate: of other seeds, if the scenario has
             random effects, and with a transport delay of a tick more or less.
         spread: Draw a key of them, too, from a range, as in plant.turn_gain=0.9:1; may stand
             several times.
@@ -125,14 +125,16 @@ class RobustnessOptions:
         """Return what variants draw beside seeds and delays."""
         found: list[Variation] = []
         if self.robot is not None:
-            found += tl.tune.read_intervals(self.robot, scenario)
+            found += tl.sweep.tune.read_intervals(self.robot, scenario)
         if self.spread:
             known = tl.scenario.flatten_scenario(tl.scenario.resolve_scenario(scenario))
-            given = tl.tune.parse_searched_keys(self.spread, known, source="--spread")
+            given = tl.sweep.tune.parse_searched_keys(self.spread, known, source="--spread")
             names = {one.key for one in given}
             found = [one for one in found if one.key not in names]
             found += [
-                tl.tune.Variation(key=one.key, low=one.low, high=one.high, is_whole=one.is_whole)
+                tl.sweep.tune.Variation(
+                    key=one.key, low=one.low, high=one.high, is_whole=one.is_whole
+                )
                 for one in given
             ]
         for one in found:
@@ -171,11 +173,11 @@ def tune(
     """Look for the values of a scenario's keys that are best, and say how far they can be trusted.
 
     Candidates are simulated, many at a time. Of two the better one fulfils the constraints; where
-    both do, the objective decides. Where a metric has no value, as the settling time of a run that
-    does not settle, the candidate is no success.
+    both do, the objective decides. A candidate without a value of a metric, such as the settling
+    time of a run that does not settle, is refused.
 
     Then each key is moved alone until the objective is a tenth worse or a constraint breaks. With
-    --monte-carlo variants of the best show how much it hangs on noise, delay and robot.
+    --monte-carlo variants of the best show how much it depends on noise, delay and robot.
 
     The exit code is 1 where no candidate fulfils the constraints.
 
@@ -216,10 +218,10 @@ def _parse_keys(
 ) -> "tuple[Scenario, tuple[SearchedKey, ...]]":
     """Return the keys, and the scenario with a value for each: a law need not have defaults."""
     given = list_given_keys(options)
-    for key in tl.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
+    for key in tl.sweep.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
         if key.key in given:
             raise UsageError(f"--set: {key.key} is tuned by --grid; leave one of them out")
-    return tl.tune.complete_searched(scenario, vary, source="--grid", trust_law=trust_law)
+    return tl.sweep.tune.complete_searched(scenario, vary, source="--grid", trust_law=trust_law)
 
 
 def _search(  # noqa: PLR0913  (what a search takes)
@@ -234,13 +236,13 @@ def _search(  # noqa: PLR0913  (what a search takes)
 ) -> Answer:
     """Return the best values and their neighbourhood."""
     most = goal.count_evaluations(len(keys))
-    expected = most + tl.tune.NEIGHBOURS * len(keys)
+    expected = most + tl.sweep.tune.NEIGHBOURS * len(keys)
     with show_progress("simulated", expected, "candidates", has_rate=True) as progress:
 
         def watch(done: int) -> None:
             progress.done = min(done, expected)
 
-        candidates = tl.tune.Candidates(
+        candidates = tl.sweep.tune.Candidates(
             scenario,
             [key.key for key in keys],
             wanted,
@@ -255,11 +257,11 @@ def _search(  # noqa: PLR0913  (what a search takes)
         candidates.require_bounds([tuple(key.low for key in keys), tuple(key.high for key in keys)])
         is_maximised, around = wanted.is_maximised, None
         try:
-            tuned = tl.tune.search_best(
+            tuned = tl.sweep.tune.search_best(
                 candidates, keys, evaluations=most, is_maximised=is_maximised, seed=seed
             )
             if tuned.best.is_feasible:
-                tuned, around = tl.tune.explore_best(
+                tuned, around = tl.sweep.tune.explore_best(
                     candidates, keys, tuned, is_maximised=is_maximised
                 )
         except KeyboardInterrupt:
@@ -283,7 +285,7 @@ def _tell_best_so_far(
 ) -> None:
     if not candidates.evaluations:
         return
-    best = tl.tune.find_best(candidates, is_maximised=is_maximised)
+    best = tl.sweep.tune.find_best(candidates, is_maximised=is_maximised)
     values = zip(keys, best.point, strict=True)
     told = ", ".join(f"{key.key} = {value:.6g}" for key, value in values)
     print_note(f"the best of {candidates.evaluations} candidates so far: {told}")
@@ -297,13 +299,13 @@ def _simulate_variants(
     place: Any,
     work: TuneOptions,
 ) -> Any:
-    variations = tl.tune.choose_variations(answer.scenario, runs, more)
+    variations = tl.sweep.tune.choose_variations(answer.scenario, runs, more)
     with show_progress("simulated", runs, "variants", has_rate=True) as progress:
 
         def watch(done: int) -> None:
             progress.done = done
 
-        return tl.tune.simulate_variants(
+        return tl.sweep.tune.simulate_variants(
             answer.scenario,
             answer.goal,
             variations,

@@ -36,6 +36,7 @@ from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Run
+    from turtlelog.log import Surroundings
 
 _LONGEST_S = 1e9
 _HOUR_S = 3600.0
@@ -55,17 +56,19 @@ class PictureOptions:
 
     Attributes:
         snapshot: Write a picture of the view to this .png file and open nothing; needs no display.
-        at: Time of the picture, from the first sample [s]; otherwise the end of the longest run.
+        at: Time of the picture, from the first sample [s]. Default: the end of the longest run.
         timeline: The timeline of --at and of a movie: sim_time, or for several runs also
             PHASE_time, which begins at a later phase of each, as translate_time.
         size: Width and height of the picture [pixels], at least 480x320; below 1000x700 legends,
             phases and tables give way to curves.
+        no_scans: Leave out the laser scans and the map of a bag.
     """
 
     snapshot: Place | None = None
     at: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     timeline: str = "sim_time"
     size: Annotated[str, Parameter(metavar="WIDTHxHEIGHT")] = _USUAL_SIZE
+    no_scans: Annotated[bool, Parameter(negative=())] = False
 
 
 @Parameter(name="*")
@@ -109,6 +112,7 @@ def view(
     require_files(files)
     outputs = [save, picture.snapshot, movie.movie]
     _require_one_way(files, outputs, window)
+    _require_view(save)
     _require_picture(picture, movie)
     require_movie(movie, files)
     require_there(files)
@@ -141,6 +145,13 @@ def view(
                 _serve(rrds)
             elif save is None and picture.snapshot is None:
                 tl.open_viewer(rrds)
+
+
+def _require_view(save: Path | None) -> None:
+    """Refuse a picture or a movie where a view is written, and name the option that writes one."""
+    if save is not None and save.suffix in {".png", ".mp4", ".gif"}:
+        other = "--snapshot" if save.suffix == ".png" else "--movie"
+        raise UsageError(f"--save {save}: --save writes .rrd files; did you mean {other} {save}?")
 
 
 def _tell(written: Sequence[Path], runs: "Sequence[Run]") -> None:
@@ -235,14 +246,25 @@ def _prepare_rrds(
     if ready:
         return ready, []
     runs = read_runs(files, topics)
+    seen = None if picture.no_scans or len(runs) > 1 else _look_around(files[0], runs[0])
     rrd = save or folder / "view.rrd"
     with show_progress("drawing"):
         size = None if picture.snapshot is None else _parse_size(picture.size)
         if len(runs) == 1:
-            tl.write_run_rrd(runs[0], rrd, size=size)
+            tl.write_run_rrd(runs[0], rrd, size=size, surroundings=seen)
         else:
             tl.write_comparison_rrd(runs, rrd, size=size)
     return [rrd], runs
+
+
+def _look_around(file: Path, run: "Run") -> "Surroundings | None":
+    """Return what the robot of a bag saw, and say where that comes from."""
+    if "pose_topic" not in run.notes:
+        return None
+    seen = tl.log.read_surroundings(file, run)
+    for note in () if seen is None else seen.notes:
+        print_note(f"{file}: {note}")
+    return seen
 
 
 def _find_span(runs: "Sequence[Run]") -> tuple[float, float] | None:

@@ -11,6 +11,7 @@ from .measured_files import (
     complete_summaries as complete_summaries,
     summarise_files as summarise_files,
 )
+from .noise_level import NoiseLevel as NoiseLevel
 from .paper_tables import (
     tabulate_table1 as tabulate_table1,
     tabulate_whole_runs as tabulate_whole_runs,
@@ -76,4 +77,13 @@ from .table import (
     format_cell as format_cell,
     narrow_table as narrow_table,
 )
+from .trajectory_comparison import (
+    Delta as Delta,
+    TrajectoryComparison as TrajectoryComparison,
+    TrajectorySettings as TrajectorySettings,
+    compare_trajectories as compare_trajectories,
+    parse_delta as parse_delta,
+    tabulate_trajectories as tabulate_trajectories,
+)
+from .trajectory_errors import ErrorStatistics as ErrorStatistics
 from .tube import Tolerance as Tolerance

@@ -7,7 +7,7 @@ import numpy as np
 
 from turtlelog.compare.alignment import align_runs
 from turtlelog.compare.tube import lay_grid, read_rows
-from turtlelog.measure import read_signal
+from turtlelog.measure import find_signal
 from turtlelog.measure.path import compute_path_distances
 from turtlelog.measure.step_response import compute_rms
 from turtlelog.run import Run
@@ -18,7 +18,7 @@ _MOST_POINTS: Final = 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathDeviation:
-    """How far a run is from where a reference was, over the stretch that both cover.
+    """How far a run is from where a reference was, over the segment that both cover.
 
     Attributes:
         largest_m: Largest distance from the nearest point of the reference's path [m].
@@ -53,7 +53,7 @@ def measure_path_error(
     clock = align_runs(reference, run, alignment)
     columns = []
     for name in ("x", "y"):
-        theirs, ours = (read_signal(who, name) for who in (reference, run))
+        theirs, ours = (find_signal(who, name) for who in (reference, run))
         assert theirs is not None
         assert ours is not None
         placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)

@@ -7,13 +7,13 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.compare.noise_level import NoiseLevel, Quantity
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.display import describe_count, fit_line, format_answer, format_html
 from turtlelog.identify import AxisTraces
 from turtlelog.run import Clock, PoseColumns
 
 Values = NDArray[np.float64]
-Quantity = Literal["position", "heading"]
 
 SEEDS: Final = 39
 """Simulations of one motion: another one of the same kind lies between the least and the largest of
@@ -157,6 +157,7 @@ class RobotComparison:
         seeds: Simulations of each motion; 0 where the scenario has no noise.
         clock: What times the poses; None where there is but one clock.
         bands: Errors of position and of heading by horizon.
+        noise: How noisy position and heading are beside the simulated ones, where that shows.
         growth: Of position and of heading, over the pieces of the longest horizon.
         recorded: The recorded poses, as they were sensed where that is recorded, n rows.
         simulated: Those of the simulation without noise at the same times, from the origin on; n
@@ -174,6 +175,7 @@ class RobotComparison:
     seeds: int
     clock: Clock | None = None
     bands: tuple[ErrorBand, ...]
+    noise: tuple[NoiseLevel, ...] = ()
     growth: tuple[ErrorGrowth, ErrorGrowth]
     recorded: PoseColumns
     simulated: PoseColumns
@@ -235,7 +237,7 @@ def tabulate_robots(found: Sequence[RobotComparison]) -> Table:
         breaks += [len(rows)] if rows else []
         rows += [(one.name, *_list_cells(band)) for band in one.bands]
         before = f"{one.name}: " if len(found) > 1 else ""
-        notes += [before + text for text in (*(band.text for band in one.bands), *one.notes)]
+        notes += [before + text for text in _list_sentences(one)]
     seeds = f", {first.seeds} seeds" if first.seeds else ""
     return Table(
         title=(
@@ -259,6 +261,11 @@ def tabulate_robots(found: Sequence[RobotComparison]) -> Table:
         notes=tuple(notes),
         breaks=tuple(breaks),
     )
+
+
+def _list_sentences(one: RobotComparison) -> list[str]:
+    noise = [level.text for level in one.noise if level.text]
+    return [*noise, *(band.text for band in one.bands), *one.notes]
 
 
 def _list_cells(band: ErrorBand) -> tuple[Cell, ...]:

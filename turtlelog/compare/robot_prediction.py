@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.compare.driven_commands import find_known, is_random, list_commands, silence
+from turtlelog.compare.noise_level import SHORTEST_S, NoiseLevel, Quantity, compare_noise
 from turtlelog.compare.prediction_pieces import (
     Rows,
     Values,
@@ -28,7 +29,6 @@ from turtlelog.compare.robot_comparison import (
     SEEDS,
     ErrorBand,
     ErrorGrowth,
-    Quantity,
     RobotComparison,
 )
 from turtlelog.display import describe_count
@@ -62,6 +62,9 @@ _FIRST_SEED: Final = 2**32
 
 _MOST_NAMED: Final = 5
 """Jumps and stops that are named one by one."""
+
+_MOVED: Final = 1e-9
+"""A robot that moves less between two poses stands [m] or [rad]: rounding alone moves it so far."""
 
 _QUANTITIES: Final[tuple[Quantity, Quantity]] = ("position", "heading")
 
@@ -111,8 +114,12 @@ def compare_robot(
     if not cuts:
         raise CompareError(_tell_too_short(run, horizons_s, known_ns, len(jumps)))
     longest = cuts[max(cuts)]
+    short_s = max(SHORTEST_S, float(np.median(np.diff(recorded.time_ns))) / 1e9)
+    short, _ = drop_jumps(cut_pieces(recorded.time_ns, round(short_s * 1e9), known_ns)[0], jumps)
     grown = list_growth_rows(recorded.time_ns, longest, max(cuts))
-    rows = np.unique(np.concatenate([grown.ravel(), *(cut.ravel() for cut in cuts.values())]))
+    rows = np.unique(
+        np.concatenate([grown.ravel(), short.ravel(), *(cut.ravel() for cut in cuts.values())])
+    )
     worlds = np.array(
         [
             sense_driven(replace(scenario, seed=_FIRST_SEED + seed), commands, times_ns[rows])
@@ -130,6 +137,7 @@ def compare_robot(
             for horizon_s, cut in cuts.items()
             for band in stack.measure_bands(horizon_s, cut, zero_ns)
         ),
+        noise=stack.compare_noise(short_s, short, cuts[min(cuts)]),
         growth=stack.measure_growth(grown),
         recorded=recorded,
         simulated=simulated,
@@ -183,6 +191,26 @@ class _Stack:
                 )
             bands.append(band)
         return bands
+
+    def compare_noise(self, after_s: float, short: Rows, long: Rows) -> tuple[NoiseLevel, ...]:
+        """Return how noisy position and heading are, from pieces in which the robot moves."""
+        found = []
+        for cut in (short, long):
+            moved = np.abs(self._predicted[cut[1]] - self._predicted[cut[0]]).max(axis=1) > _MOVED
+            found.append(self._measure(cut[:, moved]))
+        (recorded, simulated), (later, simulated_later) = found
+        if simulated is None or simulated_later is None:
+            return ()
+        levels = (
+            compare_noise(
+                quantity,
+                after_s,
+                (recorded[number], simulated[:, number]),
+                (later[number], simulated_later[:, number]),
+            )
+            for number, quantity in enumerate(_QUANTITIES)
+        )
+        return tuple(level for level in levels if level is not None)
 
     def measure_growth(self, grown: Rows) -> tuple[ErrorGrowth, ErrorGrowth]:
         """Return how errors grow from the first row of each piece on, shape (pieces, points)."""

@@ -20,7 +20,7 @@ from turtlelog.compare.tube import (
     read_rows,
 )
 from turtlelog.errors import find_near, join_names
-from turtlelog.measure import SIGNALS, Signal, list_signal_units, list_signals, read_signal
+from turtlelog.measure import SIGNALS, Signal, find_signal, list_signal_units, list_signals
 from turtlelog.replay.differences import Difference, SignalDifference as SignalDifference
 from turtlelog.run import Run
 
@@ -146,7 +146,7 @@ def explain_lack(name: str, reference: Run, run: Run) -> str:
     sides = zip((reference, run), _read_signals(name, reference, run), strict=True)
     lacking = [who for who, held in sides if held is None]
     if not lacking:
-        return "there is no stretch in which both were commanded"
+        return "there is no segment in which both were commanded"
     reason = f"{' and '.join(who.name for who in lacking)} does not hold it"
     lawless = [who for who in lacking if name not in list_signals(who.declaration)]
     if not lawless:
@@ -249,7 +249,7 @@ def _join_phases(reference: Run, run: Run) -> list[str]:
 def _read_signals(name: str, reference: Run, run: Run) -> tuple[Signal | None, Signal | None]:
     """Return a signal of both, None of one that does not hold it; phases by one numbering."""
     theirs, ours = (
-        read_signal(who, name) if name in list_signals(who.declaration) else None
+        find_signal(who, name) if name in list_signals(who.declaration) else None
         for who in (reference, run)
     )
     if theirs is None or ours is None or ours.kind.compared_as != "label":

@@ -91,7 +91,7 @@ def _note(scenario: Any) -> Iterator[str]:
     names = [name for name in ("from_s", "to_s") if getattr(push, name) != getattr(usual, name)]
     if names and not PART.acts(scenario):
         keys = " and ".join(f"disturbance.{name}" for name in names)
-        yield f"{keys}: there is no push and no noise to begin or end"
+        yield f"{keys}: there is no disturbance and no noise to begin or end"
 
 
 PART = Effect(
@@ -114,7 +114,7 @@ PART = Effect(
             name="disturbance",
             kind="effect",
             neutral=dict.fromkeys(PUSH_KEYS, 0.0),
-            meaning="nothing pushes the robot",
+            meaning="nothing disturbs the robot",
         ),
     ),
     added=(

@@ -70,8 +70,8 @@ _MOST_ALIKE: Final = 8
 """Settings that fit alike and are simulated again for their dead times: a second's work."""
 
 _UNEXPLAINED: Final = (
-    "an effect that no log tells by itself, such as loss, jitter or a push, or commands that the"
-    " log does not hold"
+    "an effect that does not show in a log, such as loss, jitter or a disturbance, or commands"
+    " that the log does not contain"
 )
 
 

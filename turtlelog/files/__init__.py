@@ -1,4 +1,6 @@
-"""Files behind URLs: object storage and http, through fsspec, which is loaded for a URL only.
+"""The files that a user names: small texts and TOML, and paths that may be URLs.
+
+fsspec, which reads object storage and http, is loaded for a URL only.
 
 The names stand in `__init__.pyi` and load on first use.
 """

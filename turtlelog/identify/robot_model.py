@@ -9,8 +9,8 @@ from turtlelog.display import fit_line, format_answer, format_html
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
 from turtlelog.identify.robot_structure import Bound, Order, Structure
-from turtlelog.libraries import load_library
 from turtlelog.run import Clock
+from turtlelog.theory.control_systems import build_delayed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,7 +139,7 @@ class AxisModel:
     doubts: tuple[str, ...] = ()
     silent_stops_s: tuple[float, ...] = ()
 
-    def to_control(self, pade_order: int = 3) -> Any:
+    def to_control(self, pade_order: int = 4) -> Any:
         """Return the axis as a `control.TransferFunction`, from command to rate.
 
         Limits and a deadband are not linear and left out.
@@ -149,17 +149,14 @@ class AxisModel:
 
         Raises:
             IdentifyError: The axis is not known.
+            TheoryError: The order is negative.
             LibraryError: python-control is not installed.
         """
         if self.gain is None or self.dead_time_s is None or self.lag_s is None:
             raise IdentifyError(f"{self.axis}: {self.reason or 'it is not known'}")
-        control = load_library("control")
         product = 0.0 if self.lag_product_s2 is None else self.lag_product_s2.value
-        lag = [product, self.lag_s.value, 1.0] if product else [self.lag_s.value, 1.0]
-        follows = control.tf([self.gain.value], lag)
-        if not pade_order or not self.dead_time_s.value:
-            return follows
-        return control.tf(*control.pade(self.dead_time_s.value, pade_order)) * follows
+        lags = (product, self.lag_s.value, 1.0)
+        return build_delayed([self.gain.value], lags, self.dead_time_s.value, pade_order)
 
     @property
     def advised_delay_s(self) -> float | None:

@@ -32,6 +32,10 @@ from .importers import (
     import_log as import_log,
     import_plain_table as import_plain_table,
 )
+from .live_run import (
+    Sink as Sink,
+    run_live as run_live,
+)
 from .read_choice import (
     CHOSEN as CHOSEN,
     ReadChoice as ReadChoice,
@@ -56,5 +60,10 @@ from .recovery import (
     recover_recording as recover_recording,
 )
 from .ros2 import (
+    Surroundings as Surroundings,
     read_bag as read_bag,
+    read_surroundings as read_surroundings,
+)
+from .trajectories import (
+    read_trajectory as read_trajectory,
 )

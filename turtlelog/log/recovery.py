@@ -59,7 +59,7 @@ class RecoveryReport:
 
     def __repr__(self) -> str:
         found = describe_count(sum(self.recovered.values()), "message")
-        lost = f"{len(self.lost)} stretch{'es' * (len(self.lost) != 1)}"
+        lost = describe_count(len(self.lost), "part")
         return fit_line(f"<RecoveryReport {self.file}: {found}, {lost} lost>")
 
 

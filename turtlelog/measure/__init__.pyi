@@ -67,6 +67,7 @@ from .signals import (
     SignalKind as SignalKind,
     could_be_signal as could_be_signal,
     explain_no_signal as explain_no_signal,
+    find_signal as find_signal,
     list_signal_units as list_signal_units,
     list_signals as list_signals,
     read_signal as read_signal,

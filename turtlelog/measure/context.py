@@ -17,7 +17,7 @@ from turtlelog.measure.path import compute_path_distances, compute_path_length
 from turtlelog.measure.rates import Axis, HeldCommands, Rates, read_held_commands, read_rates
 from turtlelog.measure.references import read_heading_reference
 from turtlelog.measure.response import Response, find_loop_samples, find_response
-from turtlelog.measure.signals import Signal, read_signal
+from turtlelog.measure.signals import Signal, find_signal
 from turtlelog.run import Run, take_rows
 from turtlelog.run.loops import ControlLoop
 
@@ -52,7 +52,7 @@ class RunContext:
 
     def get_signal(self, name: str) -> Signal | None:
         """Return a signal of the run, None where the run does not hold it."""
-        return self.recall(name, lambda: read_signal(self.run, name))
+        return self.recall(name, lambda: find_signal(self.run, name))
 
     def get_rates(self, axis: Axis) -> Rates | None:
         """Return how fast the robot moved along an axis; None for one pose."""

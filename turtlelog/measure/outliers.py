@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
-from turtlelog.measure.signals import read_signal
+from turtlelog.measure.signals import find_signal
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -110,7 +110,7 @@ def list_outliers(run: Run) -> tuple[Outlier, ...]:
 
 def _iterate_outliers(run: Run) -> Iterator[Outlier]:
     for name in MEASURED:
-        signal = read_signal(run, name)
+        signal = find_signal(run, name)
         if signal is None:
             continue
         for row in find_outliers(signal.time_ns, signal.values).tolist():

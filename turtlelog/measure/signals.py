@@ -164,7 +164,20 @@ def list_signal_units(declarations: Iterable[Declaration]) -> dict[str, str]:
     }
 
 
-def read_signal(run: Run, name: str) -> Signal | None:
+def read_signal(run: Run, name: str) -> Signal:
+    """Return a signal of a run.
+
+    Raises:
+        MeasureError: Where no signal has that name, or the run does not hold it; why.
+    """
+    signal = find_signal(run, name)
+    if signal is None:
+        why = explain_no_signal(run, name)
+        raise MeasureError(f"{run.name}: has no signal {name}{why and f': {why}'}")
+    return signal
+
+
+def find_signal(run: Run, name: str) -> Signal | None:
     """Return a signal of a run, None where the run does not hold it.
 
     Raises:

@@ -102,7 +102,7 @@ def sense_driven(
     """
     if PLANTS[scenario.plant.kind].acts_in_steps:
         raise ReplayError(
-            f"{scenario.name}: expected a lagged robot to drive, found {scenario.plant.kind}"
+            f"{scenario.name}: the plant is {scenario.plant.kind}, not a robot model (lagged)"
         )
     period_ns = scenario.plant.facts.period_ns
     origin = Start(x_m=0.0, y_m=0.0, heading_rad=0.0)
@@ -124,7 +124,7 @@ def sense_driven(
 
 
 def _require_whole(run: Run) -> None:
-    expected = "to drive a lagged robot with the recorded commands"
+    expected = "to drive a robot model with the recorded commands"
     if not run.scenario_is_complete:
         raise ReplayError(
             f"{run.name}: expected a whole scenario {expected}, found a part:"

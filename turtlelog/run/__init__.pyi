@@ -1,3 +1,8 @@
+from . import (
+    frames as frames,
+    loops as loops,
+    paths as paths,
+)
 from .columns import (
     Clock as Clock,
     CommandColumns as CommandColumns,
@@ -19,4 +24,8 @@ from .slicing import (
 from .tables import (
     TABLES as TABLES,
     tabulate_run as tabulate_run,
+)
+from .trajectory import (
+    Trajectory as Trajectory,
+    build_planar_trajectory as build_planar_trajectory,
 )

@@ -316,7 +316,8 @@ class Run:
     def to_xarray(self, table: str = "poses") -> Any:
         """Return a table of this run as an `xarray.Dataset`; needs xarray, which is no dependency.
 
-        Its dimension is `time`, whose coordinate `time_s` is the time from the first sample [s].
+        Its dimension is `time_s`, the time from the first sample [s]: `sel(time_s=5.0,
+        method="nearest")` takes the pose that is nearest to 5 s. Samples may share a time.
         The `attrs` of each variable hold its `units`, those of the dataset the run's name, goal and
         scenario.
 

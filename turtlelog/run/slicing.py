@@ -62,7 +62,7 @@ def locate_stretch(run: "Run", start_s: float | None, end_s: float | None) -> tu
         first_s, last_s = ((int(time) - run.start_ns) / 1e9 for time in (poses_ns[0], poses_ns[-1]))
         found = f"{(start_ns - run.start_ns) / 1e9:g} to {(end_ns - run.start_ns) / 1e9:g} s"
         raise RunError(
-            f"slice: expected a stretch with poses, which are from {first_s:g} to {last_s:g} s,"
+            f"slice: expected a segment with poses, which are from {first_s:g} to {last_s:g} s,"
             f" found {found}"
         )
     return start_ns, end_ns

@@ -120,10 +120,10 @@ def build_xarray(run: "Run", table: str) -> Any:
     """Return a table of a run as an `xarray.Dataset` over the time from the first sample [s]."""
     columns, units = tabulate_run(run, table), list_units(run, table)
     described = {
-        name: ("time", values, {"units": units[name]} if name in units else {})
+        name: ("time_s", values, {"units": units[name]} if name in units else {})
         for name, values in columns.items()
     }
-    time_s = ("time", (columns["time_ns"] - run.start_ns) / 1e9, {"units": "s"})
+    time_s = ("time_s", (columns["time_ns"] - run.start_ns) / 1e9, {"units": "s"})
     xarray = load_library("xarray")
     return xarray.Dataset(described, coords={"time_s": time_s}, attrs=list_facts(run))
 

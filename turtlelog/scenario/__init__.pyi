@@ -3,14 +3,6 @@ from .dotted_keys import (
     flatten_tables as flatten_tables,
     nest_parameters as nest_parameters,
 )
-from .files import (
-    format_scenario as format_scenario,
-    get_preset as get_preset,
-    iterate_paper_runs as iterate_paper_runs,
-    load_scenario as load_scenario,
-    parse_scenario as parse_scenario,
-    read_scenario as read_scenario,
-)
 from .model import (
     LawChoice as LawChoice,
     LawTable as LawTable,
@@ -30,6 +22,14 @@ from .overrides import (
 from .presets import (
     PAPER_RUNS as PAPER_RUNS,
     PRESETS as PRESETS,
+)
+from .scenario_file import (
+    format_scenario as format_scenario,
+    get_preset as get_preset,
+    iterate_paper_runs as iterate_paper_runs,
+    load_scenario as load_scenario,
+    parse_scenario as parse_scenario,
+    read_scenario as read_scenario,
 )
 from .scenario_tables import (
     Disturbance as Disturbance,

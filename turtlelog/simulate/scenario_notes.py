@@ -96,7 +96,7 @@ def _describe_unstable(declaration: Declaration, parameters: Mapping[str, Parame
             continue
         said = _judge(loop, gains, process, timing)
         if said is not None:
-            found.append(f"{loop.name}: {said}; clipping only bounds how far it swings")
+            found.append(f"{loop.name}: {said}; clipping only bounds its oscillation")
     return found
 
 

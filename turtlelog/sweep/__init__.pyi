@@ -1,3 +1,4 @@
+from . import tune as tune
 from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,

@@ -17,6 +17,9 @@ from turtlelog.sweep.result_table import ColumnType, choose_type
 MOST_DRAWN: Final = 10_000_000
 """Rows of a sample, which is drawn at once: 80 MB for each key."""
 
+KP: Final = "kp"
+"""In the place of a key: all gains of the law together, as `--kp` sets them."""
+
 _BELOW_1: Final = math.nextafter(1.0, 0.0)
 
 
@@ -126,6 +129,25 @@ class SweepPlan:
             grid=tuple(one.as_real() if one.key in keys else one for one in self.grid),
             zipped=tuple(one.as_real() if one.key in keys else one for one in self.zipped),
         )
+
+    def spread_gains(self, gains: Sequence[str]) -> "SweepPlan":
+        """Return the plan with the gains of a law, which go together, in the place of `kp`.
+
+        Raises:
+            SweepError: The law declares no gain, or other keys go together already.
+        """
+        kp = next((one for one in self.grid if one.key == KP), None)
+        if kp is None:
+            return self
+        if not gains:
+            raise SweepError("--grid: kp: the law declares no gain; vary its keys by their names")
+        if self.zipped:
+            raise SweepError(
+                "--zip: leave it out beside --grid kp, which varies"
+                f" {' and '.join(gains)} together; or name these in --zip"
+            )
+        others = tuple(one for one in self.grid if one is not kp)
+        return replace(self, grid=others, zipped=tuple(replace(kp, key=key) for key in gains))
 
     def describe(self) -> str:
         """Return the plan as JSON, as file metadata have it."""

@@ -19,7 +19,7 @@ from turtlelog.scenario import (
 )
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
-from turtlelog.sweep.plan import SweepPlan, build_row_scenario
+from turtlelog.sweep.plan import KP, SweepPlan, build_row_scenario
 from turtlelog.sweep.simulate_rows import RowChunk, RowRecords, require_condition
 from turtlelog.version import __version__
 
@@ -88,7 +88,7 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
 
     Args:
         base: What the rows vary.
-        plan: The rows.
+        plan: The rows; the key `kp` stands for all gains of the law.
         metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
         records: Which runs are recorded.
         trust_law: Whether a law that a recording names may run, too.
@@ -97,11 +97,15 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
         source: Begins error lines about the values of a row.
 
     Raises:
+        SweepError: Where `kp` varies, and the law declares no gain or other keys go together.
         ScenarioError: Where none of these rows makes a scenario, or the law may not run.
         MeasureError: Where a metric is not known.
         ExpressionError: Where the condition of the recordings cannot be judged.
     """
     trusted = True if trust_law else None
+    if KP in plan.keys:
+        declared = declare_scenario(resolve_scenario(base, trust_law=trust_law))
+        plan = plan.spread_gains(declared.list_gains())
     found, errors = [], []
     for row in plan.list_probes():
         try:

@@ -106,7 +106,8 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
 
     Args:
         scenario: What the rows vary: a scenario, the name of a preset, or a file.
-        grid: Values by dotted key, as in `{"law.kp_linear": np.linspace(1, 4, 30)}`.
+        grid: Values by dotted key, as in `{"law.kp_linear": np.linspace(1, 4, 30)}`; those of `kp`
+            are of all gains of the law together.
         metrics: Ids or patterns; None: the essential ones of the law but `dead_time`.
         law: What drives instead of the scenario's law, as in `simulate_run`. Processes beside this
             one find a law of a notebook on Linux; elsewhere there is one process for it.
@@ -166,7 +167,7 @@ def _read_values(grid: Mapping[str, Iterable[Any]]) -> Iterator[KeyValues]:
             raise SweepError(f"grid: {key}: expected values, as in {example}, found {given!r:.60}")
         values = [unwrap_number(one) for one in given]
         if not values:
-            raise SweepError(f"grid: {key}: expected at least one value, found none")
+            raise SweepError(f"grid: {key}: has no values; give them as in {example}")
         is_text = choose_type(values) == "text"
         if None in values or (is_text and not all(isinstance(one, str) for one in values)):
             expected = "numbers, texts or truths alone"

@@ -16,7 +16,7 @@ SKOGESTAD: Final = (
 )
 ZIEGLER_NICHOLS: Final = (
     "J. G. Ziegler and N. B. Nichols, Optimum settings for automatic controllers, Transactions of"
-    " the ASME 64 (1942) 759-768: half of the gain at which the loop oscillates for good"
+    " the ASME 64 (1942) 759-768: half of the gain at which the loop oscillates without end"
 )
 
 _INTEGRAL: Final = 8.0

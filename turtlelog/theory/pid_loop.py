@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
+from turtlelog.theory.control_systems import build_open_loop
 from turtlelog.theory.inputs import require_period, require_times
 from turtlelog.theory.pid_gains import PidGains, build_shape
 from turtlelog.theory.pid_margins import Margins, evaluate_open_loop, find_margins
@@ -83,6 +84,18 @@ class PidLoop:
     def largest_magnitude(self) -> float:
         """Magnitude of the slowest pole; 1 and above where the loop is unstable."""
         return float(abs(self.poles[0]))
+
+    def to_control(self) -> Any:
+        """Return the open loop as a `control.TransferFunction` in z; it is exact.
+
+        `control.feedback` closes it. The derivative acts on the measurement, so what is closed
+        answers the reference as this loop does with P and PI alone.
+
+        Raises:
+            LibraryError: python-control is not installed.
+        """
+        shape, _ = _prepare(self.gains, self.period_s, self.dead_time_ticks, self.process)
+        return build_open_loop(shape, self.period_s)
 
 
 def analyse_pid_loop(

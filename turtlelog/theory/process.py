@@ -19,9 +19,10 @@ each sample.
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from turtlelog.errors import TheoryError
+from turtlelog.theory.control_systems import build_delayed
 from turtlelog.theory.inputs import (
     MAX_DEAD_TIME_TICKS,
     require_dead_time,
@@ -69,6 +70,19 @@ class Process:
         require_positive("gain", self.gain)
         for name in ("lag_s", "dead_time_s", "low_pass_s"):
             require_not_negative(name, getattr(self, name))
+
+    def to_control(self, pade_order: int = 4) -> Any:
+        """Return a continuous `control.TransferFunction` from the command to the signal.
+
+        Args:
+            pade_order: Order of the rational function that stands for the dead time; 0: none.
+
+        Raises:
+            TheoryError: The order is negative.
+            LibraryError: python-control is not installed.
+        """
+        lags = (self.lag_s * self.low_pass_s, self.lag_s + self.low_pass_s, 1.0, 0.0)
+        return build_delayed([self.gain], lags, self.dead_time_s, pade_order)
 
 
 INTEGRATOR: Final = Process()

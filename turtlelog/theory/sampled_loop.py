@@ -7,11 +7,12 @@ Kp T / (2 sin(w T / 2)) and the phase -(pi / 2 + (d + 1/2) w T) at the frequency
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.libraries import load_library
 from turtlelog.theory.inputs import (
     require_count,
     require_dead_time,
@@ -76,6 +77,17 @@ class SampledLoop:
         """The delay margin in seconds."""
         ticks = self.delay_margin_ticks
         return None if ticks is None else ticks * self.period_s
+
+    def to_control(self) -> Any:
+        """Return the open loop as a `control.TransferFunction` in z, Kp T / (z^d (z - 1)).
+
+        It is exact. `control.feedback` closes it.
+
+        Raises:
+            LibraryError: python-control is not installed.
+        """
+        poles = [1.0, -1.0, *[0.0] * self.dead_time_ticks]
+        return load_library("control").tf([self.kp * self.period_s], poles, self.period_s)
 
 
 def compute_overshoot_gain(period_s: float, dead_time_ticks: int = 0) -> float:

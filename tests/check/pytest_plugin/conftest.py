@@ -6,7 +6,7 @@ import pytest
 # pytester forgets the modules that a run inside this process has loaded, and numpy loads but once:
 # what the plugin loads when it is asked is loaded here, for all runs.
 
-RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
+RECORDINGS = Path(__file__).parents[3] / "recordings" / "paper"
 
 
 @pytest.fixture

@@ -80,7 +80,7 @@ def test_a_plain_name_stays_the_users(suite: pytest.Pytester, name: str) -> None
 
 def read_entry() -> EntryPoint:
     """Return the entry point that an installation of this tree has."""
-    text = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "pyproject.toml").read_text(encoding="utf-8")
     ((name, value),) = tomllib.loads(text)["project"]["entry-points"]["pytest11"].items()
     return EntryPoint(name=name, value=value, group="pytest11")
 

@@ -12,7 +12,7 @@ from tests.check.artifact_files import read_mark
 from tests.check.pytest_plugin.conftest import NAMES, run
 from tests.sequential import METRICS
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 BODY = """
 def test_it(recording):
     assert recording.phase("rotate").overshoot <= 0.5

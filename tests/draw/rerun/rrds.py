@@ -87,7 +87,6 @@ def make_foreign_run(rows: int) -> Run:
 def read_values(name: str) -> NDArray[np.float64]:
     """Return a signal of the run that most tests are of."""
     signal = read_signal(simulate_preset("paper-kp10"), name)
-    assert signal is not None
     return signal.values
 
 

@@ -15,7 +15,7 @@ from tests.draw.rerun.rrds import (
     simulate_preset,
     verify,
 )
-from turtlelog.draw import describe_run, write_run_rrd
+from turtlelog.draw import document_run, write_run_rrd
 from turtlelog.run import PoseColumns, Run, SampleColumns, take_rows
 
 RUN = simulate_preset("paper-kp10")
@@ -141,7 +141,7 @@ def test_curves_are_parted_where_a_turtle_was_put_elsewhere(tmp_path: Path) -> N
 
 
 def test_what_a_robot_has_no_metrics_of_is_one_line() -> None:
-    text = describe_run(make_foreign_run(40))["Metrics"]
+    text = document_run(make_foreign_run(40))["Metrics"]
     (line,) = [line for line in text.splitlines() if "without a value" in line]
     assert re.match(r"\d+ metrics without a value: .*, and \d+ other reasons?\.", line)
     assert "\nNo " not in text

@@ -38,7 +38,6 @@ def test_runs_are_aligned_at_their_first_sample(comparison_rrd: Path, name: str)
 @pytest.mark.parametrize("signal_name", ["along_track", "cross_track", "distance"])
 def test_curves_hold_the_signals_exactly(comparison_rrd: Path, name: str, signal_name: str) -> None:
     signal = read_signal(simulate_preset(name), signal_name)
-    assert signal is not None
     rows = read_rows(comparison_rrd, f"/runs/{name}/{signal_name}", "Scalars:scalars")
     np.testing.assert_array_equal(np.array(rows)[:, 0], signal.values)
 

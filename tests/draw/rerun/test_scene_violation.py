@@ -115,7 +115,6 @@ def test_the_violated_signal_stands_on_top_with_limits_and_what_is_outside(band_
     title = "cross_track [m]: worst -0.10774 m at 8.784 s, 0.0577 m outside; violates track"
     assert read_layout(band_rrd)[title] == ["/violated/**"]
     track = read_signal(RUN, "cross_track")
-    assert track is not None
     red = np.array(read_rows(band_rrd, "/violated/outside", "Scalars:scalars"))[:, 0]
     shown = np.array(read_rows(band_rrd, "/violated/curve", "Scalars:scalars"))[:, 0]
     np.testing.assert_array_equal(shown, track.values)

@@ -114,7 +114,6 @@ def test_along_track_has_its_reference_and_its_error(tracker_rrd: Path) -> None:
     error = read_curve(tracker_rrd, "/along_track_error")
     np.testing.assert_allclose(error, reference - along, atol=1e-12)
     offsets = read_signal(KANAYAMA, "cross_track")
-    assert offsets is not None
     assert read_curve(tracker_rrd, "/cross_track").tolist() == offsets.values.tolist()
     levels = [name for name in list_entities(tracker_rrd) if name.startswith("/reference/")]
     assert not [name for name in levels if "track" in name]  # zero is on the axis

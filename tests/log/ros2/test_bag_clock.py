@@ -248,7 +248,7 @@ def test_a_real_robots_clock_is_found_and_taken_out() -> None:
     assert np.diff(run.poses.time_ns).min() > 37 * MS
     # The recorder received some poses in bursts; two of them 0.126 ms apart.
     assert (len(as_logged.poses), as_logged.notes[CLOSE_ROWS]) == (1244, "10")
-    assert "as asked" in as_logged.notes[CLOCK]
+    assert "as given" in as_logged.notes[CLOCK]
 
 
 def test_a_real_simulation_keeps_its_seconds() -> None:

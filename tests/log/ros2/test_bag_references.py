@@ -54,7 +54,7 @@ def test_of_several_goals_the_last_before_the_end_counts(tmp_path: Path) -> None
 def test_a_goal_that_is_asked_for_takes_the_place_of_the_bags(tmp_path: Path) -> None:
     run = read(tmp_path, say_odometry(), say_goal(2.0, 1.0), goal=(7.0, 8.0, 0.25))
     assert (run.goal_xy_m, run.goal_heading_rad) == ((7.0, 8.0), 0.25)
-    assert run.notes["goal"] == "as asked"
+    assert run.notes["goal"] == "as given"
     with pytest.raises(LogError, match=r"goal: expected x, y .* found \(1.0,\)"):
         read(tmp_path, say_odometry(), goal=(1.0,))
 

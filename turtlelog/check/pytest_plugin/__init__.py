@@ -44,8 +44,8 @@ NAME: Final = "turtlelog.check.pytest_plugin"
 class Entry:
     """What pytest finds of an installed turtlelog, under the name that `-p no:turtlelog` blocks.
 
-    It loads the plugin under the name of its module, so that `-p turtlelog.check.pytest_plugin`, which
-    works where nothing is installed, loads it no second time.
+    It loads the plugin under the name of its module, so that `-p turtlelog.check.pytest_plugin`,
+    which works where nothing is installed, loads it no second time.
     """
 
     @staticmethod

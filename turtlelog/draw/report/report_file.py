@@ -150,7 +150,7 @@ def write_report(
     if plots.thinned:
         body += (
             f'<p class="note">{describe_count(plots.thinned, "curve")} drawn with about'
-            f" {plots.points} points; the least and greatest values of every stretch stay.</p>"
+            f" {plots.points} points; the least and greatest values of every part stay.</p>"
         )
     title = ", ".join(names) if len(names) <= _MOST_TITLED else f"{len(names)} runs"
     text = _assemble(title, body, plots)

@@ -18,7 +18,7 @@ from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import TICKS, join_path
 from turtlelog.draw.rerun.plots import LevelLines, Series
 from turtlelog.draw.rerun.world import Bounds, find_plane_bounds
-from turtlelog.measure import read_signal
+from turtlelog.measure import find_signal
 from turtlelog.run import Run
 
 _CLOSE_UP = 2.0
@@ -274,7 +274,7 @@ def find_heading_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]
     """
     largest_deg = 0.0
     for run in runs:
-        errors = read_signal(run, "heading_error")
+        errors = find_signal(run, "heading_error")
         if errors is None:
             continue
         end_ns = find_end_of_turn(run)

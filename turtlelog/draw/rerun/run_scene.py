@@ -1,10 +1,11 @@
 """One run as a Rerun recording."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import numpy as np
 import rerun as rr
 
 from turtlelog.charts import palette
@@ -39,9 +40,17 @@ from turtlelog.draw.rerun.plots import (
     list_series,
 )
 from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording, send_run_properties
-from turtlelog.draw.rerun.timelines import RunStream, add_thinning, build_run_timelines, read_span
+from turtlelog.draw.rerun.seen_walls import draw_surroundings, widen_plane
+from turtlelog.draw.rerun.timelines import (
+    RunStream,
+    Values,
+    add_thinning,
+    build_run_timelines,
+    read_span,
+)
 from turtlelog.draw.rerun.turtles import Look, draw_turtle
 from turtlelog.draw.rerun.world import draw_close_up, draw_world, draw_worst_place
+from turtlelog.log.ros2.bag_scans import Surroundings
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
 
@@ -56,6 +65,7 @@ def write_run_rrd(
     *,
     documents: Mapping[str, str] | None = None,
     size: tuple[int, int] | None = None,
+    surroundings: Surroundings | None = None,
 ) -> None:
     """Write a recording of one run with its layout; time zero is the first sample.
 
@@ -65,11 +75,12 @@ def write_run_rrd(
         documents: Markdown texts by title, shown as tabs; `document_run` where None.
         size: Of the window that it is for [pixels], where known: in a small one legends, phases and
             documents give way to curves.
+        surroundings: What the robot saw, which stands below its path.
 
     Raises:
         ShowError: Where the file cannot be written.
     """
-    scene = build_run_scene(run, documents, size)
+    scene = build_run_scene(run, documents, size, surroundings)
     with open_recording(path, name=run.name, layout=build_run_layout(scene.content)) as stream:
         scene.draw(stream)
 
@@ -91,13 +102,17 @@ def build_run_scene(
     run: Run,
     documents: Mapping[str, str] | None = None,
     size: tuple[int, int] | None = None,
+    surroundings: Surroundings | None = None,
 ) -> RunScene:
-    """Return what is drawn of a run; documents and size are those of `write_run_rrd`."""
-    single = build_single(run)
+    """Return what is drawn of a run; all but the run are those of `write_run_rrd`."""
+    single = replace(build_single(run), surroundings=surroundings)
     if documents is None:
         documents = document_run(run, metrics=single.metrics)
     documents = add_thinning(documents, [run])
     content = replace(single.describe(documents), is_small=is_small(size))
+    if surroundings is not None:
+        plane_bounds = widen_plane(content.plane, surroundings, single.shift_m)
+        content = replace(content, plane=plane_bounds)
     return RunScene(single, content, documents)
 
 
@@ -116,6 +131,8 @@ class Single:
         legends: Plots that have a legend.
         by_speed: Its path in colours of its speed, None where nothing moves.
         ideal: The ideal loop, None where theory does not know where it would be.
+        shift_m: What was added to its positions, shape (2,).
+        surroundings: What the robot saw; None if that is not known.
     """
 
     run: Run
@@ -128,6 +145,8 @@ class Single:
     legends: frozenset[str]
     by_speed: plane.SpeedTrace | None
     ideal: Ghost | None = None
+    shift_m: Values = field(default_factory=lambda: np.zeros(2))
+    surroundings: Surroundings | None = None
 
     def list_lined(self) -> list[str]:
         """Return the plots that events are drawn across, where there are any."""
@@ -154,7 +173,7 @@ class Single:
 
 def build_single(run: Run) -> Single:
     """Return a run, measured, with its curves and marks under the names of short legends."""
-    metrics = measure_run(run)
+    metrics, first_m = measure_run(run), run.poses.xy_m[0]
     (run,), origin = move_near([run])
     measured = list_series(run)
     named = name_legends(
@@ -173,6 +192,7 @@ def build_single(run: Run) -> Single:
         legends=named.shown,
         by_speed=plane.build_speed_trace(run),
         ideal=build_ideal_ghost(run),
+        shift_m=run.poses.xy_m[0] - first_m,
     )
 
 
@@ -181,6 +201,8 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     run, timelines = single.run, build_run_timelines(single.run)
     send_run_properties(stream, run, single.metrics)
     draw_world(stream, [run])
+    if single.surroundings is not None:
+        draw_surroundings(stream, single.surroundings, timelines, single.shift_m)
     run_stream = RunStream(stream, "", timelines)
     plane.draw_driven(run_stream, run)
     plane.draw_reference_path(run_stream, run)

@@ -1,9 +1,7 @@
 """The timelines of a recording, and the rows of a run that are sent on them."""
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from typing import Final
 
 import numpy as np
@@ -13,14 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from turtlelog.charts.curves import choose_rows
 from turtlelog.charts.phase_timelines import TIMELINE, WALL_TIMELINE, find_phase_zeros
 from turtlelog.compare import name_runs
-from turtlelog.display import join_words
+from turtlelog.display import join_words, parse_utc
 from turtlelog.draw.rerun.entities import TICKS, join_path
 from turtlelog.run import Run
 
 Times = NDArray[np.int64]
 
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
-_LARGEST_NS: Final = 2**62
 _SHARE_BEYOND: Final = 16
 Values = NDArray[np.float64]
 
@@ -73,7 +69,7 @@ class Timelines:
 def build_run_timelines(run: Run) -> Timelines:
     """Return the timelines of a run alone: its ticks too, and wall time where it was imported."""
     stamp = run.notes.get("original_timestamp")
-    epoch_ns = None if stamp is None else parse_timestamp(stamp)
+    epoch_ns = None if stamp is None else parse_utc(stamp)
     return Timelines(
         zero_ns=run.start_ns,
         tick_ns=run.poses.time_ns,
@@ -102,22 +98,6 @@ def read_span(runs: Sequence[Run], timelines: Sequence[Timelines]) -> dict[str, 
 def build_index(times: Mapping[str, Times]) -> list[rr.TimeColumn]:
     """Return index columns; whole nanoseconds, since seconds would be cut off."""
     return [_build_column(name, values) for name, values in times.items()]
-
-
-def parse_timestamp(text: str) -> int | None:
-    """Return an ISO 8601 time in nanoseconds since 1970 UTC; None where it is no such time.
-
-    A time that names no zone is taken for UTC: where it was told is not known.
-    """
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        return None
-    moment = moment.replace(tzinfo=moment.tzinfo or UTC)
-    fraction = re.search(r":\d\d[.,](\d+)", text)
-    seconds = (moment.replace(microsecond=0) - _EPOCH) // (moment.resolution * 1_000_000)
-    time_ns = seconds * 1_000_000_000 + int(f"{fraction[1] if fraction else '':0<9}"[:9])
-    return time_ns if abs(time_ns) < _LARGEST_NS else None
 
 
 class RunStream:
@@ -258,7 +238,7 @@ def _describe_thinning(runs: Sequence[Run]) -> str:
         return ""
     kept = ["the first row", "the least and the greatest value", "the first row of a gap"]
     return (
-        f"Drawn are of {' and of '.join(drawn)} at most: of every stretch {join_words(kept)}"
+        f"Drawn are of {' and of '.join(drawn)} at most: of every part {join_words(kept)}"
         f"{_describe_borders(runs)}. What lies between is left out. Metrics are of all."
     )
 

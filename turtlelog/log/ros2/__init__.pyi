@@ -16,6 +16,10 @@ from .bag_robots import (
     find_robots as find_robots,
     select_robot as select_robot,
 )
+from .bag_scans import (
+    Surroundings as Surroundings,
+    read_surroundings as read_surroundings,
+)
 from .bag_topics import (
     ACKERMANN_TYPES as ACKERMANN_TYPES,
     COMMAND_TYPES as COMMAND_TYPES,

@@ -152,7 +152,7 @@ def _describe_log(found: StampClock) -> str:
     """Return why the log's times are used, and what that means for rates."""
     if found.reason:
         return f"as {found.reason}"
-    text = "as asked"
+    text = "as given"
     if found.is_other_pace:
         text += f": rates are those of the motion times {found.pace:.3g}, the stamps' pace"
     return text

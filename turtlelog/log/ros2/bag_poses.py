@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_info import TopicInfo
@@ -16,7 +17,7 @@ from turtlelog.log.ros2.bag_topics import (
     FIX,
     JOINTS,
     NEEDS_WHEELS,
-    TRANSFORMS,
+    TRANSFORM_TYPES,
     NoPosesError,
     Pick,
     choose_joint_topic,
@@ -79,7 +80,7 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
     found: Found | None = None
     if choice.pose_topic is None and not asked:
         pick, found = _pick_moving(bag, topics, pick)
-    if pick.topic.type == TRANSFORMS:
+    if pick.topic.type in TRANSFORM_TYPES:
         try:
             return _trace_poses(bag, pick, topics, choice)
         except LogError:
@@ -158,7 +159,7 @@ def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
     Raises:
         LogError: Where they cannot be read.
     """
-    held = [topic.topic for topic in topics if topic.type == TRANSFORMS and topic.count]
+    held = [topic.topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     place = home.rpartition("/")[0]
     own = [name for name in held if name.rpartition("/")[0] == place]
     names = own if any(not _is_static(name) for name in own) else held
@@ -251,7 +252,7 @@ def _holds_poses(bag: Bag, topic: str) -> bool:
 
 
 def _pick_transforms(topics: Collection[TopicInfo]) -> Pick:
-    fitting = [topic for topic in topics if topic.type == TRANSFORMS and topic.count]
+    fitting = [topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     moving = [topic for topic in fitting if not _is_static(topic.topic)]
     if not moving:
         raise LogError("no transforms (/tf)")
@@ -298,7 +299,8 @@ def _note_frames(chosen: FrameChoice, held: Sequence[str], dropped: int) -> dict
     if held:
         notes["held_transforms"] = f"{', '.join(held)}: the newest that was recorded counts"
     if dropped:
-        notes["dropped_before_transforms"] = f"{dropped} poses before the first of {held[0]}"
+        poses = describe_count(dropped, "pose")
+        notes["dropped_before_transforms"] = f"{poses} before the first of {held[0]}"
     return notes
 
 

@@ -231,6 +231,7 @@ def _build_run(
     notes = {
         "original_timestamp": format_utc(start_ns),
         **source.notes,
+        **({"frame": source.frame} if source.frame else {}),
         "sorted_rows": str(sum(rows.late for rows in tables)),
         "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
         "moved_rows": str(moved),

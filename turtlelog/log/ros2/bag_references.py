@@ -94,7 +94,7 @@ def add_references(run: Run, bag: Bag, source: PoseSource, track: Track, choice:
 
 def _take_given(given: tuple[float, ...]) -> "FoundGoal":
     xy_m, heading_rad = parse_goal(given)
-    return FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as asked")
+    return FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as given")
 
 
 def _collect(bag: Bag, topic: str) -> list[TopicColumns]:

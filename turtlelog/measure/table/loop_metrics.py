@@ -51,11 +51,11 @@ _SLOW: Final = add_reason(
 )
 _UNKNOWN: Final = add_reason(
     Status.UNDETERMINED,
-    "the swings are too few, or change too little, to say whether they die out",
+    "the oscillation is too short, or changes too little, to say whether it dies out",
 )
 
 
-@curve_metric("duration", "s", "Length of the stretch in which the loop acts.", is_awaited=True)
+@curve_metric("duration", "s", "Length of the segment in which the loop acts.", is_awaited=True)
 def find_duration(curve: Response) -> Outcome:
     """Return when the last pose is."""
     return curve.time_s[-1], math.nan, FOUND
@@ -217,7 +217,7 @@ def measure_decay_ratio(curve: Response) -> Outcome:
 @curve_metric(
     "stable",
     "1",
-    "1 where swings of the {signal} around the {goal} die out, 0 where they go on or grow.",
+    "1 if the oscillation of the {signal} around the {goal} dies out, 0 if it goes on or grows.",
     better="higher",
     needs_step=True,
     needs_whole=False,
@@ -297,7 +297,7 @@ def compute_ise(curve: Response) -> Outcome:
 @curve_metric(
     "itae",
     "{signal} s^2",
-    "Integral of time in the stretch times the magnitude of the error.",
+    "Integral of time in the segment times the magnitude of the error.",
     grows=True,
 )
 def compute_itae(curve: Response) -> Outcome:

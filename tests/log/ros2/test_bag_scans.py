@@ -1,0 +1,186 @@
+"""Scans of a known wall lie on it, wherever the scanner sits; what has no place is left out."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.log.ros2.bags import START_NS, Said
+from tests.log.ros2.robots import (
+    SECOND_NS,
+    Turn,
+    describe_head,
+    describe_place,
+    say_odometry,
+    say_transform,
+    turn,
+    write_robot,
+)
+from turtlelog import read_run
+from turtlelog.log import Surroundings, read_surroundings
+from turtlelog.log.ros2.bag_scans import CELL_M, MOST_RAYS, MOST_SCANS
+
+WALL_M = 5.0
+"""Where a wall stands across the way of the robot, which drives along x at 1 m/s."""
+
+
+def say_scan(
+    at_s: float,
+    *,
+    away_m: float | None = None,
+    facing_rad: float = 0.0,
+    rays: int = 41,
+    frame: str = "laser",
+    topic: str = "/scan",
+) -> Said:
+    """Return a scan of the wall by a scanner that is so far from it, turned by an angle."""
+    away_m = WALL_M - at_s if away_m is None else away_m
+    seen = np.linspace(-0.5, 0.5, rays)
+    return Said(
+        topic=topic,
+        type="sensor_msgs/msg/LaserScan",
+        time_ns=START_NS + round(at_s * SECOND_NS),
+        values={
+            "header": describe_head(frame),
+            "angle_min": float(seen[0]) - facing_rad,
+            "angle_max": float(seen[-1]) - facing_rad,
+            "angle_increment": float(seen[1] - seen[0]) if rays > 1 else 0.0,
+            "time_increment": 0.0,
+            "scan_time": 0.1,
+            "range_min": 0.1,
+            "range_max": 20.0,
+            "ranges": (away_m / np.cos(seen)).tolist(),
+            "intensities": [],
+        },
+    )
+
+
+def say_map(
+    cells: list[int], width: int, *, frame: str = "odom", by: Turn = (0.0, 0.0, 0.0, 1.0)
+) -> Said:
+    info = {
+        "map_load_time": {"sec": 0, "nanosec": 0},
+        "resolution": 0.5,
+        "width": width,
+        "height": len(cells) // width,
+        "origin": describe_place(1.0, 2.0, by),
+    }
+    return Said(
+        topic="/map",
+        type="nav_msgs/msg/OccupancyGrid",
+        values={"header": describe_head(frame), "info": info, "data": cells},
+    )
+
+
+def look(folder: Path, *messages: Said | list[Said]) -> Surroundings:
+    bag = write_robot(folder, say_odometry(count=4), *messages)
+    seen = read_surroundings(bag, read_run(bag))
+    assert seen is not None
+    return seen
+
+
+@pytest.mark.parametrize(("x_m", "yaw_rad"), [(0.0, 0.0), (0.2, 0.0), (-0.1, math.pi), (0.3, 1.0)])
+def test_a_wall_is_where_it_is_wherever_the_scanner_sits(
+    x_m: float, yaw_rad: float, tmp_path: Path
+) -> None:
+    fixed = say_transform("base_link", "laser", x_m, by=turn(yaw_rad), topic="/tf_static")
+    scans = [
+        say_scan(at_s, away_m=WALL_M - at_s - x_m, facing_rad=yaw_rad) for at_s in (0.5, 1.25, 2.5)
+    ]
+    seen = look(tmp_path, fixed, scans)
+    assert [*seen.time_ns] == [500_000_000, 1_250_000_000, 2_500_000_000]
+    for points in seen.scans_xy_m:
+        np.testing.assert_allclose(points[:, 0], WALL_M, atol=1e-5)
+    assert np.abs(seen.walls_xy_m[:, 0] - WALL_M).max() <= CELL_M
+    assert seen.notes == ("Scans of /scan: 3 scans.",)
+
+
+def test_a_scanner_that_hangs_upside_down_sees_left_on_the_left(tmp_path: Path) -> None:
+    over: Turn = (1.0, 0.0, 0.0, 0.0)
+    seen = look(
+        tmp_path, say_transform("base_link", "laser", by=over, topic="/tf_static"), say_scan(1.0)
+    )
+    first, last = seen.scans_xy_m[0][[0, -1], 1]
+    assert first > 0.0 > last
+
+
+def test_without_a_transform_the_scanner_is_in_the_middle_and_that_is_said(tmp_path: Path) -> None:
+    seen = look(tmp_path, say_scan(1.0))
+    np.testing.assert_allclose(seen.scans_xy_m[0][:, 0], WALL_M, atol=1e-5)
+    assert seen.notes[1].startswith("No transform tells where laser is on the robot")
+
+
+def test_rays_that_hit_nothing_are_left_out(tmp_path: Path) -> None:
+    scan = say_scan(1.0, rays=5)
+    scan.values["ranges"] = [math.inf, math.nan, 4.0, 0.05, 25.0]
+    assert len(look(tmp_path, scan).scans_xy_m[0]) == 1
+    scan.values["ranges"] = []
+    assert len(look(tmp_path, scan).scans_xy_m[0]) == 0
+
+
+def test_scans_without_a_pose_are_left_out_and_counted(tmp_path: Path) -> None:
+    seen = look(tmp_path, [say_scan(1.0), say_scan(3.5), say_scan(9.0, away_m=1.0)])
+    assert len(seen.time_ns) == 1
+    assert "2 scans of /scan have no pose within 1 s and are left out." in seen.notes
+
+
+def test_scans_that_all_lie_outside_of_the_poses_are_no_error(tmp_path: Path) -> None:
+    seen = look(tmp_path, say_scan(60.0, away_m=1.0))
+    assert (len(seen.time_ns), len(seen.walls_xy_m)) == (0, 0)
+    assert seen.notes == ("No scan of /scan was taken while the poses are known.",)
+
+
+@pytest.mark.parametrize(("count", "kept"), [(MOST_SCANS, MOST_SCANS), (MOST_SCANS + 1, 201)])
+def test_many_scans_are_thinned_evenly(count: int, kept: int, tmp_path: Path) -> None:
+    scans = [say_scan(0.001 + 2.0 * row / count, rays=3) for row in range(count)]
+    assert len(look(tmp_path, scans).time_ns) == kept
+
+
+@pytest.mark.parametrize(("rays", "kept"), [(MOST_RAYS, MOST_RAYS), (2 * MOST_RAYS, MOST_RAYS)])
+def test_many_rays_are_thinned_evenly(rays: int, kept: int, tmp_path: Path) -> None:
+    (points,) = look(tmp_path, say_scan(1.0, rays=rays)).scans_xy_m
+    assert len(points) == kept
+    assert np.ptp(points[:, 1]) == pytest.approx(2.0 * 4.0 * math.tan(0.5), rel=0.01)
+
+
+def test_the_scanner_of_the_named_robot_is_taken(tmp_path: Path) -> None:
+    bag = write_robot(
+        tmp_path,
+        say_odometry("/a/odom", count=3),
+        say_odometry("/b/odom", count=3, x_m=9.0),
+        [say_scan(0.5, topic="/a/scan"), say_scan(0.6, topic="/a/scan")],
+        say_scan(1.0, away_m=1.0, topic="/b/scan"),
+    )
+    seen = read_surroundings(bag, read_run(bag, pose_topic="/b/odom"))
+    assert seen is not None
+    assert seen.notes[0] == "Scans of /b/scan: 1 scan."
+    np.testing.assert_allclose(seen.scans_xy_m[0][:, 0], 11.0, atol=1e-5)
+
+
+def test_a_map_has_its_occupied_cells_where_its_origin_says(tmp_path: Path) -> None:
+    seen = look(tmp_path, say_map([0, 100, 64, -1, 65, 0], 3))
+    np.testing.assert_allclose(seen.map_xy_m, [[1.75, 2.25], [1.75, 2.75]])
+    assert seen.map_cell_m == 0.5
+
+
+def test_a_map_in_another_frame_follows_the_transforms(tmp_path: Path) -> None:
+    seen = look(tmp_path, say_transform("map", "odom", 1.0), say_map([100], 1, frame="map"))
+    np.testing.assert_allclose(seen.map_xy_m, [[0.25, 2.25]])
+
+
+def test_a_map_that_nothing_joins_to_the_poses_is_left_out(tmp_path: Path) -> None:
+    seen = look(tmp_path, say_map([100], 1, frame="elsewhere"))
+    assert len(seen.map_xy_m) == 0
+    assert seen.notes == ("The map of /map is left out: nothing joins elsewhere and odom.",)
+
+
+def test_a_map_whose_size_is_false_is_left_out(tmp_path: Path) -> None:
+    grid = say_map([100, 0], 2)
+    grid.values["info"]["width"] = 4_000_000_000
+    assert look(tmp_path, grid).notes[0].startswith("The map of /map is left out: 4000000000 x 1")
+
+
+def test_a_bag_without_scans_has_no_surroundings(tmp_path: Path) -> None:
+    bag = write_robot(tmp_path, say_odometry())
+    assert read_surroundings(bag, read_run(bag)) is None

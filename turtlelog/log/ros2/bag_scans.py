@@ -1,0 +1,286 @@
+"""What a robot saw: laser scans as points of the plane, and the map that it had."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import describe_count, parse_utc
+from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_info import TopicInfo
+from turtlelog.log.ros2.bag import Bag, open_bag
+from turtlelog.log.ros2.bag_poses import read_tree
+from turtlelog.log.ros2.bag_transforms import Tree, find_carrier, locate_frame, rotate
+from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock, read_stamps
+from turtlelog.run import Run
+from turtlelog.run.angles import wrap_angle
+
+Values = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+SCAN: Final = "sensor_msgs/msg/LaserScan"
+GRID: Final = "nav_msgs/msg/OccupancyGrid"
+
+MOST_SCANS: Final = 400
+"""Scans that are kept, evenly: a minute at 7 Hz, or one of seven in ten minutes at 5 Hz."""
+
+MOST_RAYS: Final = 360
+"""Points of a scan that are kept, evenly: one a degree."""
+
+CELL_M: Final = 0.05
+"""Size of the cells that all scans together are thinned to [m]: usual maps have it."""
+
+MOST_CELLS: Final = 20_000
+"""Cells that are kept: walls of 1 km."""
+
+_MOST_MESSAGES: Final = 20_000
+"""Scans that are read: an hour at 5 Hz. More of 360 rays take over 100 MB."""
+
+_MOST_GRID: Final = 16_000_000
+"""Cells of a map that is read: 200 m by 200 m of 0.05 m."""
+
+_OCCUPIED: Final = 65
+"""Occupancy from which a cell is a wall [%]: the default of ROS's map_server."""
+
+_LONGEST_GAP_NS: Final = 1_000_000_000
+"""Between two poses that are further apart nobody knows where a scan was taken [ns]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surroundings:
+    """What is around a robot, in the frame of its poses.
+
+    Attributes:
+        time_ns: Of each scan on the run's clock [ns], shape (n,), not decreasing.
+        scans_xy_m: The points of each scan [m], shape (k, 2) each.
+        walls_xy_m: Middles of the cells in which scans ended [m], shape (m, 2).
+        map_xy_m: Middles of the occupied cells of the map [m], shape (c, 2).
+        map_cell_m: Their size [m]; 0 without a map.
+        notes: Where all this comes from and what is left out, in sentences.
+    """
+
+    time_ns: Times
+    scans_xy_m: tuple[Values, ...]
+    walls_xy_m: Values
+    map_xy_m: Values
+    map_cell_m: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
+    """Return the laser scans and the map of a bag, around a run that was read from it.
+
+    A scan is where the robot was when it was taken: the pose is interpolated linearly, and the
+    scanner sits on the robot as /tf says, or in its middle. Scans and rays are thinned.
+
+    Args:
+        path: The bag of the run.
+        run: As read from it.
+
+    Returns:
+        None: The bag has neither, or the run's clock is not known.
+
+    Raises:
+        LogError: Where the bag cannot be read.
+    """
+    bag = open_bag(path)
+    start_ns = parse_utc(run.notes.get("original_timestamp", ""))
+    home = run.notes.get("pose_topic", "").partition(" ")[0].rpartition("/")[0]
+    picked = _pick(bag.topics, SCAN, home), _pick(bag.topics, GRID, home)
+    if start_ns is None or not any(picked):
+        return None
+    with name_file(bag.path, expected="a bag"):
+        return _read(bag, run, start_ns, *picked)
+
+
+def _pick(topics: Collection[TopicInfo], kind: str, home: str) -> TopicInfo | None:
+    """Return the topic of a kind below the robot's name, or else with the most messages."""
+
+    def rank(topic: TopicInfo) -> tuple[bool, int, int]:
+        return topic.topic.rpartition("/")[0] == home, topic.count, -len(topic.topic)
+
+    return max((one for one in topics if one.type == kind and one.count), key=rank, default=None)
+
+
+def _read(
+    bag: Bag, run: Run, start_ns: int, scan: TopicInfo | None, grid: TopicInfo | None
+) -> Surroundings:
+    tree = read_tree(bag, bag.topics, scan.topic if scan else "")
+    notes: list[str] = []
+    times, points = np.zeros(0, dtype=np.int64), tuple[Values, ...]()
+    if scan is not None and scan.count > _MOST_MESSAGES:
+        notes.append(f"{scan.topic} has {scan.count} scans, more than {_MOST_MESSAGES}: left out.")
+    elif scan is not None:
+        times, points = _place_scans(_collect(bag, scan), run, start_ns, tree, notes)
+    cells, size_m = np.zeros((0, 2)), 0.0
+    if grid is not None:
+        cells, size_m = _place_map(_collect(bag, grid), run, tree, notes)
+    return Surroundings(
+        time_ns=times,
+        scans_xy_m=points,
+        walls_xy_m=_thin(points),
+        map_xy_m=cells,
+        map_cell_m=size_m,
+        notes=tuple(notes),
+    )
+
+
+def _collect(bag: Bag, topic: TopicInfo) -> list[TopicColumns]:
+    return [
+        file[topic.topic]
+        for file in bag.read({topic.topic}, is_flat=False)
+        if topic.topic in file and len(file[topic.topic])
+    ]
+
+
+def _place_scans(
+    messages: Sequence[TopicColumns], run: Run, start_ns: int, tree: Tree, notes: list[str]
+) -> tuple[Times, tuple[Values, ...]]:
+    """Return when some scans were taken, and their points in the frame of the poses [m]."""
+    scans = [(columns, row) for columns in messages for row in range(len(columns))]
+    time_ns = np.concatenate([_time_scans(columns, run) for columns in messages]) - start_ns
+    order = np.argsort(time_ns, kind="stable")
+    known = order[_has_pose(run, time_ns[order])]
+    if not len(known):
+        notes.append(f"No scan of {messages[0].topic} was taken while the poses are known.")
+        return np.zeros(0, dtype=np.int64), ()
+    step = -(-len(known) // MOST_SCANS)
+    kept = known[::step]
+    frames = {_name_frame(columns) for columns in messages}
+    carriers = {frame: find_carrier(tree, frame) for frame in frames}
+    placed = [
+        _to_world(_to_robot(scans[row], tree, carriers), run, int(time_ns[row])) for row in kept
+    ]
+    notes += _describe(messages, carriers, len(scans), len(kept), len(known))
+    return time_ns[kept], tuple(placed)
+
+
+def _time_scans(columns: TopicColumns, run: Run) -> Times:
+    """Return when scans were taken, by the clock that times the run's poses [ns]."""
+    log_ns, stamp_ns = columns.log_time_ns, read_stamps(columns)
+    if run.clock is None or run.clock.used == "log" or stamp_ns is None:
+        return log_ns
+    found = read_stamp_clock(Stamps(log_ns=log_ns, stamp_ns=stamp_ns))
+    if found.is_other_pace and run.clock.offset_s is not None:
+        return np.asarray(stamp_ns + round(run.clock.offset_s * 1e9))
+    return log_ns if found.reason else found.time_ns
+
+
+def _has_pose(run: Run, time_ns: Times) -> NDArray[np.bool_]:
+    """Return at which times there is a pose before and one after, not far apart."""
+    poses_ns = run.poses.time_ns
+    after = np.searchsorted(poses_ns, time_ns)
+    inside = (after > 0) & (after < len(poses_ns))
+    after = np.clip(after, 1, max(len(poses_ns) - 1, 1))
+    if len(poses_ns) < 2:
+        return np.zeros(len(time_ns), dtype=bool)
+    return np.asarray(inside & (poses_ns[after] - poses_ns[after - 1] <= _LONGEST_GAP_NS))
+
+
+def _to_robot(
+    scan: tuple[TopicColumns, int], tree: Tree, carriers: dict[str, str | None]
+) -> Values:
+    """Return the points of a scan in the frame of the robot [m], shape (k, 2)."""
+    columns, row = scan
+    fields = columns.fields
+    ranges = np.asarray(fields["ranges"][row], dtype=np.float64)
+    step = -(-max(len(ranges), 1) // MOST_RAYS)
+    numbers = np.arange(0, len(ranges), step)
+    ranges = ranges[::step]
+    low, high = float(fields["range_min"][row]), float(fields["range_max"][row])
+    seen = np.isfinite(ranges) & (ranges >= low) & (ranges <= high) & (ranges > 0.0)
+    angle = float(fields["angle_min"][row]) + numbers[seen] * float(fields["angle_increment"][row])
+    reach = ranges[seen]
+    points = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), np.zeros(len(reach))])
+    frame = _name_frame(columns)
+    carrier = carriers[frame]
+    if carrier is None:
+        return np.asarray(points[:, :2])
+    at = locate_frame(tree, carrier, frame, columns.log_time_ns[row : row + 1])
+    if at is None:
+        return np.asarray(points[:, :2])
+    place_m, turn = at
+    return np.asarray((place_m + rotate(np.tile(turn, (len(points), 1)), points))[:, :2])
+
+
+def _to_world(points: Values, run: Run, time_ns: int) -> Values:
+    """Return points of the robot's frame in that of its poses [m]."""
+    poses = run.poses
+    after = int(np.clip(np.searchsorted(poses.time_ns, time_ns), 1, len(poses) - 1))
+    span_ns = int(poses.time_ns[after] - poses.time_ns[after - 1])
+    share = (time_ns - int(poses.time_ns[after - 1])) / span_ns if span_ns else 0.0
+    first, last = poses.heading_rad[after - 1], poses.heading_rad[after]
+    heading = float(first + share * wrap_angle(last - first))
+    xy_m = (1.0 - share) * poses.xy_m[after - 1] + share * poses.xy_m[after]
+    cosine, sine = np.cos(heading), np.sin(heading)
+    return np.asarray(xy_m + points @ np.array([[cosine, sine], [-sine, cosine]]))
+
+
+def _place_map(
+    messages: Sequence[TopicColumns], run: Run, tree: Tree, notes: list[str]
+) -> tuple[Values, float]:
+    """Return the occupied cells of the last map in the frame of the poses [m], and their size."""
+    columns, row = messages[-1], len(messages[-1]) - 1
+    fields, topic = columns.fields, columns.topic
+    width, height = int(fields["info.width"][row]), int(fields["info.height"][row])
+    size_m = float(fields["info.resolution"][row])
+    data = np.asarray(fields["data"][row])
+    if not (0.0 < size_m < np.inf) or width * height != len(data) or len(data) > _MOST_GRID:
+        notes.append(f"The map of {topic} is left out: {width} x {height} cells of {size_m:g} m.")
+        return np.zeros((0, 2)), 0.0
+    cells = np.flatnonzero(data >= _OCCUPIED)
+    cells = cells[:: -(-max(len(cells), 1) // MOST_CELLS)]
+    middles = np.column_stack([cells % width + 0.5, cells // width + 0.5, np.zeros(len(cells))])
+    local = middles * size_m
+    origin, turn = (
+        np.array([[float(fields[f"info.origin.{kind}.{axis}"][row]) for axis in axes]])
+        for kind, axes in (("position", "xyz"), ("orientation", "xyzw"))
+    )
+    placed = origin + rotate(np.tile(turn if turn.any() else [0, 0, 0, 1], (len(cells), 1)), local)
+    frame, home = _name_frame(columns), run.notes.get("frame", "")
+    if frame and home and frame != home:
+        at = locate_frame(tree, home, frame, columns.log_time_ns[row : row + 1])
+        if at is None:
+            notes.append(f"The map of {topic} is left out: nothing joins {frame} and {home}.")
+            return np.zeros((0, 2)), 0.0
+        placed = at[0] + rotate(np.tile(at[1], (len(cells), 1)), placed)
+    notes.append(f"Map of {topic}: {describe_count(len(cells), 'occupied cell')} of {size_m:g} m.")
+    return np.asarray(placed[:, :2]), size_m
+
+
+def _name_frame(columns: TopicColumns) -> str:
+    return str(columns.fields["header.frame_id"][0]).lstrip("/")
+
+
+def _thin(points: Sequence[Values]) -> Values:
+    """Return the middles of the cells in which points lie, those with most points first."""
+    if not points:
+        return np.zeros((0, 2))
+    cells = np.floor(np.concatenate(points) / CELL_M).astype(np.int64)
+    found, counts = np.unique(cells, axis=0, return_counts=True)
+    most = np.argsort(-counts, kind="stable")[:MOST_CELLS]
+    return np.asarray((found[np.sort(most)] + 0.5) * CELL_M)
+
+
+def _describe(
+    messages: Sequence[TopicColumns],
+    carriers: dict[str, str | None],
+    count: int,
+    kept: int,
+    known: int,
+) -> Iterator[str]:
+    topic = messages[0].topic
+    thinned = "" if kept == known else f", {kept} of them shown"
+    yield f"Scans of {topic}: {describe_count(count, 'scan')}{thinned}."
+    if known < count:
+        lost = describe_count(count - known, "scan")
+        verbs = ("has", "is") if known == count - 1 else ("have", "are")
+        yield f"{lost} of {topic} {verbs[0]} no pose within 1 s and {verbs[1]} left out."
+    for frame, carrier in carriers.items():
+        if carrier is None:
+            name = frame or "the scanner"
+            yield f"No transform tells where {name} is on the robot: taken to be its middle."
