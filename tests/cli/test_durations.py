@@ -119,7 +119,7 @@ def test_a_bag_of_commands_alone_lacks_poses(call: Call, tmp_path: Path) -> None
 
 
 def test_poses_that_cannot_be_read_are_absent(call: Call, tmp_path: Path) -> None:
-    path = write_encoded(tmp_path / "a.mcap", "ros1", "ros1msg", "nav_msgs/Odometry")
+    path = write_encoded(tmp_path / "a.mcap", "cbor", "", "nav_msgs/Odometry")
     assert call("info", path, "--json").json[0]["absent"][:2] == ["poses", "commands"]
 
 
