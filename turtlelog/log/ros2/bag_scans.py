@@ -98,10 +98,14 @@ def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
 
 
 def _pick(topics: Collection[TopicInfo], kind: str, home: str) -> TopicInfo | None:
-    """Return the topic of a kind below the robot's name, or else with the most messages."""
+    """Return the topic of a kind below the robot's name, or else with the most messages.
 
-    def rank(topic: TopicInfo) -> tuple[bool, int, int]:
-        return topic.topic.rpartition("/")[0] == home, topic.count, -len(topic.topic)
+    A costmap, which is sent more often than the map, counts only where there is no other.
+    """
+
+    def rank(topic: TopicInfo) -> tuple[bool, bool, int, int]:
+        is_map, is_own = "costmap" not in topic.topic, topic.topic.rpartition("/")[0] == home
+        return is_map, is_own, topic.count, -len(topic.topic)
 
     return max((one for one in topics if one.type == kind and one.count), key=rank, default=None)
 
