@@ -71,6 +71,9 @@ NOT_UNDERSTOOD: Final = "not_understood"
 
 _SENSED: Final = (SENSED.name, SENSED.schema)
 
+_RATES: Final = frozenset({"speed", "turn_rate", "lateral_speed"})
+"""Columns beside a pose; a topic of sensed poses has nan in all of them."""
+
 
 def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     """Return the run in a bag of ROS 2, or in an MCAP file by another recorder.
@@ -281,7 +284,7 @@ def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
     Raises:
         LogError: Where none is.
     """
-    speeds = [name for name in rows.columns if name.startswith("measured")]
+    speeds = [name for name in rows.columns if name.removeprefix("measured_") in _RATES]
     unknown = [name for name in speeds if not np.isfinite(rows.columns[name]).any()]
     columns = {name: column for name, column in rows.columns.items() if name not in unknown}
     # How high it is and how it leans is only described, and few robots move sideways.
