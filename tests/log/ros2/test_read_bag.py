@@ -283,6 +283,6 @@ def test_a_topic_of_sensed_poses_has_no_rates_and_is_read(tmp_path: Path) -> Non
     run = tl.simulate_run(scenario)
     tl.write_recording(run, tmp_path / "a.mcap")
     sensed = tl.read_run(tmp_path / "a.mcap", pose_topic="/turtle1/sensed_pose")
-    np.testing.assert_allclose(sensed.poses.xy_m, run.poses.sensed_xy_m, atol=1e-6)
+    np.testing.assert_allclose(sensed.poses.xy_m, run.poses.read_xy_m, atol=1e-6)
     assert sensed.poses.speed_m_s is None
     assert {"poses.speed_m_s", "poses.turn_rate_rad_s"} <= {*sensed.absent}
