@@ -16,6 +16,7 @@ from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
     fill_lines,
+    find_width,
     fit_table,
     print_error,
     print_json,
@@ -215,22 +216,24 @@ def _print(
             [
                 fill_lines(heads, indent=2),
                 "",
-                fit_table(_shorten(table)),
+                fit_table(_shorten(table, find_width())),
                 fill_lines([*told, *table.notes, f"Picture: {hint}.pdf"], indent=2),
             ]
         )
     )
 
 
-def _shorten(table: "Table") -> "Table":
-    """Return a table whose numbers fit a line: in three digits, and without the only file."""
+def _shorten(table: "Table", width: int) -> "Table":
+    """Return a table that fits a line: without the only file, and the sum of squares if need be."""
     first = 0 if len({row[0] for row in table.rows}) > 1 else 1
     rows = []
     for name, error, unit, *values in table.rows:
         texts = [f"{cell:.3g}" if isinstance(cell, float) else cell for cell in values]
         rows.append((name, f"{error} [{unit}]", *texts)[first:])
     columns = tuple(column for column in table.columns[first:] if column.title != "unit")
-    return replace(table, columns=columns, rows=tuple(rows), notes=())
+    short = replace(table, columns=columns, rows=tuple(rows), notes=())
+    ranks = [0 if column.title == "sse" else None for column in columns]
+    return tl.compare.narrow_table(short, width, ranks)
 
 
 def _describe(one: "TrajectoryComparison") -> list[str]:
