@@ -46,6 +46,20 @@ def test_wheels_that_wrap_drive_on(tmp_path: Path) -> None:
     assert "wrapped" not in run.notes["wheels"]
 
 
+@pytest.mark.parametrize(("most", "wraps"), [(1.0, True), (1.1, False)])
+def test_encoders_from_0_to_a_turn_wrap_and_further_ones_do_not(
+    tmp_path: Path, most: float, *, wraps: bool
+) -> None:
+    turned = [[9.0 * row / 10, 9.0 * row / 10] for row in range(101)]
+    said = [
+        say_joints(["left", "right"], [a % (most * math.tau) for a in angles], at_s=row / 10)
+        for row, angles in enumerate(turned)
+    ]
+    run = tl.read_run(write_robot(tmp_path, said), **WHEELS)  # type: ignore[arg-type]
+    assert ("taken as wrapped" in run.notes["wheels"]) == wraps
+    assert (run.poses.xy_m[-1, 0] == pytest.approx(0.05 * 90.0)) == wraps
+
+
 def test_wheels_stand_anywhere_among_other_joints_and_messages(tmp_path: Path) -> None:
     said = drive_wheels(rows=5)
     arm = [say_joints(["elbow"], [0.1], at_s=row / 10 + 0.05) for row in range(5)]
