@@ -183,8 +183,30 @@ def test_a_receiver_that_stands_has_no_heading(tmp_path: Path) -> None:
         say_fix(48.0 + 1e-6 * north, 11.0 + 1e-6 * east, at_s=row)
         for row, (north, east) in enumerate(random.normal(size=(120, 2)))
     ]
-    with pytest.raises(tl.LogError, match=r"found one that stays within .* m: it has no heading"):
+    with pytest.raises(tl.LogError, match=r"found a slower one, within .* m in all: it has no h"):
         tl.read_run(write_robot(tmp_path, said))
+
+
+@pytest.mark.parametrize(
+    ("count", "step_s", "reason"),
+    [
+        (1, 1.0, "found fewer than 3 fixes"),
+        (2, 1.0, "found fewer than 3 fixes"),
+        (3, 4.9, ""),
+        (9, 5.1, "found fixes 5.1 s apart, which is too seldom"),
+    ],
+)
+def test_too_few_fixes_are_told_from_a_receiver_that_stands(
+    tmp_path: Path, count: int, step_s: float, reason: str
+) -> None:
+    said = [say_fix(48.0 + 1e-4 * row, 11.0, at_s=row * step_s) for row in range(count)]
+    bag = write_robot(tmp_path, said)
+    if not reason:
+        note = tl.read_run(bag).notes["heading"]
+        assert "held at either end and where it stands, for 2 of 3 poses" in note
+        return
+    with pytest.raises(tl.LogError, match=reason):
+        tl.read_run(bag)
 
 
 @pytest.mark.parametrize(("noise_m", "most_deg"), [(0.0, 0.1), (0.02, 7.0), (0.3, 20.0)])
