@@ -119,7 +119,7 @@ def _require_place(target: Path) -> None:
     """Refuse what the folder does not take, found out with a file that is gone at once."""
     folder = target.absolute().parent
     if not folder.is_dir():
-        raise UsageError("there is no such folder to write to")
+        raise UsageError("there is no such folder to write to; create it first")
     probe = folder / f".turtlelog-{os.urandom(6).hex()}.part"
     # Permissions alone do not tell: the disk may be read-only, or the name too long for it.
     probe.touch(exist_ok=False)

@@ -138,8 +138,8 @@ def _has_one_size(runs: Sequence[Run], model: AxisModel) -> bool:
 
 def _note_one_size(model: AxisModel) -> str:
     return (
-        f"All commands of the {NAMES[model.axis]} have one size: whether its gain holds for"
-        " smaller ones, and where its speed ends, the log does not show."
+        f"All commands of the {NAMES[model.axis]} have one size. The log does not show whether"
+        f" the gain holds for smaller ones, nor the largest {NAMES[model.axis]}."
     )
 
 

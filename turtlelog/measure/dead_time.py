@@ -136,7 +136,9 @@ def find_dead_time(
         return Missing(status=Status.NO_PHASE, reason=describe_no_phase(run, loop))
     lag_s = read_lag_s(run, loop)
     if lag_s > 0.0:
-        reason = f"it cannot be told from the robot's lag ({name_lag(loop)} = {lag_s:g})"
+        reason = (
+            f"it cannot be separated from the robot's time constant ({name_lag(loop)} = {lag_s:g})"
+        )
         return Missing(status=Status.UNDETERMINED, reason=reason)
     moves = np.abs(motion.moved) > motion.rounding
     if np.count_nonzero(moves) < 2:

@@ -104,7 +104,7 @@ def open_viewer(paths: Sequence[str | Path]) -> None:
     with start_viewer(["--port", "auto", *(str(path) for path in paths)]) as viewer:
         if viewer.wait():
             raise ShowError(
-                f"viewer: expected a window until it is closed, found: {viewer.read_error()};"
+                f"viewer: the window failed ({viewer.read_error().rstrip('.')});"
                 " without a display `turtlelog view FILE --snapshot X.png` makes a picture,"
                 " `--save X.rrd` a file to open elsewhere"
             )
