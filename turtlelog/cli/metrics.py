@@ -129,9 +129,9 @@ def metrics(
 ) -> int:
     """Measure recordings: where each ends, and how its loops answer.
 
-    Of one run the loops stand side by side; of several each run has a row, in order of the gains.
+    One run has its loops side by side. Several runs have a row each, in order of the gains.
     A cell without a value shows a status, and the reason is below the table. With --all or --metric
-    metrics have their ids, and up to six runs stand side by side. JSON and CSV have every metric,
+    metrics have their ids, and up to six runs are side by side. JSON and CSV have every metric,
     file by file in the order given. A file that cannot be read is reported on stderr; the others
     are measured, and the exit code is 2.
 

@@ -104,7 +104,7 @@ class TopicOptions:
     Attributes:
         pose_topic: Poses; FILE:TOPIC says the same for one file. Otherwise types and names decide,
             and a line on stderr says what is read.
-        robot: Of several robots in a bag (/robot1/odom, /robot2/odom) the one of this name.
+        robot: Name of one of several robots in a bag (/robot1/odom, /robot2/odom: robot1, robot2).
         command_topic: Commands: Twist, TwistStamped, or Ackermann's with --wheelbase.
         path_topic: The path to be followed: nav_msgs/Path.
         pose_frame: The robot's frame, of poses from transforms (/tf).
