@@ -1,4 +1,4 @@
-"""What to say of a failed check, and what to look at: a Rerun view, its picture, the stretch."""
+"""What to say of a failed check, and what to look at: a Rerun view, its picture, the segment."""
 
 import math
 import re
@@ -227,13 +227,13 @@ class ArtifactWriter:
 
         Args:
             run: That failed.
-            result: What came of the check.
+            result: Result of the check.
             prefix: Id of the test that failed; the end of it stands in front of the files' names.
 
         Raises:
-            CheckError: Where the folder cannot be made.
-            LogError: Where the recording cannot be written.
-            ShowError: Where the view cannot be written.
+            CheckError: If the folder cannot be made.
+            LogError: If the recording cannot be written.
+            ShowError: If the view cannot be written.
         """
         try:
             self._folder.mkdir(parents=True, exist_ok=True)

@@ -120,7 +120,7 @@ def create_folder(path: str | Path) -> Iterator[Path]:
     remove. An empty one is taken.
 
     Raises:
-        LogError: Where there is something, or the place cannot be written, in one line.
+        LogError: If there is something, or the place cannot be written, in one line.
     """
     path = make_path(path)
     is_empty = path.is_dir() and not any(path.iterdir())

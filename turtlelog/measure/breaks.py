@@ -1,4 +1,4 @@
-"""Where the poses of any robot break: stretches without poses, and steps that it cannot have made.
+"""Where the poses of any robot break: segments without poses, and steps that it cannot have made.
 
 Of turtlesim, whose poses hold what was applied, a replay through its plant tells more.
 """
@@ -43,10 +43,10 @@ _ROUNDING: Final = 1e-5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseGap:
-    """A stretch of time whose poses are missing: after start_ns, before end_ns.
+    """A segment of time whose poses are missing: after start_ns, before end_ns.
 
     Attributes:
-        row: Of the first pose after it.
+        row: Row of the first pose after it.
         start_ns: Time of the last pose before it [ns].
         end_ns: Time of the first pose after it [ns].
         usual_ns: Usual time between two poses [ns].
@@ -63,10 +63,10 @@ class PoseJump:
     """A step between two poses that the robot cannot have driven.
 
     Attributes:
-        row: Of the first pose after it.
-        time_ns: Of that pose [ns].
+        row: Row of the first pose after it.
+        time_ns: Time of that pose [ns].
         moved_m: Forward along the heading, backward negative [m].
-        aside_m: To the left [m].
+        aside_m: Distance to the left [m].
         turned_rad: Counter-clockwise [rad].
     """
 
@@ -78,7 +78,7 @@ class PoseJump:
 
 
 def find_gaps(run: Run) -> tuple[PoseGap, ...]:
-    """Return the stretches of time without poses, each longer than four usual steps."""
+    """Return the segments of time without poses, each longer than four usual steps."""
     time_ns = run.poses.time_ns
     step_ns = np.diff(time_ns)
     if not len(step_ns):

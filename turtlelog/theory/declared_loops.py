@@ -62,7 +62,7 @@ _BESIDE: Final = ("law.", "path.", "name", "max_duration_s", "seed", "format")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopTiming:
-    """When a loop samples and acts.
+    """Sampling period and dead time of a loop.
 
     Attributes:
         period_s: Sampling period T [s].
@@ -104,8 +104,8 @@ def read_process(loop: ControlLoop, parameters: Parameters, dead_time_s: float) 
     """Return what a loop's command passes, or why it is not known.
 
     Args:
-        loop: Of a law.
-        parameters: Of a run or a scenario.
+        loop: Loop of a law.
+        parameters: Parameters of a run or a scenario.
         dead_time_s: Beside that of the plant [s].
     """
     key = PLANT_KEYS[loop.command]
