@@ -5,7 +5,7 @@ To print the counts of README and docs: make words.
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from statistics import median
@@ -175,12 +175,12 @@ def count_words(text: str) -> WordCounts:
     )
 
 
-def list_counts() -> list[str]:
+def list_counts(pages: Sequence[Path]) -> list[str]:
     """Return the lines of a table of pages, then each fault with what to write."""
     names = [field.name for field in fields(WordCounts)]
     lines = [f"{'page':20}" + "".join(f"{name:>11}" for name in names)]
     faults = []
-    for page in PAGES:
+    for page in pages:
         text = page.read_text("utf-8")
         lines.append(f"{page.name:20}" + "".join(f"{n:11g}" for n in astuple(count_words(text))))
         faults += find_hard_words([*list_sentences(text), *list_printed(text)], page.name)
@@ -203,4 +203,4 @@ def find_hard_words(sentences: list[Sentence], name: str) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.stdout.write("\n".join(list_counts()) + "\n")
+    sys.stdout.write("\n".join(list_counts(PAGES)) + "\n")

@@ -116,5 +116,5 @@ def test_faults_of_a_page_are_counted_by_kind() -> None:
 
 
 def test_each_page_has_a_line_of_counts() -> None:
-    lines = list_counts()[: len(PAGES) + 1]
-    assert [line.split()[0] for line in lines] == ["page", *(page.name for page in PAGES)]
+    lines = list_counts(PAGES[:2])
+    assert [line.split()[0] for line in lines] == ["page", "README.md", "architecture.md"]
