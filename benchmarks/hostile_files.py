@@ -9,6 +9,7 @@ from benchmarks import (
     hostile_folders,
     hostile_mcap,
     hostile_records,
+    hostile_ros1,
     hostile_tables,
 )
 from benchmarks.put_files import Make
@@ -19,6 +20,7 @@ FILES: Final[Mapping[str, Make]] = MappingProxyType(
         **hostile_mcap.FILES,
         **hostile_records.FILES,
         **hostile_tables.FILES,
+        **hostile_ros1.FILES,
         **hostile_folders.FILES,
     }
 )

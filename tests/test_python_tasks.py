@@ -49,7 +49,7 @@ arrow = run.to_arrow()
     ),
     "all metrics as a table": (
         "frame = tl.measure_run(run).to_pandas()",
-        lambda a: isinstance(a["frame"], pd.DataFrame) and len(a["frame"]) == 131,
+        lambda a: isinstance(a["frame"], pd.DataFrame) and len(a["frame"]) == 134,
     ),
     "one metric in an assert": (
         """

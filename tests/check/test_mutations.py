@@ -69,6 +69,16 @@ def lose_sample(run: tl.Run) -> tl.Run:
     return replace(run, samples=replace(run.samples, **columns))
 
 
+def climb(run: tl.Run, *, height_m: float, tilt_rad: float) -> tl.Run:
+    """Let the turtle climb to a height, leaning."""
+    poses = replace(
+        run.poses,
+        height_m=np.linspace(0.0, height_m, len(run.poses)),
+        tilt_rad=np.full(len(run.poses), tilt_rad),
+    )
+    return replace(run, poses=poses)
+
+
 def follow_steps(axis: str, *, lag_s: float, steps: int, bump: float = 0.0) -> tl.Run:
     """Return a robot that answers steps of a command, further than asked at first."""
     time_s = np.arange(0.0, 4.0 * steps, 0.02)
@@ -96,6 +106,8 @@ CHANGES: Mapping[str, Callable[[], tl.Run]] = {
     "lost sample": lambda: lose_sample(simulate()),
     "lost pose": lambda: lose_pose(simulate(loop__period_ticks=5)),
     "notes": lambda: replace(simulate(), notes={"dropped_duplicates": "3", "sorted_rows": "2"}),
+    "climb": lambda: climb(simulate(), height_m=1.0, tilt_rad=0.2),
+    "steep climb": lambda: climb(simulate(), height_m=3.0, tilt_rad=0.5),
     "pause": lambda: simulate(law__pause_ticks=60),
     "steps": lambda: follow_steps("speed", lag_s=0.3, steps=5),
     "overshooting steps": lambda: follow_steps("speed", lag_s=0.2, steps=6, bump=2.0),

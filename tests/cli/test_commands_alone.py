@@ -147,6 +147,47 @@ def test_what_needs_poses_says_so_in_one_line(
     assert "Traceback" not in answer.err
 
 
+def test_what_a_check_writes_says_where_it_needs_poses(call: Call, bag: Path) -> None:
+    formulas = ("always(abs(speed) <= 0.15)", "run.path_length < 1")
+    for formula in formulas:
+        words = ("--artifacts", "art", "--report", "report.html", "--junit", "junit.xml")
+        answer = call("check", bag, "--expect", formula, *words)
+        assert answer.code == 1
+        assert "no artifacts of" in answer.err
+        assert "report.html: drive.mcap has commands alone, and a report needs poses" in answer.err
+        assert "Traceback" not in answer.err
+    assert "the recording holds no poses" in Path("junit.xml").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["drive.mcap", "--movie", "a.gif"], "--movie: drive has commands alone"),
+        (["drive.mcap", "poses.mcap", "-o", "a.svg"], "drive has commands alone, and other files"),
+        (["drive.mcap", "-o", "a.svg", "--only", "rates"], "figure rates needs poses"),
+        (["drive.mcap", "-o", "a.svg", "--only", "violation", "--expect", "speed < 1"], "needs"),
+    ],
+)
+def test_pictures_that_need_poses_are_refused(
+    call: Call, bag: Path, words: list[str], reason: str
+) -> None:
+    write_mcap(Path("poses.mcap"), make_poses(9))
+    answer = call("plot", *words)
+    assert answer.code == 2
+    assert reason in answer.err
+    assert "Traceback" not in answer.err
+
+
+def test_two_logs_of_commands_are_drawn_and_measured_together(call: Call, bag: Path) -> None:
+    write_mcap(Path("other.mcap"), [say_twist(0.1, row=row) for row in range(50)])
+    assert call("plot", bag, "other.mcap", "-o", "two.svg").code == 0
+    write_mcap(Path("poses.mcap"), make_poses(30))
+    both = call("metrics", bag, "other.mcap", "poses.mcap")
+    assert both.code == 0
+    assert "3 runs" in both.out
+    assert call("metrics", ".", "--recursive", "-o", "table.parquet").code == 0
+
+
 def test_sideways_commands_are_refused_with_their_number(call: Call, bag: Path) -> None:
     write_mcap(bag, [say_twist(0.2, row=0), say_twist(0.2, row=1, left=0.1)])
     answer = call("replay", bag)

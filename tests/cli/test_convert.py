@@ -13,6 +13,18 @@ from tests.log.test_importers import make_log, reorder, write_json
 from turtlelog.run import TABLES, tabulate_run
 
 
+@pytest.mark.parametrize("target", ["out.mcap", "bag"])
+def test_poses_stand_once_more_for_other_programs_unless_that_is_declined(
+    call: Call, kp4: Path, tmp_path: Path, target: str
+) -> None:
+    shared = {"/odom", "/tf", "/path"}
+    for words, expected in (((), shared), (("--own-topics",), set())):
+        assert call("convert", kp4, "-o", tmp_path / target, *words).code == 0
+        (found,) = call("info", tmp_path / target, "--json").json
+        assert {topic["topic"] for topic in found["topics"]} & shared == expected
+        (tmp_path / target).rename(tmp_path / f"{target}{len(words)}")
+
+
 def test_a_name_without_a_suffix_is_a_bag_that_metrics_reads(
     call: Call, kp4: Path, tmp_path: Path
 ) -> None:
@@ -74,7 +86,8 @@ def test_parquet_tables_become_the_recording_that_they_were(
 ) -> None:
     tables, again = tmp_path / "run7", tmp_path / "again.mcap"
     call("convert", kp4, "-o", tables, "--format", "parquet")
-    assert call("convert", tables, "-o", again, "--json").json["absent"] == []
+    words = ("--own-topics", "--json")
+    assert call("convert", tables, "-o", again, *words).json["absent"] == []
     assert again.read_bytes() == kp4.read_bytes()
 
 

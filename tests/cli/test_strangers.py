@@ -9,7 +9,7 @@ from mcap.writer import Writer
 
 from tests.cli.conftest import Call
 from tests.log.ros2.bags import make_command, make_poses, write_mcap, write_metadata
-from tests.log.ros2.test_unread_encodings import ROS1, write_encoded
+from tests.log.ros2.test_unread_encodings import FLAT, write_encoded
 from tests.log.test_importers import make_log, write_csv, write_json
 
 NEVER = ["samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"]
@@ -139,15 +139,15 @@ def test_every_command_names_an_encoding_that_is_not_read(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("a.mcap", "other.mcap"):
-        write_encoded(tmp_path / name, "ros1", "ros1msg", "nav_msgs/Odometry")
+        write_encoded(tmp_path / name, "flatbuffer", "flatbuffer", "nav_msgs/Odometry")
     answer = call(*words, "a.mcap")
     assert (answer.code, answer.out) == (2, "")
-    assert f"a.mcap: topic /odom: not understood: {ROS1}" in answer.err.replace("other", "a")
+    assert f"a.mcap: topic /odom: not understood: {FLAT}" in answer.err.replace("other", "a")
 
 
 def test_info_names_the_encoding_of_poses_that_are_not_read(call: Call, tmp_path: Path) -> None:
-    path = write_encoded(tmp_path / "a.mcap", "ros1", "ros1msg", "nav_msgs/Odometry")
+    path = write_encoded(tmp_path / "a.mcap", "flatbuffer", "flatbuffer", "nav_msgs/Odometry")
     (answer,) = call("info", path, "--json").json
-    told = f"no poses that can be read: topic /odom: not understood: {ROS1}"
+    told = f"no poses that can be read: topic /odom: not understood: {FLAT}"
     assert answer["summary"].startswith(told)
     assert answer["missing"] == []

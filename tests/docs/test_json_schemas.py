@@ -29,6 +29,7 @@ TYPED = {
     "compare": ["compare", "KP4", "KP10"],
     "compare BAG SCENARIO": ["compare", "KP4", "lagged.toml"],
     "compare --reference": ["compare", "--reference", "KP4", "KP10"],
+    "compare --reference --ate": ["compare", "--reference", "KP4", "KP10", "--ate", "--rpe", "1m"],
     "compare --why": ["compare", "KP4", "KP10", "--why", "run.duration"],
     "explain": ["explain", "KP4", "--causes", "queue"],
     "identify": ["identify", "KP4"],

@@ -94,7 +94,7 @@ def test_a_command_of_zero_within_a_noisy_rotation_bounds_nothing() -> None:
 def test_a_log_that_begins_on_the_way_may_miss_commands() -> None:
     log = make_log(Truth())
     found = identify_run(log.drop(range(49)).to_run())
-    assert found.notes[-1].endswith("commands that the log does not hold")
+    assert found.notes[-1].endswith("commands that the log does not contain")
 
 
 def test_one_sample_is_a_run() -> None:

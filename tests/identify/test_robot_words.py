@@ -2,6 +2,8 @@
 
 import turtlelog as tl
 from turtlelog.identify import AxisModel, Estimate, format_delay, format_gain
+from turtlelog.identify.doubts import describe_rivals
+from turtlelog.identify.robot_structure import Structure
 
 DRIVEN = AxisModel(
     axis="speed",
@@ -33,3 +35,13 @@ def test_a_notebook_shows_the_answer_the_values_and_the_doubts() -> None:
 def test_without_a_known_axis_the_answer_says_so() -> None:
     model = tl.RobotModel(files=("bag",), speed=UNKNOWN, turn_rate=UNKNOWN)
     assert "<strong>bag: no axis could be identified.</strong>" in model._repr_html_()
+
+
+def test_rivals_name_once_what_all_of_them_have() -> None:
+    within = Structure(order="limited_within")
+    bound = Structure(order="limited_within", bound="command")
+    assert describe_rivals([bound, within]) == (
+        "a limit of the acceleration within the velocity loop, alone or with a bound of the command"
+    )
+    rivals = [Structure(order="first_order", bound="command"), Structure(order="first_order")]
+    assert describe_rivals(rivals) == "a bound of the command or one time constant alone"

@@ -148,7 +148,8 @@ def test_quaternions_give_the_heading_and_say_a_tilt(tmp_path: Path) -> None:
     run = read_run(write(tmp_path, header, *rows))
     assert run.poses.heading_rad == pytest.approx([0.8, 0.0], abs=1e-15)
     assert run.notes["plane"] == (
-        "the robot leaves the plane: its height varies by 0.5 m; only x, y and heading are kept"
+        "the robot leaves the plane: its height varies by 0.5 m (0 to 0.5 m); most metrics are"
+        " seen from above"
     )
     path = write(tmp_path, header, rows[0], (1, 0, 0, 0, 0, 0, 0, 0))
     with pytest.raises(LogError, match="line 3, column qw: expected a rotation of a length other"):
@@ -242,7 +243,7 @@ def test_rows_may_lack_a_command_or_a_measurement(tmp_path: Path) -> None:
         ("t,x,y,yaw\n2024-13-01T00:00:00,0,0,0\n", "line 2, column t: expected a time"),
         ("t,x,y,yaw\n0,0,0\n", "line 2: expected 4 cells, found 3"),
         ("t,x,y,yaw\n", "no rows below the header t, x, y, yaw"),
-        ("0,0,0,0\n1,0,0,0\n", "expected a header that names the columns, or the 8 columns of a"),
+        ("0,0,0,0\n1,0,0,0\n", "expected a header that names the columns, the 8 columns of a"),
         ("", "expected a table, found no rows"),
         ("# t\n", "expected a table, found no rows"),
         ('t,x,y,yaw\n"0,0,0,0\n', "line 2: expected cells, found"),

@@ -14,18 +14,19 @@ def test_floor_is_a_plane() -> None:
 def test_height_that_varies_is_said() -> None:
     told = describe_plane(np.array([0.3, 0.351]), np.zeros(2))
     assert told == (
-        "the robot leaves the plane: its height varies by 0.051 m; only x, y and heading are kept"
+        "the robot leaves the plane: its height varies by 0.051 m (0.3 to 0.351 m);"
+        " most metrics are seen from above"
     )
 
 
 def test_tilt_is_said() -> None:
     told = describe_plane(np.zeros(2), np.array([0.0, 0.101]))
     assert told is not None
-    assert "it tilts by up to 5.79 deg" in told
+    assert "it tilts by 0 to 5.79 deg" in told
     assert "height" not in told
     both = describe_plane(np.array([0.0, 2.0]), np.array([0.0, 0.5]))
     assert both is not None
-    assert "varies by 2 m and it tilts by up to 28.6 deg" in both
+    assert "varies by 2 m (0 to 2 m) and it tilts by 0 to 28.6 deg" in both
 
 
 @pytest.mark.parametrize("axis", [(1.0, 0.0), (0.0, 1.0), (0.6, 0.8)])

@@ -73,10 +73,74 @@ def test_other_real_robots_break_where_they_do(
     assert (len(find_jumps(run)), len(find_gaps(run))) == (jumps, gaps)
 
 
-@pytest.mark.parametrize(("times", "is_found"), [(3.1, True), (2.9, False)])
-def test_a_step_far_beyond_the_fastest_is_a_jump(times: float, *, is_found: bool) -> None:
-    run = move(make_robot(np.repeat([0.0, 1.0, 0.0], [80, 39, 80])), 100, 0.05 * (times - 1.0))
+@pytest.mark.parametrize(("beyond_m", "is_found"), [(0.0151, True), (0.0149, False)])
+@pytest.mark.parametrize("speed", [0.0, 0.2, 1.0, 5.0])
+def test_what_exceeds_driving_is_a_jump_however_fast_that_is(
+    speed: float, beyond_m: float, *, is_found: bool
+) -> None:
+    # 2 m/s2 for 50 ms are 5 mm in 50 ms; three times that is no longer what a robot can add.
+    run = move(make_robot(speed), 100, beyond_m)
     assert list_rows(run) == ([100] if is_found else [])
+    if is_found and speed:
+        (jump,) = find_jumps(run)
+        assert jump.excess_m == pytest.approx(beyond_m, rel=0.02)
+        assert jump.moved_m == pytest.approx(speed / 20.0 + beyond_m, rel=0.01)
+
+
+@pytest.mark.parametrize(("noise_m", "least"), [(0.0, 1.0), (0.0005, 1.0), (0.005, 0.75)])
+@pytest.mark.parametrize("hz", [10.0, 20.0, 50.0])
+def test_corrections_of_a_tenth_of_a_metre_every_second_are_found(
+    hz: float, noise_m: float, least: float
+) -> None:
+    random = np.random.default_rng(3)
+    count = round(60 * hz)
+    rows = np.arange(round(hz), count, round(hz))
+    speed = 0.5 + 0.4 * np.sin(np.arange(count - 1) / hz)
+    run = make_robot(speed, 0.3, count=count, hz=hz)
+    xy_m = run.poses.xy_m + random.normal(0.0, noise_m, (count, 2))
+    for row in rows:
+        angle = random.uniform(-np.pi, np.pi)
+        xy_m[row:] += 0.1 * np.array([np.cos(angle), np.sin(angle)])
+    found = {*list_rows(replace(run, poses=replace(run.poses, xy_m=xy_m)))}
+    # At 10 Hz every tenth step is one, and 5 mm of noise are 7 mm from pose to pose.
+    least = 0.3 if noise_m == 0.005 and hz == 10.0 else least
+    assert len(found & {*rows.tolist()}) >= least * (len(rows) - 1)
+    assert found <= {*rows.tolist()}
+
+
+def test_jumps_are_ranked_by_what_exceeds_driving() -> None:
+    # 0.1 m beyond 0.05 m of driving are a longer way than 0.12 m of a robot that stands.
+    speed = np.repeat([1.0, 0.0], [100, 99])
+    run = move(move(make_robot(speed), 50, 0.1), 150, 0.12)
+    assert list_rows(run) == [50, 150]
+    assert (
+        describe_breaks(run)["jumps"] == "2 jumps, the largest 0.12 m ahead and +0.286 deg at 7.5 s"
+    )
+    alone = describe_breaks(move(make_robot(speed), 50, 0.1))["jumps"]
+    assert alone == "1 jump, 0.15 m ahead and +0.286 deg at 2.5 s, 0.1 m more than it drove"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lost_messages_are_no_jumps(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    rows = np.arange(1199) // 40
+    speed = np.clip(np.cumsum(random.normal(0.0, 0.3, 30)), -1.0, 1.0)[rows]
+    run = make_robot(speed, random.normal(0.0, 0.5, 30)[rows], count=1200)
+    kept = random.random(1200) > 0.1
+    noise_m = random.normal(0.0, 0.001, (1200, 2))
+    poses = PoseColumns(
+        time_ns=run.poses.time_ns[kept],
+        xy_m=(run.poses.xy_m + noise_m)[kept],
+        heading_rad=run.poses.heading_rad[kept],
+    )
+    assert list_rows(replace(run, poses=poses)) == []
+
+
+def test_poses_that_are_published_several_times_do_not_jump() -> None:
+    run = make_robot(2.0, count=600, hz=100.0)
+    rows = np.arange(600) // 10 * 10
+    poses = replace(run.poses, xy_m=run.poses.xy_m[rows], heading_rad=run.poses.heading_rad[rows])
+    assert list_rows(replace(run, poses=poses)) == []
 
 
 @pytest.mark.parametrize(("ahead_m", "is_found"), [(0.0151, True), (0.0149, False)])

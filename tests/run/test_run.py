@@ -30,6 +30,8 @@ def make_poses(rows: int = 4, **changes: Any) -> PoseColumns:
         "measured_speed_m_s": np.zeros(rows),
         "measured_turn_rate_rad_s": np.zeros(rows),
         "sensed_xy_m": np.zeros((rows, 2)),
+        "height_m": np.zeros(rows),
+        "tilt_rad": np.zeros(rows),
         "sensed_heading_rad": np.zeros(rows),
     }
     return PoseColumns(**(columns | changes))
@@ -78,7 +80,7 @@ NUMBERS = [
 
 PARTIAL = {
     *("world_velocity_m_s", "reference_xy_m", "reference_heading_rad"),
-    *("sensed_xy_m", "sensed_heading_rad"),
+    *("sensed_xy_m", "sensed_heading_rad", "height_m", "tilt_rad"),
 }
 
 

@@ -196,14 +196,14 @@ def test_what_a_file_asks_for_beyond_its_size_ends_what_is_read_of_it(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("count", "end"), [(101, "/robot99/pose"), (102, "/robot98/pose and 1 more")]
+    ("count", "end"), [(100, "robot98, robot99: "), (101, "robot98, robot99 and 1 more: ")]
 )
-def test_a_note_lists_a_hundred_topics_at_most(count: int, end: str, tmp_path: Path) -> None:
+def test_a_note_lists_a_hundred_robots_at_most(count: int, end: str, tmp_path: Path) -> None:
     path, pose = tmp_path / "topics.mcap", b"\0\1\0\0" + bytes(20)
     topics = [f"/robot{number:02}/pose" for number in range(count)]
     said = b"".join(message(number, pose, number) for number in range(1, count + 1))
     path.write_bytes(whole(chunk([describe(*topics), said])))
-    assert read_run(path).notes["other_pose_topics"].endswith(end)
+    assert read_run(path).notes["robots"].endswith(f"{end}--robot NAME chooses")
 
 
 def test_a_small_file_may_have_some_thousand_attachments(tmp_path: Path) -> None:

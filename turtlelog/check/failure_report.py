@@ -124,9 +124,11 @@ def describe_clock(run: Run) -> str:
 def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:
     """Return lines: the signals at the poses around a time, `>` before the one that holds there.
 
-    A command that was published between two poses has a line of its own.
+    A command that was published between two poses has a line of its own. Of a run without poses
+    the lines are those of its commands.
     """
-    time_ns, at_ns = run.poses.time_ns, run.start_ns + round(at_s * 1e9)
+    rows = run.poses if len(run.poses) else run.commands
+    time_ns, at_ns = rows.time_ns, run.start_ns + round(at_s * 1e9)
     row = max(int(np.searchsorted(time_ns, at_ns, side="right")) - 1, 0)
     times_ns = time_ns[max(row - _ROWS, 0) : row + _ROWS + 1].tolist()
     kinds = list_signals(run.declaration)
@@ -223,7 +225,7 @@ class ArtifactWriter:
         """Write a .rrd that opens at the violation, its picture, and the recording around it.
 
         Where a violation belongs to no moment they show the end of the run, and the recording is
-        whole.
+        whole. Of a run without poses there is nothing to look at, and a note says so.
 
         Args:
             run: That failed.
@@ -235,6 +237,9 @@ class ArtifactWriter:
             LogError: If the recording cannot be written.
             ShowError: If the view cannot be written.
         """
+        if not len(run.poses):
+            note = f"{result.file}: no artifacts of {result.check}: it holds commands without poses"
+            return Artifacts(files=(), notes=(note,))
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as err:

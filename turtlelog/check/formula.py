@@ -17,6 +17,7 @@ from turtlelog.check.formula_trace import (
 )
 from turtlelog.check.robot_values import ROBOT_VALUES, find_robot_unit
 from turtlelog.check.robustness import CriticalPart, FormulaWalk
+from turtlelog.check.trajectory_values import TRAJECTORY_VALUES, find_trajectory_unit
 from turtlelog.check.vocabulary import find_kind
 from turtlelog.display import format_html, format_number
 from turtlelog.errors import UndecidedError
@@ -321,6 +322,8 @@ def find_unit(name: str, declaration: Declaration) -> str | None:
         return list_metrics(declaration)[name].unit
     if name in ROBOT_VALUES:
         return find_robot_unit(name)
+    if name in TRAJECTORY_VALUES:
+        return find_trajectory_unit(name)
     other = find_metric_kind(name)
     return None if other is None else "" if " or " in other.unit else other.unit
 

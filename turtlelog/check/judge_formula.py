@@ -12,6 +12,7 @@ from turtlelog.check.formula_trace import find_span, find_window
 from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.robot_values import ROBOT_VALUES, measure_robot
 from turtlelog.check.spec import Check
+from turtlelog.check.trajectory_values import TRAJECTORY_VALUES, TrajectoryJudge
 from turtlelog.check.vocabulary import (
     choose_signals,
     describe_no_phase,
@@ -61,13 +62,33 @@ def judge_check(
     return _Judge(check, run, file, metrics, {} if grown is None else grown)()
 
 
-def measure_named(checks: Sequence[Check], run: Run) -> Mapping[str, Metric]:
-    """Return the metrics of a run that checks name."""
-    formulas = [found for check in checks for found in (check.formula, check.when) if found]
-    names = {name for formula in formulas for name in formula.names}
+def measure_named(
+    checks: Sequence[Check],
+    run: Run,
+    *,
+    trajectories: TrajectoryJudge | None = None,
+    file: str = "",
+) -> Mapping[str, Metric]:
+    """Return the metrics of a run that checks name.
+
+    Args:
+        checks: Name them.
+        run: Of which they are.
+        trajectories: What measures errors beside a reference; without it they have no value.
+        file: What the run is called.
+    """
+    names = list_names(checks)
     ids = sorted(name for name in names if find_kind(run, name) is not None)
     of_robot = measure_robot(run, sorted(names & ROBOT_VALUES.keys()))
-    return {**(measure_run(run, only=ids) if ids else {}), **of_robot}
+    errors = sorted(names & TRAJECTORY_VALUES.keys())
+    beside = trajectories.measure(run, errors, file) if trajectories and errors else {}
+    return {**(measure_run(run, only=ids) if ids else {}), **of_robot, **beside}
+
+
+def list_names(checks: Sequence[Check]) -> set[str]:
+    """Return the names in the formulas of checks."""
+    formulas = [found for check in checks for found in (check.formula, check.when) if found]
+    return {name for formula in formulas for name in formula.names}
 
 
 class _Judge:

@@ -7,12 +7,13 @@ from typing import Any, Final
 
 from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_difference import match_run
-from turtlelog.check.judge_formula import Grown, judge_check, measure_named
+from turtlelog.check.judge_formula import Grown, judge_check, list_names, measure_named
 from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check, Spec
 from turtlelog.check.spec_file import count_parts, require_reference
+from turtlelog.check.trajectory_values import TRAJECTORY_VALUES, TrajectoryJudge
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
-from turtlelog.log import ReadChoice, read_as_chosen, split_topic
+from turtlelog.log import ReadChoice, read_as_chosen, read_trajectory, split_topic
 from turtlelog.log.ros2.bag import open_bag
 from turtlelog.log.ros2.bag_topics import JOINTS, TRANSFORMS
 from turtlelog.measure import SIGNALS, find_metric_kind
@@ -43,11 +44,18 @@ def check_runs(
         LogError: If the reference cannot be read.
         ExpressionError: If the kinds in a formula do not go together on any run.
     """
-    reference = read_reference_run(spec)
+    reference, trajectories = read_reference_run(spec), read_reference_trajectory(spec)
     count = 0
     for file, run in runs:
         count += 1
-        yield from judge_run(spec, reference, run, file=file, allow_partial=allow_partial)
+        yield from judge_run(
+            spec,
+            reference,
+            run,
+            file=file,
+            allow_partial=allow_partial,
+            trajectories=trajectories,
+        )
     if not count:
         raise CheckError(f"{spec.source}: no recording to check")
 
@@ -69,6 +77,39 @@ def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | No
         return None
     choice = _restrict(spec.read.override(topics or ReadChoice()), spec.reference)
     return read_as_chosen(spec.reference, choice)
+
+
+def read_reference_trajectory(
+    spec: Spec, topics: ReadChoice | None = None, *, reads_files: bool = False
+) -> TrajectoryJudge | None:
+    """Return what measures errors beside the reference trajectory, None where none is named.
+
+    Args:
+        spec: Names it.
+        topics: As of the runs, beside what the specification says itself.
+        reads_files: Whether runs are called as their files, whose poses in space are read.
+
+    Raises:
+        CheckError: Where errors have no reference.
+        LogError: Where it cannot be read.
+    """
+    names = sorted(list_names(spec.checks) & TRAJECTORY_VALUES.keys())
+    if not names:
+        return None
+    if spec.reference is None:
+        raise CheckError(
+            f"{spec.source}: {names[0]} needs a trajectory that is true: reference = FILE in the"
+            " file, or --reference FILE"
+        )
+    choice = spec.read.override(topics or ReadChoice())
+    if split_topic(spec.reference)[0].exists():
+        return TrajectoryJudge(
+            reference=read_trajectory(spec.reference, _restrict(choice, spec.reference)),
+            settings=spec.trajectory,
+            choice=choice,
+            reads_files=reads_files,
+        )
+    raise CheckError(f"{spec.source}: reference: {spec.reference}: no such file")
 
 
 def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
@@ -96,15 +137,30 @@ def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
 
 
 def judge_run(
-    spec: Spec, reference: Run | None, run: Run, *, file: str, allow_partial: bool = False
+    spec: Spec,
+    reference: Run | None,
+    run: Run,
+    *,
+    file: str,
+    allow_partial: bool = False,
+    trajectories: TrajectoryJudge | None = None,
 ) -> Iterator[CheckResult]:
-    """Yield the results of every check on one run; of one that has lost something, that it has."""
+    """Yield the results of every check on one run; of one that has lost something, that it has.
+
+    Args:
+        spec: What is to hold.
+        reference: The run that tolerances are taken from.
+        run: What is judged.
+        file: Its name.
+        allow_partial: Whether a recording of which something is lost may pass.
+        trajectories: What measures errors beside a reference trajectory.
+    """
     lost = None if allow_partial else find_loss(run)
     if lost is not None:
         yield fail_recording(file, lost)
         return
     _require_few_parts(spec, run, file)
-    metrics = measure_named(spec.checks, run)
+    metrics = measure_named(spec.checks, run, trajectories=trajectories, file=file)
     grown: Grown = {}
     for check in spec.checks:
         try:

@@ -6,7 +6,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Literal, get_args
 
-from turtlelog.compare import ALIGNMENTS, Tolerance
+from turtlelog.compare import ALIGNMENTS, Delta, Tolerance, TrajectorySettings
+from turtlelog.compare.trajectory_comparison import ALIGN_IN
 from turtlelog.display import describe_count
 from turtlelog.errors import CompareError
 from turtlelog.escapes import escape_controls
@@ -91,6 +92,10 @@ class Tolerances:
         return rebuild, (type(self), list_fields(self))
 
 
+USUAL_TRAJECTORY: Final = TrajectorySettings(deltas=(Delta(value=1.0, unit="m"),))
+"""How errors of trajectories are measured unless a specification says otherwise."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spec:
     """A specification that recordings are checked against.
@@ -100,6 +105,7 @@ class Spec:
         tolerances: Allowed differences of signals and metrics from the reference.
         reference: The recording that tolerances are taken from; None if there are none.
         alignment: Alignment of runs and reference.
+        trajectory: Settings of the errors of trajectories beside the reference.
         read: Topics, frames and goal to read from third-party files, also from the reference.
         source: The file, for messages.
     """
@@ -108,6 +114,7 @@ class Spec:
     tolerances: Tolerances = field(default_factory=Tolerances)
     reference: Path | None = None
     alignment: str = "first_sample"
+    trajectory: TrajectorySettings = USUAL_TRAJECTORY
     read: ReadChoice = field(default_factory=ReadChoice)
     source: str = "specification"
 
@@ -169,6 +176,7 @@ def build_schema() -> dict[str, Any]:
                 "pattern": f"^(?:{'|'.join(ALIGNMENTS).replace('NAME', NAME_PATTERN)})$",
                 "description": "How runs and reference are brought together in time.",
             },
+            "trajectory": _build_trajectory(),
             "read": _build_read(),
             "checks": {
                 "type": "object",
@@ -183,6 +191,39 @@ def build_schema() -> dict[str, Any]:
             "metric": _build_tolerance(has_time=False),
         },
     }
+
+
+def _build_trajectory() -> dict[str, Any]:
+    return {
+        "type": "object",
+        "additionalProperties": False,
+        "description": "How ate.* and rpe.* are measured beside the reference.",
+        "properties": {
+            "align": {"enum": [*ALIGN_IN], "description": "Transformation that is fitted."},
+            "associate": {
+                "enum": [*ASSOCIATIONS],
+                "description": "Poses of one moment: nearest in time, or linearly interpolated.",
+            },
+            "max_difference_s": {
+                "type": "number",
+                "minimum": 0,
+                "description": "Largest difference in time between poses that belong together [s].",
+            },
+            "time_offset_s": {
+                "anyOf": [{"type": "number"}, {"const": "start"}],
+                "description": "Added to times of a recording [s]; start: first poses together.",
+            },
+            "rpe": {**_TEXT, "description": "Length of relative motions, as in 1m or 30deg."},
+            "all_pairs": {
+                "type": "boolean",
+                "description": "A relative motion begins at every pose.",
+            },
+        },
+    }
+
+
+ASSOCIATIONS: Final = ("nearest", "linear")
+"""How poses of one moment are found."""
 
 
 def _build_read() -> dict[str, Any]:

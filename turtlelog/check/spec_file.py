@@ -5,11 +5,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, TypeVar, get_args
 
 from turtlelog.check.spec import (
+    ASSOCIATIONS,
     FORMAT,
     READ_TEXTS,
+    USUAL_TRAJECTORY,
     Check,
     Spec,
     Tolerances,
@@ -18,8 +20,9 @@ from turtlelog.check.spec import (
     list_nearby,
 )
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
-from turtlelog.compare import ALIGNMENTS, Tolerance
+from turtlelog.compare import ALIGNMENTS, Tolerance, TrajectorySettings, parse_delta
 from turtlelog.compare.alignment import could_be_alignment
+from turtlelog.compare.trajectory_comparison import ALIGN_IN
 from turtlelog.errors import CheckError, CompareError, LogError
 from turtlelog.expressions import Expression, Until, iterate_nodes, parse_expression
 from turtlelog.files.text_files import describe_missing, parse_toml, read_text_file
@@ -30,7 +33,7 @@ from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import describe_value, name_key
 
 _KINDS: Final = ("signals", "metrics")
-_KNOWN: Final = (*_KINDS, "checks", "reference", "alignment", "read")
+_KNOWN: Final = (*_KINDS, "checks", "reference", "alignment", "trajectory", "read")
 _KEYS: Final = {
     "signals": ("abs", "rel", "time_s", "reason"),
     "metrics": ("abs", "rel", "reason"),
@@ -42,6 +45,14 @@ fails: so many take 6 s of processor time for a recording of 800 samples."""
 
 _UNTIL: Final = 20
 """Parts that one more `until` takes as long as."""
+
+_TRAJECTORY_KEYS: Final = (
+    *("align", "associate", "max_difference_s", "time_offset_s", "rpe", "all_pairs"),
+)
+_LATEST_S: Final = 4e9
+"""Times since 1970 are below, and in nanoseconds fit 64 bits."""
+
+_Known = TypeVar("_Known", bound=str)
 
 CHECK_KEYS: Final = ("expect", "holds", "phase", "when", "reason", "observed")
 
@@ -85,6 +96,7 @@ def parse_spec(text: str | Mapping[str, Any], *, source: str = "specification") 
         checks=_parse_checks(entries, source),
         tolerances=parse_tolerances(own, source=source),
         alignment=_read_alignment(tables, source),
+        trajectory=_parse_trajectory(tables.get("trajectory", {}), source),
         read=_parse_read(tables.get("read", {}), source),
         source=source,
     )
@@ -241,6 +253,59 @@ def _read_alignment(tables: Mapping[str, Any], source: str) -> str:
     if alignment is not None and not could_be_alignment(alignment):
         raise CheckError(f"{source}: alignment: {describe_nearest(alignment, ALIGNMENTS)}")
     return alignment or "first_sample"
+
+
+def _parse_trajectory(table: Any, source: str) -> TrajectorySettings:
+    """Return how errors of trajectories are measured."""
+    place = f"{source}: trajectory"
+    if not isinstance(table, Mapping):
+        raise CheckError(f"{place}: expected a table, found {describe_value(table)}")
+    for key in table:
+        if key not in _TRAJECTORY_KEYS:
+            known = describe_unknown_key(key, list(_TRAJECTORY_KEYS))
+            raise CheckError(f"{place}.{name_key(key)}: {known}")
+    align = _choose(table, "align", place, ALIGN_IN)
+    associate = _choose(table, "associate", place, ASSOCIATIONS)
+    overlaps = table.get("all_pairs", False)
+    if not isinstance(overlaps, bool):
+        found = describe_value(overlaps)
+        raise CheckError(f"{place}.all_pairs: expected true or false, found {found}")
+    most_s = _read_time(table, "max_difference_s", place, USUAL_TRAJECTORY.most_apart_s)
+    if most_s < 0.0:
+        raise CheckError(f"{place}.max_difference_s: expected a time of at least 0, found {most_s}")
+    is_start = table.get("time_offset_s") == "start"
+    length = table.get("rpe")
+    try:
+        deltas = USUAL_TRAJECTORY.deltas if length is None else (parse_delta(str(length)),)
+    except CompareError as err:
+        raise CheckError(f"{place}.rpe: {err}") from err
+    return TrajectorySettings(
+        align=align,
+        interpolates=associate == "linear",
+        most_apart_s=most_s,
+        offset_s=None if is_start else _read_time(table, "time_offset_s", place, 0.0),
+        deltas=deltas,
+        overlaps=overlaps,
+    )
+
+
+def _choose(
+    table: Mapping[str, Any], key: str, place: str, known: tuple[_Known, ...]
+) -> _Known | None:
+    """Return the known value of a key, None where the key is not there."""
+    value = table.get(key)
+    found = next((one for one in known if one == value), None)
+    if key in table and found is None:
+        raise CheckError(f"{place}.{key}: {describe_nearest(str(value), known)}")
+    return found
+
+
+def _read_time(table: Mapping[str, Any], key: str, place: str, usual: float) -> float:
+    value = table.get(key, usual)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not abs(value) < _LATEST_S:
+        raise CheckError(f"{place}.{key}: expected a time in s, found {describe_value(value)}")
+    return float(value)
 
 
 def _parse_read(table: Any, source: str) -> ReadChoice:

@@ -7,6 +7,7 @@ from functools import cache
 from typing import Final
 
 from turtlelog.check.robot_values import ROBOT_VALUES
+from turtlelog.check.trajectory_values import TRAJECTORY_VALUES
 from turtlelog.errors import CheckError
 from turtlelog.expressions import (
     Expression,
@@ -30,6 +31,9 @@ from turtlelog.measure import (
 from turtlelog.run import Run
 from turtlelog.run.loops import DONE, NAME_PATTERN, Declaration
 from turtlelog.scenario import Scenario, flatten_scenario
+
+OTHER_VALUES: Final = frozenset({*ROBOT_VALUES, *TRAJECTORY_VALUES})
+"""Values of one number that are no metrics of a run alone."""
 
 
 @cache
@@ -84,13 +88,13 @@ def names_metrics_alone(formula: Expression) -> bool:
     """Return whether a formula names metrics and nothing that changes with time."""
     is_temporal = any(isinstance(node, Temporal | Until) for node in iterate_nodes(formula.root))
     names = formula.names
-    are_metrics = all(name in ROBOT_VALUES or find_metric_kind(name) is not None for name in names)
+    are_metrics = all(name in OTHER_VALUES or find_metric_kind(name) is not None for name in names)
     return not is_temporal and are_metrics
 
 
 def is_in_tables(name: str) -> bool:
     """Return whether a name is that of a signal, a metric or a key that every run may have."""
-    return name in {*SIGNALS, *ROBOT_VALUES, *list_parameters()} or (
+    return name in {*SIGNALS, *OTHER_VALUES, *list_parameters()} or (
         find_metric_kind(name) is not None
     )
 
@@ -108,7 +112,7 @@ def _list_known(name: str, *, over_time: bool, run: Run | None) -> Mapping[str, 
     signals = SIGNALS if run is None else list_signals(run.declaration)
     ids = [*(METRICS if run is None else list_metrics(run.declaration)), *list_ids_like(name)]
     own = () if run is None else run.parameters
-    known = [*(signals if over_time else ()), *ids, *ROBOT_VALUES, *list_parameters(), *own]
+    known = [*(signals if over_time else ()), *ids, *OTHER_VALUES, *list_parameters(), *own]
     return dict.fromkeys(known)
 
 
@@ -166,6 +170,8 @@ def choose_signals(names: Iterable[str], declaration: Declaration) -> tuple[str,
     for name in names:
         if name in known:
             chosen.append(name)
+        elif name in TRAJECTORY_VALUES:
+            chosen += ["x", "y"]
         elif name in ROBOT_VALUES:
             axis = ROBOT_VALUES[name][0]
             chosen += [axis, f"measured_{axis}"]

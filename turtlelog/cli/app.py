@@ -139,7 +139,7 @@ _USUAL: Final[Mapping[str, frozenset[str]]] = {
         "theory": "kp ki kd lag dead-time dead-time-s period overshoot details json",
         "info": "topics parameters partial jobs json",
         "metrics": "only all goal recursive output csv json",
-        "compare": "reference why first only sort where recursive rrd json",
+        "compare": "reference ate why first only sort where recursive rrd json",
         "explain": "metric causes details scenario rrd trust-law json",
         "identify": "scenario plot rrd details json",
         "replay": "set law plant expect-equal details output json",

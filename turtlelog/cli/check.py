@@ -85,7 +85,8 @@ def check(
 
     Args:
         words: A specification (.toml) and recordings; with --expect, recordings alone.
-        reference: Take tolerances from this recording, not from the file's own.
+        reference: Take tolerances from this recording, not from the file's own; also the trajectory
+            that ate.* and rpe.* in --expect are measured beside.
     """
     kind = (formats or FormatOptions()).choose()
     reports, first = reports or ReportOptions(), first or FirstSpecOptions()
@@ -97,9 +98,14 @@ def check(
     if first.init is not None:
         return _write_first(first.init, words or [], first.output, topics or ReadingOptions())
     words, expect = words or [], first.expect
-    files = reports.name_files(_choose_files(words, first, reference))
+    files = reports.name_files(_choose_files(words, first))
     _require_targets(reports, first.output, words)
-    spec = build_spec(expect) if expect else tl.load_spec(words[0], reference=reference)
+    spec = (
+        replace(build_spec(expect), reference=reference)
+        if expect
+        else tl.load_spec(words[0], reference=reference)
+    )
+    _require_use(spec, reference if expect else None)
     topics = topics or ReadingOptions()
     if first.output is not None:
         found = find_files(files, first.output, is_recursive=reports.recursive)
@@ -118,10 +124,24 @@ def check(
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
 
 
-def _choose_files(words: list[Path], first: FirstSpecOptions, reference: Path | None) -> list[Path]:
+def _require_use(spec: "Spec", reference: Path | None) -> None:
+    """Refuse a reference that no formula needs.
+
+    Raises:
+        UsageError: Where there is one.
+    """
+    from turtlelog.check.judge_formula import list_names
+    from turtlelog.check.trajectory_values import TRAJECTORY_VALUES
+
+    if reference is not None and list_names(spec.checks).isdisjoint(TRAJECTORY_VALUES):
+        raise UsageError(
+            "--reference: leave it out beside --expect, which has no tolerances and names no error"
+            " of a trajectory (ate.position.rmse)"
+        )
+
+
+def _choose_files(words: list[Path], first: FirstSpecOptions) -> list[Path]:
     """Return the recordings among what was given; refuse what does not go together."""
-    if first.expect and reference is not None:
-        raise UsageError("--reference: leave it out beside --expect, which has no tolerances")
     if first.expect:
         if not words:
             raise UsageError(f"check needs recordings: turtlelog check FILE... --expect {_FORMULA}")

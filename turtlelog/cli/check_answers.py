@@ -277,9 +277,20 @@ def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: boo
         return
     measured = next((one for one in counted.failures if one.value is not None), None)
     if measured is not None:
-        yield f"Why? turtlelog explain {shlex.quote(measured.file)}"
+        yield f"Why? {_advise(measured, spec)}"
     if not shows_all and counted.verdicts.total() > 1:
         yield "All checks with their margins: --all"
+
+
+def _advise(failed: "CheckResult", spec: "Spec") -> str:
+    """Return the command that says more of a check that fails."""
+    file = shlex.quote(failed.file)
+    formulas = (check.formula for check in spec.checks if check.name == failed.check)
+    is_error = any(name.startswith(("ate.", "rpe.")) for one in formulas for name in one.names)
+    if spec.reference is not None and is_error:
+        reference = shlex.quote(str(spec.reference))
+        return f"turtlelog compare {file} --reference {reference} --ate --plot FILE.pdf"
+    return f"turtlelog explain {file}"
 
 
 class CountedResults:

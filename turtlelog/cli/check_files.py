@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from turtlelog import Run, Spec
     from turtlelog.check import ArtifactWriter, CheckResult
     from turtlelog.check.junit import CheckedFile
+    from turtlelog.check.trajectory_values import TrajectoryJudge
     from turtlelog.log import ReadChoice
     from turtlelog.sweep import FoundRecording
 
@@ -86,12 +87,13 @@ def check_into_table(
 def _prepare_judge(
     spec: "Spec", topics: ReadingOptions, *, is_described: bool = False, keeps_runs: bool = False
 ) -> "_Judge":
-    from turtlelog.check.judge_run import read_reference_run
+    from turtlelog.check.judge_run import read_reference_run, read_reference_trajectory
 
     choice = spec.read.override(topics.build_choice())
     return _Judge(
         spec=spec,
         reference=read_reference_run(spec, choice),
+        trajectories=read_reference_trajectory(spec, choice, reads_files=True),
         choice=choice,
         allow_partial=topics.partial,
         is_described=is_described,
@@ -168,6 +170,7 @@ class _Judge:
 
     spec: "Spec"
     reference: "Run | None"
+    trajectories: "TrajectoryJudge | None"
     choice: "ReadChoice"
     allow_partial: bool
     is_described: bool
@@ -186,7 +189,9 @@ class _Judge:
 
     def build_explainer(self) -> "_Explainer | None":
         """Return what explains recordings that fail; None without a reference."""
-        if self.spec.reference is None:
+        # A trajectory that is true says where the robot was, and nothing of its settings.
+        is_truth = self.trajectories is not None and not self.spec.tolerances
+        if self.spec.reference is None or is_truth:
             return None
         return _Explainer(judge=self, place=str(self.spec.reference))
 
@@ -206,7 +211,12 @@ class _Judge:
             checked = CheckedFile(file=file, results=failed, started=started, took_s=clock.read())
             return _Judged(checked=checked, notes={})
         found = judge_run(
-            self.spec, self.reference, run, file=file, allow_partial=self.allow_partial
+            self.spec,
+            self.reference,
+            run,
+            file=file,
+            allow_partial=self.allow_partial,
+            trajectories=self.trajectories,
         )
         timed = [(result, clock.lap()) for result in found]
         results = tuple(result for result, _ in timed)
@@ -269,6 +279,10 @@ def _write_report(
     """Write a report on the recordings that could be read, and the command that asks for it."""
     from turtlelog.cli.report import build_check_lines
 
+    bare = [file for file, run in runs.items() if not len(run.poses)]
+    runs = {file: run for file, run in runs.items() if file not in bare}
+    for file in bare:
+        print_note(f"{path}: {file} has commands alone, and a report needs poses")
     if not runs:
         print_note(f"{path}: no report: none of the recordings could be read")
         return

@@ -1,7 +1,7 @@
 """`turtlelog compare`: runs beside each other, or against a reference."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +17,11 @@ from turtlelog.cli.compare_reference import (
     take_metric,
 )
 from turtlelog.cli.compare_robot import compare_with_robot, list_scenario_files
+from turtlelog.cli.compare_trajectories import (
+    TrajectoryOptions,
+    TrajectoryPlace,
+    compare_with_trajectory,
+)
 from turtlelog.cli.compare_why import WhyOptions, WhyPlace, compare_why
 from turtlelog.cli.folders import Recursive, describe_unread, list_files
 from turtlelog.cli.list_names import complete_metrics
@@ -58,7 +63,8 @@ class ReferenceOptions(WhyOptions):
     Attributes:
         reference: The run that differences are taken from.
         align: Common time zero: first_sample, phase:NAME (the start of a phase), recorded (times as
-            they are), sample (samples by their number). Default: first_sample.
+            they are), sample (samples by their number). Default: first_sample. With --ate or --rpe
+            the transformation that is fitted: se3, se2, sim3, sim2 (with scale), origin, none.
         recursive: Take every recording below the folders given, but for the reference.
         jobs: Number of processes. Default: one per core if that is faster; 1 with --rrd or the
             scenario of a robot.
@@ -71,6 +77,7 @@ class ReferenceOptions(WhyOptions):
     recursive: Recursive = False
     jobs: Jobs = None
     details: bool = False
+    trajectories: TrajectoryOptions = field(default_factory=TrajectoryOptions)
 
 
 @Parameter(name="*")
@@ -111,8 +118,9 @@ class DrawingOptions:
     """Pictures of what is compared.
 
     Attributes:
-        plot: Draw paths, errors and rates of a robot and its scenario, or with --why the
-            contributions, into this .pdf, .png or .svg file.
+        plot: Draw paths, errors and rates of a robot and its scenario, with --why the
+            contributions, or with --ate trajectories and their errors, into this .pdf, .png or
+            .svg file.
         rrd: Write all runs, or a recorded robot beside a simulated one, into one Rerun recording.
     """
 
@@ -143,6 +151,10 @@ def compare(
     the pose 1 s and 5 s after both were equal, and how many errors lie within the central 95 % of
     simulated ones, over 39 seeds of its noise.
 
+    With --ate or --rpe files are trajectories: those of TUM, KITTI and EuRoC, or anything that is
+    read as a run, FILE:TOPIC for a topic of a bag. The answer is the absolute trajectory error of
+    each after alignment to the reference, and the relative pose error over a length.
+
     Without a reference, files that cannot be read are reported on stderr. The others are compared
     if there are two or more, and the exit code is 2.
 
@@ -151,6 +163,8 @@ def compare(
     Example: turtlelog compare runs --recursive
 
     Example: turtlelog compare --reference good.mcap new.mcap
+
+    Example: turtlelog compare estimate.tum --reference truth.tum --ate --rpe 1m
 
     Example: turtlelog compare good.mcap new.mcap --why
 
@@ -174,6 +188,12 @@ def compare(
         return compare_why(against, paths, folders, topics=topics, kind=kind)
     files = list_files(files, is_recursive=is_recursive, without=against.reference)
     jobs = count_jobs(against.jobs, files)
+    trajectories = against.trajectories
+    if trajectories.require_sense():
+        _require_trajectory_sense(choice, rrd)
+        reference = trajectories.take_reference(against.reference, files)
+        show = TrajectoryPlace(align=against.align, plot=pictures.plot, kind=kind, topics=topics)
+        return compare_with_trajectory(reference, files, trajectories, show)
     if list_scenario_files(files):
         _require_robot_sense(against, choice)
         return compare_with_robot(files, plot=pictures.plot, rrd=rrd, topics=topics, kind=kind)
@@ -225,6 +245,16 @@ def _require_why_sense(against: ReferenceOptions, choice: ChoiceOptions, rrd: Pa
         if value is not None:
             hint = f"--why {value} names the metric" if name == "metric" else "leave out --why"
             raise UsageError(f"--{name}: {hint}")
+
+
+def _require_trajectory_sense(choice: ChoiceOptions, rrd: Path | None) -> None:
+    given = {
+        **{name: getattr(choice, name) for name in ("metric", "sort", "where", "varied")},
+        "rrd": rrd,
+    }
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(f"--{name}: leave it out beside --ate and --rpe")
 
 
 def _describe_too_few(paths: Sequence[Path], against: ReferenceOptions) -> str:

@@ -1,6 +1,6 @@
 """`turtlelog convert`: a run from one kind of file to another; what `import` and `export` were."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
@@ -59,6 +59,7 @@ class TableOptions:
         table: Table to write. Default: the poses to a file, all tables to a folder.
         sort: Sort the rows of a paper's log by time and drop exact duplicates, and count both,
             instead of refusing them.
+        own_topics: Leave /odom, /tf and /path out of a recording or bag.
         recover: Copy every message that a damaged or unfinished recording still holds into a
             complete .mcap, or a bag into a new folder.
     """
@@ -68,6 +69,7 @@ class TableOptions:
     ] = None
     table: _TableName | None = None
     sort: bool = False
+    own_topics: Annotated[bool, Parameter(negative=())] = False
     recover: bool = False
 
 
@@ -106,6 +108,9 @@ def convert(
     or for one file per table. Every file is read back and compared before the command answers. A
     file replaces an existing one, a folder has to be new.
 
+    A recording and a bag also have the poses as /odom, /tf and /path, for Rerun, RViz and evo.
+    turtlelog ignores these topics in its own files.
+
     The answer lists as absent all that the source lacks. A recording, a bag and a folder of Parquet
     files contain the whole run. CSV contains its rows, without scenario, goal and loops.
 
@@ -138,6 +143,8 @@ def convert(
         for path in written:  # what stands, though another does not
             print_note(f"wrote {path}")
         raise
+    from turtlelog.log.recording.shared_topics import list_unshared
+
     kept = {name: text for name, text in run.notes.items() if name != tl.log.CHOSEN}
     notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items()]
     notes += [
@@ -150,6 +157,13 @@ def convert(
         for path, kind in kinds.items()
         if kind == "tum"
     ]
+    notes += [
+        f"{path} holds x, y and heading alone, without height and tilt; .csv and .parquet hold both"
+        for path, kind in kinds.items()
+        if run is not flatten_run(run) and kind not in {"csv", "parquet"}
+    ]
+    if {"mcap", "rosbag2"} & {*kinds.values()} and not tables.own_topics:
+        notes += list_unshared(run)
     if json:
         print_json(
             ConvertAnswer(
@@ -236,12 +250,13 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
         require_same_poses,
     )
 
+    run = flatten_run(run) if kind not in {"csv", "parquet"} else run
     with show_progress("writing"):
         if kind == "mcap":
-            tl.write_recording(run, path)
+            tl.write_recording(run, path, shares_poses=not tables.own_topics)
             written: tuple[Path, ...] = (path,)
         elif kind == "rosbag2":
-            written = tl.log.export_rosbag2(run, path)
+            written = tl.log.export_rosbag2(run, path, shares_poses=not tables.own_topics)
         elif kind == "tum":
             written = tl.log.export_tum(run, path)
         elif kind == "csv":
@@ -255,3 +270,11 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
         is_run = kind in {"mcap", "rosbag2"}
         require_read_back(run, written, tl.read_run(path) if is_run else None)
     return written
+
+
+def flatten_run(run: "Run") -> "Run":
+    """Return a run without heights and tilts, which recordings do not hold; itself in the plane."""
+    poses = run.poses
+    if poses.height_m is None and poses.tilt_rad is None:
+        return run
+    return replace(run, poses=replace(poses, height_m=None, tilt_rad=None))

@@ -46,6 +46,8 @@ _TOLD: Final = (
         "wheels",
         "reported_rates",
         "leaps",
+        "path_by_speed",
+        "still",
         "other_pose_topics",
         "other_frames",
         "other_command_topics",

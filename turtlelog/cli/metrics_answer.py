@@ -52,6 +52,7 @@ _WORDS: Final = {
     "rest_share": "share of the time at rest",
     "largest_gap": "longest time without a sample",
     "largest_pose_gap": "longest time without a pose",
+    "tilt_max": "largest tilt",
     "lag": "time lag",
 }
 

@@ -53,6 +53,9 @@ def film_runs(runs: "Sequence[Run]", options: MovieOptions, *, timeline: str) ->
         return
     from turtlelog.draw.movie import write_movie
 
+    bare = next((run.name for run in runs if not len(run.poses)), None)
+    if bare is not None:
+        raise UsageError(f"--movie: {bare} has commands alone, and a movie needs poses")
     with show_progress("filming", 100.0, "%") as progress:
         write_movie(
             runs,

@@ -293,7 +293,7 @@ def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list
         if str(word) in tl.PRESETS or (word.suffix.lower() == ".toml" and word.is_file())
     }
     if not scenarios:
-        return read_runs(words, topics, allow_no_poses=True) if words else []
+        return _require_alike(read_runs(words, topics, allow_no_poses=True) if words else [])
     runs = []
     for word in words:
         if word in scenarios:
@@ -301,6 +301,14 @@ def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list
                 runs.append(tl.simulate_run(tl.load_scenario(str(word))))
         else:
             runs += read_runs([word], topics, allow_no_poses=True)
+    return _require_alike(runs)
+
+
+def _require_alike(runs: "list[Run]") -> "list[Run]":
+    """Refuse runs without poses beside runs that have some: no axis is common to both."""
+    bare = [run.name for run in runs if not len(run.poses)]
+    if 0 < len(bare) < len(runs):
+        raise UsageError(f"{bare[0]} has commands alone, and other files have poses: plot it alone")
     return runs
 
 

@@ -77,4 +77,13 @@ from .table import (
     format_cell as format_cell,
     narrow_table as narrow_table,
 )
+from .trajectory_comparison import (
+    Delta as Delta,
+    TrajectoryComparison as TrajectoryComparison,
+    TrajectorySettings as TrajectorySettings,
+    compare_trajectories as compare_trajectories,
+    parse_delta as parse_delta,
+    tabulate_trajectories as tabulate_trajectories,
+)
+from .trajectory_errors import ErrorStatistics as ErrorStatistics
 from .tube import Tolerance as Tolerance

@@ -12,6 +12,7 @@ from .figures import (
     write_prediction_figure as write_prediction_figure,
     write_robot_figure as write_robot_figure,
     write_tables as write_tables,
+    write_trajectory_figure as write_trajectory_figure,
 )
 from .movie import write_movie as write_movie
 from .report import (

@@ -58,16 +58,26 @@ def cover_rivals(
             covered = _widen(covered, field, getattr(other, field))
     if not _is_wider(found, covered):
         return covered
-    names = [describe_structure(one) for one in (structure, *(one for one, _ in others))]
+    rivals = describe_rivals([structure, *(one for one, _ in others)])
     doubt = (
-        f"The log does not show what limits the {NAMES[found.axis]}: {' or '.join(names)}."
+        f"The log does not show what limits the {NAMES[found.axis]}: {rivals}."
         " The intervals cover each, and advice uses the longer delay."
     )
     return replace(covered, doubts=(*found.doubts, doubt))
 
 
-def describe_structure(structure: Structure) -> str:
-    """Return what a structure has beside a dead time and a time constant."""
+def describe_rivals(structures: Sequence[Structure]) -> str:
+    """Return what structures have beside a dead time and a time constant, what all have once."""
+    parts = [_list_parts(one) for one in structures]
+    shared = [part for part in parts[0] if all(part in other for other in parts)]
+    own = [[part for part in one if part not in shared] for one in parts]
+    if not shared:
+        return join_words([join_words(one) or "one time constant alone" for one in own], "or")
+    ways = [f"with {join_words(one)}" if one else "alone" for one in own]
+    return f"{join_words(shared)}, {join_words(sorted(ways, key='alone'.__ne__), 'or')}"
+
+
+def _list_parts(structure: Structure) -> list[str]:
     parts = {
         "second_order": "a second time constant",
         "limited_before": "a limit of the acceleration before the time constant",
@@ -78,7 +88,7 @@ def describe_structure(structure: Structure) -> str:
     said += ["another gain backwards"] if structure.has_reverse else []
     said += ["friction"] if structure.has_friction else []
     said += ["a deadband"] if structure.deadband else []
-    return join_words(said) if said else "one time constant alone"
+    return said
 
 
 def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:

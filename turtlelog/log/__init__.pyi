@@ -64,3 +64,6 @@ from .ros2 import (
     read_bag as read_bag,
     read_surroundings as read_surroundings,
 )
+from .trajectories import (
+    read_trajectory as read_trajectory,
+)

@@ -10,6 +10,7 @@ from turtlelog.files.urls import make_path
 from turtlelog.log import importers, recording, ros2
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
 from turtlelog.log.engine.framing import MCAP0_MAGIC
+from turtlelog.log.engine.opening import ROS1_MAGIC
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.file_info import RecordingInfo, read_info
@@ -62,7 +63,7 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
             )
         is_folder = path.is_dir()
         has_tables = _may_hold_tables(path) and importers.holds_tables(path)
-    is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_bag_file(path)
+    is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not is_bag_file(path)
     if names_topic and (has_tables or is_log):
         found = "tables" if has_tables else "a log"
         raise LogError(
@@ -78,7 +79,7 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
     is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
     others = choice.path_topic, choice.pose_frame, choice.world_frame
     # What should be a recording, and is no MCAP file, is told so.
-    if (is_usual and others == (None, None, None)) or not (is_folder or _is_bag_file(path)):
+    if (is_usual and others == (None, None, None)) or not (is_folder or is_bag_file(path)):
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
             return _note_unused(_aim(path, own, choice), choice)
@@ -126,7 +127,7 @@ def _list_options(choice: ReadChoice) -> ReadOptions:
     return cast("ReadOptions", {name: getattr(choice, name) for name in _OPTIONS})
 
 
-_MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC)
+_MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, ROS1_MAGIC)
 _OPTIONS: Final = tuple(ReadOptions.__annotations__)
 
 
@@ -156,7 +157,7 @@ def read_file_info(
             )
         is_folder = path.is_dir()
         has_tables = _may_hold_tables(path) and importers.holds_tables(path)
-    is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_bag_file(path)
+    is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not is_bag_file(path)
     if not has_tables and not is_log:
         is_partial = choice.allow_partial
         found = ros2.read_bag_info(path) if is_folder else read_info(path, allow_partial=is_partial)
@@ -205,7 +206,7 @@ def _may_hold_tables(path: Path) -> bool:
     return path.suffix.lower() in LOG_SUFFIXES or path.is_dir()
 
 
-def _is_bag_file(path: Path) -> bool:
+def is_bag_file(path: Path) -> bool:
     """Return whether a file begins as one of MCAP or SQLite, or as one that is compressed."""
     with name_file(path, expected="a recording, a bag or a log"), open_file(path) as stream:
         return stream.read(len(SQLITE_MAGIC)).startswith(_MAGICS)
@@ -223,7 +224,7 @@ def _read_own(path: Path, *, allow_partial: bool) -> "Run | None":
     try:
         return recording.read_if_own(files[0], allow_partial=allow_partial)
     except LogError:
-        if _is_bag_file(files[0]) and _is_foreign(files[0]):
+        if is_bag_file(files[0]) and _is_foreign(files[0]):
             return None
         raise
 

@@ -36,11 +36,16 @@ _ROWS_GROUPED: Final = 2**16
 _Write = Callable[[Run, str, Path], None]
 
 
-def export_rosbag2(run: Run, path: str | Path) -> tuple[Path, ...]:
+def export_rosbag2(run: Run, path: str | Path, *, shares_poses: bool = False) -> tuple[Path, ...]:
     """Write a run as a rosbag2 folder, which `ros2 bag` and all that builds on it open.
 
     Its one file is a recording as `write_recording` writes it, named as ROS 2 names the first file
     of a bag: `turtlelog` reads the folder back as the same run.
+
+    Args:
+        run: What is written.
+        path: The folder.
+        shares_poses: As for `write_recording`.
 
     Raises:
         LogError: Where the folder exists or cannot be written, or the run holds what a recording
@@ -55,7 +60,7 @@ def export_rosbag2(run: Run, path: str | Path) -> tuple[Path, ...]:
         raise LogError(f"{path}: expected a name of printable characters, found {name!a}")
     with create_folder(path) as folder:
         try:
-            write_recording(run, folder / name)
+            write_recording(run, folder / name, shares_poses=shares_poses)
         except LogError as err:
             # The temporary folder's name would mean nothing to anybody.
             raise LogError(f"{path}: {str(err).removeprefix(f'{folder / name}: ')}") from err

@@ -15,6 +15,11 @@ MOST_TILT_RAD: Final = 0.1
 """Tilt that counts as upright [rad]: at 0.1 rad a way seen from above is 0.5 % too short."""
 
 
+LEAST_LEVEL: Final = math.cos(math.radians(85.0))
+"""Level part of a forward axis of length 1 below which it points up or down and tells no heading:
+at 85 deg of pitch 1 deg of noise turns it by 11 deg."""
+
+
 def describe_plane(z_m: Values | None, tilt_rad: Values | None) -> str | None:
     """Return one sentence on a robot that leaves the plane, None where it stays in it.
 
@@ -25,16 +30,37 @@ def describe_plane(z_m: Values | None, tilt_rad: Values | None) -> str | None:
     heights, tilts = _keep_finite(z_m), _keep_finite(tilt_rad)
     found = []
     if len(heights) and (height := float(np.ptp(heights))) > MOST_HEIGHT_M:
-        found.append(f"its height varies by {height:.3g} m")
-    if len(tilts) and (tilt := float(tilts.max())) > MOST_TILT_RAD:
-        found.append(f"it tilts by up to {math.degrees(tilt):.3g} deg")
+        low_m, high_m = float(heights.min()), float(heights.max())
+        found.append(f"its height varies by {height:.3g} m ({low_m:.3g} to {high_m:.3g} m)")
+    if len(tilts) and float(tilts.max()) > MOST_TILT_RAD:
+        low, high = math.degrees(tilts.min()), math.degrees(tilts.max())
+        found.append(f"it tilts by {low:.3g} to {high:.3g} deg")
     if not found:
         return None
-    return f"the robot leaves the plane: {' and '.join(found)}; only x, y and heading are kept"
+    return f"the robot leaves the plane: {' and '.join(found)}; most metrics are seen from above"
+
+
+def lift_poses(z_m: Values | None, tilt_rad: Values | None) -> dict[str, Values]:
+    """Return the heights and tilts of a robot that leaves the plane, by the names of its columns.
+
+    Args:
+        z_m: As in `describe_plane`.
+        tilt_rad: Likewise.
+    """
+    if describe_plane(z_m, tilt_rad) is None:
+        return {}
+    found = {"height_m": z_m, "tilt_rad": tilt_rad}
+    return {
+        name: np.where(np.isfinite(values), values, np.nan)
+        for name, values in found.items()
+        if values is not None and np.isfinite(values).any()
+    }
 
 
 def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
     """Return the heading of the forward axis, seen from above, however the robot leans [rad].
+
+    NaN where that axis points up or down (`LEAST_LEVEL`).
 
     Args:
         x: Of quaternions of any length but 0, shape (n,), as the others.
@@ -43,7 +69,9 @@ def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
         w: Their scalar part.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # of lengths beyond 1e154 there is none
-        return np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
+        left, ahead = 2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2
+        level = np.hypot(left, ahead) >= LEAST_LEVEL * (w**2 + x**2 + y**2 + z**2)
+        return np.where(level, np.arctan2(left, ahead), np.nan)
 
 
 def compute_tilt(x: Values, y: Values, z: Values, w: Values) -> Values:

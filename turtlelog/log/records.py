@@ -13,6 +13,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.alike_messages import AlikeLayout, PackedItems, lay_out_alike
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import (
     LITTLE_ENDIAN,
@@ -27,6 +28,14 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 
 HEAD: Final = struct.Struct("<BQHIQQ4s")
 """Before the fields: opcode, length, channel, sequence, log and publish time, encapsulation."""
+
+_HEAD: Final = np.dtype(
+    [
+        *(("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")),
+        *(("log_time", "<u8"), ("publish_time", "<u8"), ("encapsulation", "u1", (4,))),
+    ]
+)
+"""The same as rows of an array."""
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """Plain CDR, little-endian."""
@@ -121,7 +130,10 @@ def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> C
     """
     kind = read_type(columns.type, schema.data.decode())
     fields, layout = kind.fields, kind.layout
+    has_rows = layout is None and len(columns) > 0
+    alike = lay_out_alike(fields, columns.fields) if has_rows else None
     known = dict.fromkeys(_name_fields(fields, ""))
+    known |= {} if alike is None else dict.fromkeys(alike.names)
     for name in columns.fields:
         if name not in known:
             raise LogError(f"{name}: expected a field of {columns.type}: {', '.join(known)}")
@@ -137,7 +149,9 @@ def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> C
         "publish_time": _fit("publish_time_ns", columns.publish_time_ns, "<u8"),
         "sequence": _fit("sequence", columns.sequence, "<u4"),
     }
-    if layout is None:
+    if alike is not None:
+        data, sizes = _encode_alike(alike, columns.fields, stamps, channel.id)
+    elif layout is None:
         data, sizes = _encode_varied(fields, columns.fields, stamps, channel.id)
     else:
         records = _encode_fixed(layout, columns.fields, stamps, channel.id)
@@ -163,6 +177,28 @@ def _encode_fixed(
             raise LogError(f"{name}: expected shape {shape}, found {values.shape}")
         records[name] = _fit(name, values, column.base.str)
     return records
+
+
+def _encode_alike(
+    layout: AlikeLayout, columns: Mapping[str, Column], stamps: Mapping[str, Column], channel: int
+) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Encode messages that differ in numbers alone."""
+    rows = len(stamps["log_time"])
+    numbers = {
+        name: _fit(name, columns[name], f"<{kind.replace('?', 'u1')}")
+        for name, kind, *_ in layout.numbers
+        if name in columns
+    }
+    heads = np.zeros(rows, dtype=_HEAD)
+    heads["opcode"], heads["channel"] = Opcode.MESSAGE, channel
+    heads["length"] = HEAD.size - RECORD.size + layout.size
+    heads["encapsulation"] = np.frombuffer(ENCAPSULATION, np.uint8)
+    for name, values in stamps.items():
+        heads[name] = values
+    found = np.concatenate(
+        [heads.view(np.uint8).reshape(rows, -1), layout.fill(rows, numbers)], axis=1
+    )
+    return found.reshape(-1), np.full(rows, found.shape[1], dtype=np.int64)
 
 
 def _encode_varied(
@@ -254,6 +290,10 @@ def _append_fields(
 
 
 def _append_items(body: bytearray, field: Field, items: Any) -> None:
+    if isinstance(items, PackedItems):
+        _append_item(body, "u4", items.count)
+        body += bytes(-len(body) % 8) + items.data
+        return
     if items is None:
         items = [None] * (field.length or 0)
     if field.is_sequence:

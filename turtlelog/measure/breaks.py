@@ -12,6 +12,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, join_words
+from turtlelog.measure.excess_steps import (
+    ACCELERATION,
+    LATE,
+    find_changing_rows,
+    find_excess_steps,
+    measure_steps,
+)
 from turtlelog.measure.motion import GAP_STEPS
 from turtlelog.measure.outliers import (
     GRAINS,
@@ -22,8 +29,7 @@ from turtlelog.measure.outliers import (
     find_outliers,
     find_quantisation_step,
 )
-from turtlelog.run import PoseColumns, Run
-from turtlelog.run.angles import subtract_headings
+from turtlelog.run import PoseColumns, Run, take_rows
 
 Values = NDArray[np.float64]
 
@@ -34,8 +40,8 @@ _FAST: Final = 3.0
 """A step is a jump from this many times the greatest rate that lasts: a robot on the brink of that
 rate, and a pose that is late by a whole step, make 2 together."""
 
-_ACCELERATION: Final = (2.0, 10.0)
-"""What a robot reaches from rest [m/s2, rad/s2], where it was never seen to move so fast."""
+_TOLD: Final = 0.1
+"""Share of a jump from which on the way that was driven meanwhile is said."""
 
 _ROUNDING: Final = 1e-5
 """What the 32-bit rounding of two poses makes of a step [m, rad]."""
@@ -68,6 +74,8 @@ class PoseJump:
         moved_m: Forward along the heading, backward negative [m].
         aside_m: Distance to the left [m].
         turned_rad: Counter-clockwise [rad].
+        excess_m: How much further that is than the robot drove, as its neighbours say [m].
+        excess_rad: Likewise of the turn [rad].
     """
 
     row: int
@@ -75,6 +83,8 @@ class PoseJump:
     moved_m: float
     aside_m: float
     turned_rad: float
+    excess_m: float
+    excess_rad: float
 
 
 def find_gaps(run: Run) -> tuple[PoseGap, ...]:
@@ -99,19 +109,24 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     """Return the steps from pose to pose that the robot cannot have driven.
 
     Those are the steps that are far beyond its greatest rate; single ones that neither the step
-    before nor the one after comes near, in the sense of `find_outliers`; and single ones against
-    the way of five steps on either side.
+    before nor the one after comes near, in the sense of `find_outliers`; single ones against the
+    way of five steps on either side; and single ones that exceed what these five drive
+    (`find_excess_steps`).
     """
-    poses = run.poses
+    rows = find_changing_rows(run.poses)
+    poses = run.poses if len(rows) == len(run.poses) else _take_poses(run.poses, rows)
     if len(poses) < 3:
         return ()
-    steps = _measure_steps(poses)
+    steps = measure_steps(poses)
     step_ns = np.diff(poses.time_ns)
     usual_ns = np.asarray(np.maximum(step_ns, compute_median(step_ns)))
     moved, turned = np.hypot(steps[0], steps[1]), np.abs(steps[2])
     applied = [poses.speed_m_s, poses.turn_rate_rad_s]
     is_jump = np.zeros(len(step_ns), dtype=bool)
-    for way, seen, acceleration in zip((moved, turned), applied, _ACCELERATION, strict=True):
+    excess = find_excess_steps(poses)
+    if poses.speed_m_s is None:
+        is_jump |= excess.is_jump
+    for way, seen, acceleration in zip((moved, turned), applied, ACCELERATION, strict=True):
         rate = _find_lasting_rate(way / usual_ns * 1e9, seen)
         reached = np.maximum(rate, acceleration * usual_ns / 1e9)
         is_jump |= way > _FAST * reached * usual_ns / 1e9 + _ROUNDING
@@ -121,17 +136,31 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
         can_lead_back = (name != "aside") & (step_ns <= LONGEST_STEP_NS)
         stands_out = _find_reversals(rate) & can_lead_back
         stands_out[find_outliers(poses.time_ns[1:], rate)] = True
+        # Of a step that lost poses the way is a mean, which says nothing of either end.
+        stands_out &= step_ns <= LATE * compute_median(step_ns)
         is_jump |= stands_out & (np.abs(way - _smooth(way)) > _ROUNDING)
+    beyond_m, beyond_rad = np.hypot(excess.ahead_m, excess.aside_m), np.abs(excess.turned_rad)
+    # At either end nothing tells what of a step is driving.
+    for beyond, whole in ((beyond_m, moved), (beyond_rad, turned)):
+        beyond[:NEIGHBOURS], beyond[-NEIGHBOURS:] = whole[:NEIGHBOURS], whole[-NEIGHBOURS:]
     return tuple(
         PoseJump(
-            row=row + 1,
+            row=int(rows[row + 1]),
             time_ns=int(poses.time_ns[row + 1]),
             moved_m=float(steps[0][row]),
             aside_m=float(steps[1][row]),
             turned_rad=float(steps[2][row]),
+            excess_m=float(beyond_m[row]),
+            excess_rad=float(beyond_rad[row]),
         )
         for row in np.flatnonzero(is_jump).tolist()
     )
+
+
+def _take_poses(poses: PoseColumns, rows: NDArray[np.int64]) -> PoseColumns:
+    is_kept = np.zeros(len(poses), dtype=np.bool_)
+    is_kept[rows] = True
+    return take_rows(poses, is_kept)
 
 
 def describe_breaks(run: Run) -> dict[str, str]:
@@ -155,7 +184,7 @@ def _format_s(gap: PoseGap) -> str:
 
 
 def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int) -> str:
-    largest = max(jumps, key=lambda jump: abs(jump.moved_m) + abs(jump.aside_m))
+    largest = max(jumps, key=lambda jump: (jump.excess_m, jump.excess_rad))
     which = "" if len(jumps) == 1 else "the largest "
     ways = {
         "m ahead": largest.moved_m,
@@ -167,16 +196,12 @@ def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int) -> str:
     if abs(largest.turned_rad) > _ROUNDING:
         parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")
     at_s = (largest.time_ns - start_ns) / 1e9
-    return f"{describe_count(len(jumps), 'jump')}, {which}{join_words(parts)} at {at_s:.1f} s"
-
-
-def _measure_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
-    """Return each step along and across the mean heading of its two poses [m], and turned [rad]."""
-    turned_rad = subtract_headings(poses.heading_rad[1:], poses.heading_rad[:-1])
-    mean_rad = poses.heading_rad[:-1] + 0.5 * turned_rad
-    x_m, y_m = np.diff(poses.xy_m, axis=0).T
-    cos, sin = np.cos(mean_rad), np.sin(mean_rad)
-    return x_m * cos + y_m * sin, y_m * cos - x_m * sin, turned_rad
+    way_m = float(np.hypot(largest.moved_m, largest.aside_m))
+    beyond = ""
+    if abs(largest.excess_m - way_m) > _TOLD * way_m:
+        beyond = f", {largest.excess_m:.3g} m more than it drove"
+    count = describe_count(len(jumps), "jump")
+    return f"{count}, {which}{join_words(parts)} at {at_s:.1f} s{beyond}"
 
 
 def _find_reversals(rate: Values) -> NDArray[np.bool_]:

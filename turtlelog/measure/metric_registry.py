@@ -60,6 +60,9 @@ _ESSENTIAL_OF_MOTION: Final = (
 )
 """Of a robot of which nothing but its poses is known."""
 
+_ESSENTIAL_IN_SPACE: Final = ("run.path_length_in_space", "run.height_range", "run.tilt_max")
+"""And of one that leaves the plane."""
+
 _ESSENTIAL_OF_COMMANDS: Final = (
     *("run.duration", "run.sample_rate", "run.largest_gap"),
     *(
@@ -123,9 +126,11 @@ def _list_of_motion(runs: Collection[Run]) -> tuple[str, ...]:
     has_goal = any(run.goal_xy_m is not None for run in runs)
     has_path = any(run.path is not None for run in runs)
     has_commands = any(len(run.commands) for run in runs)
+    has_space = any(run.poses.height_m is not None for run in runs)
     return (
         *(_ESSENTIAL_WITH_GOAL if has_goal else ()),
         *_ESSENTIAL_OF_MOTION[:-1],
+        *(_ESSENTIAL_IN_SPACE if has_space else ()),
         *(_ESSENTIAL_WITH_PATH if has_path else ()),
         *(_ESSENTIAL_WITH_COMMANDS if has_commands else ()),
         *_ESSENTIAL_OF_MOTION[-1:],

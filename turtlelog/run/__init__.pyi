@@ -25,3 +25,7 @@ from .tables import (
     TABLES as TABLES,
     tabulate_run as tabulate_run,
 )
+from .trajectory import (
+    Trajectory as Trajectory,
+    build_planar_trajectory as build_planar_trajectory,
+)

@@ -28,6 +28,8 @@ _MAY_BE_NAN = frozenset(
         "reference_heading_rad",
         "sensed_xy_m",
         "sensed_heading_rad",
+        "height_m",
+        "tilt_rad",
     }
 )
 """Columns whose rows are NaN if a sample does not have them."""
@@ -57,6 +59,9 @@ class PoseColumns:
         sensed_xy_m: Position as it was sensed, which is what the controller reads [m], shape (n,
             2); NaN if a pose dropped out, None if the pose itself is read.
         sensed_heading_rad: Heading likewise [rad], shape (n,).
+        height_m: Above the plane of x and y [m], shape (n,); NaN where a pose has none, None of a
+            robot that stays in the plane.
+        tilt_rad: Angle between the robot's vertical axis and the world's [rad], likewise.
     """
 
     time_ns: NDArray[np.int64]
@@ -68,6 +73,8 @@ class PoseColumns:
     measured_turn_rate_rad_s: NDArray[np.float64] | None = None
     sensed_xy_m: NDArray[np.float64] | None = None
     sensed_heading_rad: NDArray[np.float64] | None = None
+    height_m: NDArray[np.float64] | None = None
+    tilt_rad: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "pose")

@@ -13,7 +13,7 @@ from turtlelog.log.error_boundary import open_file
 from turtlelog.log.importers.exported_tables import list_table_files
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE
 
-ENDINGS: Final = (*BAG_SUFFIXES, ".csv", ".json", ".parquet", ".tsv", ".tum")
+ENDINGS: Final = (*BAG_SUFFIXES, ".bag", ".csv", ".json", ".parquet", ".tsv", ".tum")
 """How files end that count as recordings. Not .txt, which may be read where it is named: most are
 prose."""
 

@@ -35,7 +35,7 @@ def list_columns(run: Run) -> dict[str, Any]:
 
 
 def is_newer(name: str) -> bool:
-    words = ("states", "reference", "sensed", "shaped", "measured")
+    words = ("states", "reference", "sensed", "shaped", "measured", "height", "tilt")
     return name.partition(".")[2].startswith(words)
 
 

@@ -57,18 +57,19 @@ def say_scan(
 
 
 def say_map(
-    cells: list[int], width: int, *, frame: str = "odom", by: Turn = (0.0, 0.0, 0.0, 1.0)
+    cells: list[int], width: int, *, frame: str = "odom", topic: str = "/map", at_s: float = 0.0
 ) -> Said:
     info = {
         "map_load_time": {"sec": 0, "nanosec": 0},
         "resolution": 0.5,
         "width": width,
         "height": len(cells) // width,
-        "origin": describe_place(1.0, 2.0, by),
+        "origin": describe_place(1.0, 2.0, turn(0.0)),
     }
     return Said(
-        topic="/map",
+        topic=topic,
         type="nav_msgs/msg/OccupancyGrid",
+        time_ns=START_NS + round(at_s * SECOND_NS),
         values={"header": describe_head(frame), "info": info, "data": cells},
     )
 
@@ -162,6 +163,13 @@ def test_a_map_has_its_occupied_cells_where_its_origin_says(tmp_path: Path) -> N
     seen = look(tmp_path, say_map([0, 100, 64, -1, 65, 0], 3))
     np.testing.assert_allclose(seen.map_xy_m, [[1.75, 2.25], [1.75, 2.75]])
     assert seen.map_cell_m == 0.5
+
+
+def test_the_map_is_taken_and_not_the_costmap_that_is_sent_more_often(tmp_path: Path) -> None:
+    costs = [say_map([100] * 4, 2, topic="/global_costmap/costmap", at_s=at) for at in (1.0, 2.0)]
+    assert len(look(tmp_path, say_map([100], 1), costs).map_xy_m) == 1
+    (tmp_path / "alone").mkdir()
+    assert len(look(tmp_path / "alone", costs).map_xy_m) == 4
 
 
 def test_a_map_in_another_frame_follows_the_transforms(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_a_correction_that_moves_is_held_and_poses_before_it_are_counted(tmp_pat
     assert run.poses.heading_rad.tolist() == pytest.approx([math.pi / 2] * 3)
     assert run.notes["pose_topic"].endswith("map -> base_link")
     assert run.notes["held_transforms"].startswith("map -> odom: the newest")
-    assert run.notes["dropped_before_transforms"] == "1 poses before the first of map -> odom"
+    assert run.notes["dropped_before_transforms"] == "1 pose before the first of map -> odom"
 
 
 def test_frames_that_are_asked_for_are_joined_up_and_down(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
+import turtlelog as tl
 from tests.log.ros2.bags import (
     START_NS,
     TICK_NS,
@@ -273,3 +274,15 @@ def test_a_folder_that_is_no_bag_is_named(tmp_path: Path) -> None:
     line = r"expected a bag, found a folder without metadata\.yaml, \.mcap or \.db3 files"
     with pytest.raises(LogError, match=line):
         read_bag(tmp_path)
+
+
+def test_a_topic_of_sensed_poses_has_no_rates_and_is_read(tmp_path: Path) -> None:
+    scenario = tl.override_scenario(
+        tl.load_scenario("paper-kp4"), {"sensing.noise_position_m": 0.01}, source="test"
+    )
+    run = tl.simulate_run(scenario)
+    tl.write_recording(run, tmp_path / "a.mcap")
+    sensed = tl.read_run(tmp_path / "a.mcap", pose_topic="/turtle1/sensed_pose")
+    np.testing.assert_allclose(sensed.poses.xy_m, run.poses.read_xy_m, atol=1e-6)
+    assert sensed.poses.speed_m_s is None
+    assert {"poses.speed_m_s", "poses.turn_rate_rad_s"} <= {*sensed.absent}

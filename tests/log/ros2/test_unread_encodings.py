@@ -11,14 +11,14 @@ from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_file_info, read_info, read_run
 from turtlelog.log.engine import iter_columns
 
-ROS1 = "its messages are in the encoding ros1, and turtlelog reads cdr and json"
-PROTOBUF = "its messages are in the encoding protobuf, and turtlelog reads cdr and json"
+FLAT = (
+    "its messages are in the encoding flatbuffer, and turtlelog reads cdr, json, ros1 and protobuf"
+)
 KINDS = pytest.mark.parametrize(
     ("encoding", "schema", "kind", "reason"),
     [
-        ("ros1", "ros1msg", "nav_msgs/Odometry", ROS1),
-        ("ros1", "ros1msg", "nav_msgs/msg/Odometry", ROS1),
-        ("protobuf", "protobuf", "foxglove.PoseInFrame", PROTOBUF),
+        ("flatbuffer", "flatbuffer", "nav_msgs/Odometry", FLAT),
+        ("flatbuffer", "flatbuffer", "nav_msgs/msg/Odometry", FLAT),
     ],
 )
 
@@ -69,13 +69,10 @@ def test_a_topic_that_is_asked_for_is_refused_with_that_reason(
         read_columns(path, ["/odom"])
 
 
-def test_what_to_do_depends_on_the_encoding(tmp_path: Path) -> None:
-    ros1 = write_encoded(tmp_path / "a.mcap", "ros1", "ros1msg", "nav_msgs/Odometry")
-    (reason,) = read_info(ros1).not_understood
-    assert reason.endswith("cdr and json; convert the .bag file with rosbags-convert")
+def test_what_to_do_is_told_with_the_encoding(tmp_path: Path) -> None:
     other = write_encoded(tmp_path / "b.mcap", "flatbuffer", "flatbuffer", "Pose")
     (reason,) = read_info(other).not_understood
-    assert reason.endswith("cdr and json; record the topic in one of these")
+    assert reason.endswith("cdr, json, ros1 and protobuf; record the topic in one of these")
 
 
 def test_messages_that_name_no_encoding_are_refused_with_that_reason(tmp_path: Path) -> None:
@@ -87,10 +84,10 @@ def test_messages_that_name_no_encoding_are_refused_with_that_reason(tmp_path: P
 def test_commands_in_another_encoding_are_named_beside_the_poses(tmp_path: Path) -> None:
     poses = write_mcap(tmp_path / "a.mcap", make_poses())
     other = write_encoded(
-        tmp_path / "b.mcap", "ros1", "ros1msg", "geometry_msgs/Twist", "/turtle1/cmd_vel"
+        tmp_path / "b.mcap", "flatbuffer", "flatbuffer", "geometry_msgs/Twist", "/turtle1/cmd_vel"
     )
     run = read_run(add_topic(poses, other))
-    told = f"topic /turtle1/cmd_vel: not understood: {ROS1}"
+    told = f"topic /turtle1/cmd_vel: not understood: {FLAT}"
     assert "commands" in run.absent
     assert run.notes["not_understood"].startswith(told)
     assert f"no commands; {told}" in run.notes["chosen"]
@@ -98,7 +95,7 @@ def test_commands_in_another_encoding_are_named_beside_the_poses(tmp_path: Path)
 
 def test_poses_that_can_be_read_go_before_those_that_cannot(tmp_path: Path) -> None:
     poses = write_mcap(tmp_path / "a.mcap", [*make_poses(), make_command()])
-    other = write_encoded(tmp_path / "b.mcap", "ros1", "ros1msg", "nav_msgs/msg/Odometry")
+    other = write_encoded(tmp_path / "b.mcap", "flatbuffer", "flatbuffer", "nav_msgs/msg/Odometry")
     run = read_run(add_topic(poses, other))
     assert run.notes["pose_topic"].startswith("/turtle1/pose")
     assert run.notes["not_understood"].startswith("topic /odom")
@@ -106,14 +103,16 @@ def test_poses_that_can_be_read_go_before_those_that_cannot(tmp_path: Path) -> N
 
 def test_an_image_that_cannot_be_read_is_no_matter_of_a_run(tmp_path: Path) -> None:
     poses = write_mcap(tmp_path / "a.mcap", [*make_poses(), make_command()])
-    other = write_encoded(tmp_path / "b.mcap", "ros1", "ros1msg", "sensor_msgs/Image", "/image")
+    other = write_encoded(
+        tmp_path / "b.mcap", "flatbuffer", "flatbuffer", "sensor_msgs/Image", "/image"
+    )
     assert "not_understood" not in read_run(add_topic(poses, other)).notes
 
 
 def test_what_can_be_read_is_read_beside_what_cannot(tmp_path: Path) -> None:
     folder = add_topic(
         write_mcap(tmp_path / "a.mcap", make_poses()),
-        write_encoded(tmp_path / "b.mcap", "ros1", "ros1msg", "nav_msgs/Odometry"),
+        write_encoded(tmp_path / "b.mcap", "flatbuffer", "flatbuffer", "nav_msgs/Odometry"),
     )
     assert [*read_columns(folder / "bag_0.mcap")] == ["/turtle1/pose"]
     assert len(read_file_info(folder).not_understood) == 1

@@ -15,6 +15,7 @@ from turtlelog.draw.figures.page import Page
 from turtlelog.draw.figures.prediction_figure import write_prediction_figure
 from turtlelog.draw.figures.robot_figure import write_robot_figure
 from turtlelog.draw.figures.sweep_figures import draw_map, write_map_figure
+from turtlelog.draw.figures.trajectory_figure import write_trajectory_figure
 from turtlelog.draw.figures.writing import draw_figure, write_figures, write_tables
 
 __all__ = [
@@ -31,4 +32,5 @@ __all__ = [
     "write_prediction_figure",
     "write_robot_figure",
     "write_tables",
+    "write_trajectory_figure",
 ]

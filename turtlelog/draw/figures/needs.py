@@ -90,7 +90,10 @@ _LACKS: Final[Mapping[str, Callable[[Run], str]]] = MappingProxyType(
             or _lack("a plant that is 1/s", is_held=find_plant(run).name != LAGGED)
         ),
         "known_gain": lambda run: _lack("the law's gain", is_held=_has_gain(run)),
-        "commands": lambda run: _lack("commands", is_held=not lacks_commands(run)),
+        "commands": lambda run: (
+            _lack(POSES, is_held=len(run.poses) > 0)
+            or _lack("commands", is_held=not lacks_commands(run))
+        ),
         "samples": lambda run: _lack(SAMPLES, is_held=len(run.samples) > 0),
         "poses": lambda run: _lack(POSES, is_held=len(run.poses) > 0),
         "goal": lambda run: (

@@ -1,6 +1,6 @@
 """The channels of a file -> its topics, and how the messages of each become columns."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
@@ -8,6 +8,7 @@ from typing import Any, Final
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
+from turtlelog.display import join_words
 from turtlelog.errors import LogError
 from turtlelog.log.engine.json_messages import JsonField, read_json_schema
 from turtlelog.log.engine.known_definitions import find_definition
@@ -27,19 +28,36 @@ _SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         # Without an encoding there is no text: the type's name must do.
         MessageEncoding.CDR: (SchemaEncoding.ROS2, "ros2idl", "omgidl", ""),
         MessageEncoding.JSON: (SchemaEncoding.JSONSchema,),
+        MessageEncoding.ROS1: (SchemaEncoding.ROS1,),
+        MessageEncoding.Protobuf: (SchemaEncoding.Protobuf,),
     }
 )
 """Encodings of schemas, by that of the messages that they define."""
 
-_ADVICE: Final = MappingProxyType({"ros1": "convert the .bag file with rosbags-convert"})
-"""What to do about messages in an encoding that is not read; of others `_USUAL_ADVICE`."""
-
-_USUAL_ADVICE: Final = "record the topic in one of these"
+_ADVICE: Final = "record the topic in one of these"
+"""What to do about messages in an encoding that is not read."""
 
 
 _HEAD: Final = 20  # bytes of two times and a number
 _NUMBER, _TEXT, _SEQUENCE = 8, 72, 200  # bytes; texts and sequences are objects
 _NUMBERS: Final = frozenset({"boolean", "integer", "number"})
+
+
+Decode = Callable[[int, bytes], dict[str, Any]]
+"""Makes an object of a message, whose number it names in errors."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectType:
+    """A type whose messages are read as objects.
+
+    Attributes:
+        fields: What each holds.
+        decode: What makes an object of a message; None of JSON.
+    """
+
+    fields: tuple[JsonField, ...]
+    decode: Decode | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +71,10 @@ class TopicPlan:
         fields: Of the type.
         layout: Of the type; None where its messages differ in size.
         sequence: Dotted name of a sequence of texts or messages in the type, None without one.
-        json: What each message holds, where messages are in JSON; None where they are in CDR.
+        json: What each message holds, where messages are in JSON or protobuf; None where they are
+            in CDR.
+        decode: What makes an object of a message in protobuf; None of one in JSON.
+        is_ros1: Whether messages are as ROS 1 writes them, and become CDR before they are read.
     """
 
     topic: str
@@ -63,6 +84,8 @@ class TopicPlan:
     layout: Layout | None = None
     sequence: str | None = None
     json: tuple[JsonField, ...] | None = None
+    decode: Decode | None = None
+    is_ros1: bool = False
 
     def describe_reason(self) -> str:
         """Return the topic with the reason why it cannot be understood, as errors name it."""
@@ -78,7 +101,7 @@ class TopicPlan:
     @property
     def meaning(self) -> object:
         """What channels of one topic have in common."""
-        return self.type, self.fields, self.json, self.reason
+        return self.type, self.fields, self.json, self.is_ros1, self.reason
 
 
 def describe_unread(topic: str, reason: str) -> str:
@@ -99,7 +122,7 @@ class Catalogue:
         self.allowance = allowance
         self._plans: dict[str, TopicPlan] = {}
         self._of_topics: dict[str, list[Channel]] = {}
-        self._types: dict[int, MessageType | tuple[JsonField, ...] | str] = {}
+        self._types: dict[int, MessageType | ObjectType | str] = {}
         self._readings: dict[tuple[int, str], dict[str, Any]] = {}
 
     @property
@@ -123,7 +146,7 @@ class Catalogue:
         Raises:
             DamageError: Where one differs from another of its id; `byte` is where they stand.
         """
-        for record in records:
+        for record in map(_name_type, records):
             if not isinstance(record, Schema | Channel):
                 continue
             if self._find_known(record) is None:
@@ -137,7 +160,7 @@ class Catalogue:
         Raises:
             DamageError: Where one differs.
         """
-        for record in records:
+        for record in map(_name_type, records):
             known = self._find_known(record)
             if known is not None and known is not record and known != record:
                 kind = type(record).__name__.lower()
@@ -236,11 +259,12 @@ class Catalogue:
                     "fields": described.fields,
                     "layout": described.layout,
                     "sequence": described.sequence,
+                    "is_ros1": encoding == MessageEncoding.ROS1,
                 }
-            case fields:
-                return {**found, "json": fields}
+            case described:
+                return {**found, "json": described.fields, "decode": described.decode}
 
-    def _read_type(self, schema: Schema) -> MessageType | tuple[JsonField, ...] | str:
+    def _read_type(self, schema: Schema) -> MessageType | ObjectType | str:
         """Return the type, or why there is none."""
         if schema.id not in self._types:
             try:
@@ -250,13 +274,22 @@ class Catalogue:
         return self._types[schema.id]
 
 
+def _name_type(record: Any) -> Any:
+    """Return a record, a schema of ROS 1 with its type as ROS 2 calls it."""
+    if not isinstance(record, Schema) or record.encoding != SchemaEncoding.ROS1:
+        return record
+    from turtlelog.log.engine.ros1_messages import name_as_ros2  # few files need it
+
+    name = name_as_ros2(record.name)
+    return Schema(id=record.id, name=name, encoding=record.encoding, data=record.data)
+
+
 def _describe_encoding(encoding: str) -> str:
     """Return why messages in an encoding are not read, and what to do."""
-    read = " and ".join(_SCHEMAS)
+    read = join_words([*_SCHEMAS])
     if not encoding:
-        return f"its messages name no encoding, and turtlelog reads {read}; {_USUAL_ADVICE}"
-    advice = _ADVICE.get(encoding, _USUAL_ADVICE)
-    return f"its messages are in the encoding {encoding}, and turtlelog reads {read}; {advice}"
+        return f"its messages name no encoding, and turtlelog reads {read}; {_ADVICE}"
+    return f"its messages are in the encoding {encoding}, and turtlelog reads {read}; {_ADVICE}"
 
 
 def _measure(fields: tuple[Field, ...]) -> int:
@@ -271,12 +304,18 @@ def _measure_field(field: Field) -> int:
     return _measure(field.kind)
 
 
-def _parse(schema: Schema, allowance: Allowance) -> MessageType | tuple[JsonField, ...]:
+def _parse(schema: Schema, allowance: Allowance) -> MessageType | ObjectType:
     allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
-    if schema.encoding == SchemaEncoding.JSONSchema:
-        fields = read_json_schema(schema.name, schema.data)
-        allowance.spend(FIELDS, len(fields))
-        return fields
+    if schema.encoding in {SchemaEncoding.JSONSchema, SchemaEncoding.Protobuf}:
+        described = _describe_objects(schema)
+        allowance.spend(FIELDS, len(described.fields))
+        return described
+    if schema.encoding == SchemaEncoding.ROS1:
+        from turtlelog.log.engine.ros1_messages import read_ros1_type  # few files need it
+
+        found = read_ros1_type(schema.name, _read_text(schema, None))
+        allowance.spend(FIELDS, found.size)
+        return found
     known = find_definition(schema.name)
     try:
         found = read_type(schema.name, _read_text(schema, known))
@@ -288,18 +327,28 @@ def _parse(schema: Schema, allowance: Allowance) -> MessageType | tuple[JsonFiel
     return found
 
 
+def _describe_objects(schema: Schema) -> ObjectType:
+    if schema.encoding == SchemaEncoding.JSONSchema:
+        return ObjectType(fields=read_json_schema(schema.name, schema.data))
+    from turtlelog.log.engine.protobuf_messages import read_protobuf_type  # few files need it
+
+    found = read_protobuf_type(schema.name, schema.data)
+    return ObjectType(fields=tuple(found.list_fields()), decode=found.decode)
+
+
 def _read_text(schema: Schema, known: str | None) -> str:
     """Return a definition in `ros2msg`: the schema's own, or what is known where it has none."""
     size = len(schema.data)
     if size > LONGEST_TEXT:
         raise LogError(f"schema {schema.name}: expected up to {LONGEST_TEXT} bytes, found {size}")
     # In ros2msg a type without fields has an empty text.
-    if not size and (known is not None or schema.encoding != SchemaEncoding.ROS2):
+    plain = (SchemaEncoding.ROS2, SchemaEncoding.ROS1)
+    if not size and (known is not None or schema.encoding not in plain):
         if known is None:
             raise LogError(f"its type {schema.name} is not known and the file holds no definition")
         return known
     text = schema.data.decode()
-    if schema.encoding == SchemaEncoding.ROS2:
+    if schema.encoding in plain:
         return text
     from turtlelog.log.engine.idl import convert_idl
 

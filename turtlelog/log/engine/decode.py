@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
-from turtlelog.log.engine.channels import TopicPlan
+from turtlelog.log.engine.channels import Decode, TopicPlan
 from turtlelog.log.engine.chunks import ZSTD_MAGIC, unpack_chunk
 from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.json_messages import JsonField, decode_json
+from turtlelog.log.engine.json_messages import JsonField, decode_objects
 from turtlelog.log.engine.limits import UNPACKED, Allowance
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
@@ -53,7 +53,7 @@ def read_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     """
     try:
         if plan.json is not None:
-            return _read_json(plan.json, block, starts)
+            return _read_objects(plan.json, plan.decode, block, starts)
         if plan.layout is None:
             return _read_differing(plan, block, starts)
         return _read_fixed(plan.layout, block.data, starts)
@@ -94,6 +94,23 @@ def unpack_messages(
         unpacked += heads[number].tobytes()
         unpacked += data
     return replace(block, data=bytes(unpacked), offsets={}, rest=()), new_starts
+
+
+def rewrite_ros1(plan: TopicPlan, block: Block, starts: Offsets) -> tuple[Block, Offsets]:
+    """Return messages of ROS 1 as CDR, others as they are.
+
+    Raises:
+        LogError: Where one is not of the topic's type.
+    """
+    if not plan.is_ros1:
+        return block, starts
+    from turtlelog.log.engine.ros1_messages import convert_ros1  # few files need it
+
+    try:
+        data, places = convert_ros1(plan.fields, block.data, starts)
+    except LogError as err:
+        raise LogError(f"{block.unit} {block.byte}: topic {plan.topic}: {err}") from err
+    return replace(block, data=data, offsets={}, rest=()), places
 
 
 class FixedColumns:
@@ -252,7 +269,9 @@ def _read_differing(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     return columns
 
 
-def _read_json(fields: Sequence[JsonField], block: Block, starts: Offsets) -> Rows:
+def _read_objects(
+    fields: Sequence[JsonField], decode: Decode | None, block: Block, starts: Offsets
+) -> Rows:
     heads = gather_heads(block.data, starts)
     ends = starts + RECORD.size + heads["length"].astype(np.int64)
     _check_times(heads["log_time"], heads["publish_time"])
@@ -264,7 +283,7 @@ def _read_json(fields: Sequence[JsonField], block: Block, starts: Offsets) -> Ro
         LOG_TIME: heads["log_time"].astype(np.int64),
         PUBLISH_TIME: heads["publish_time"].astype(np.int64),
         SEQUENCE: heads["sequence"].astype(np.uint32),
-        **decode_json(fields, messages),
+        **decode_objects(fields, messages, decode),
     }
 
 

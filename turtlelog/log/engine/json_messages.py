@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, Literal
@@ -88,8 +88,17 @@ def keep_flat(fields: Sequence[JsonField]) -> tuple[JsonField, ...]:
     return tuple(field for field in fields if field.kind != "any")
 
 
-def decode_json(fields: Sequence[JsonField], messages: Sequence[bytes]) -> dict[str, Column]:
+def decode_objects(
+    fields: Sequence[JsonField],
+    messages: Sequence[bytes],
+    decode: Callable[[int, bytes], dict[str, Any]] | None = None,
+) -> dict[str, Column]:
     """Return the fields of messages as columns, by dotted name.
+
+    Args:
+        fields: What is wanted.
+        messages: One by one.
+        decode: Makes an object of a message, whose number it names in errors; None: it is JSON.
 
     Numbers that a message lacks are NaN, texts empty, anything else None. Of whole numbers and
     truth values, of which there is no NaN, the column is then one of floats.
@@ -99,7 +108,7 @@ def decode_json(fields: Sequence[JsonField], messages: Sequence[bytes]) -> dict[
     """
     columns: list[list[Any]] = [[] for _ in fields]
     for row, data in enumerate(messages):  # one at a time: objects are larger than their text
-        found = _decode(row, data)
+        found = (decode or _decode)(row, data)
         for field, column in zip(fields, columns, strict=True):
             value = _take(field, row, found)
             is_there = value is not _ABSENT and value is not None

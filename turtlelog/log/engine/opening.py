@@ -1,7 +1,6 @@
 """A file -> what reads it, told by its first bytes: MCAP or SQLite, plain or compressed."""
 
 import io
-import shlex
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -168,14 +167,42 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
             stream = closing.enter_context(_Unpacked(place, stored_size))
         head = _read_head(stream)
         if head.startswith(ROS1_MAGIC):
-            target = shlex.quote(str(path.with_suffix("")))
-            raise LogError(
-                "expected a bag of ROS 2, found one of ROS 1: convert it with"
-                f" rosbags-convert --src {shlex.quote(str(path))} --dst {target}"
-            )
+            if faults is not None:
+                raise LogError("a bag of ROS 1 is not recovered; rosbag reindex FILE does")
+            stored_size = measure_stored(stream)
+            place = _copy_ros1(path, stream, stored_size)
+            stream = closing.enter_context(_Unpacked(place, stored_size))
         if not head and ".db3" in path.suffixes:
             raise LogError("expected a bag in SQLite, found an empty file")
         yield stream, place
+
+
+_COPIES: Final[dict[object, Path]] = {}
+"""Bags of ROS 1 as MCAP files, by what tells them; a command opens a file several times."""
+
+_MOST_COPIES: Final = 4
+
+
+def _copy_ros1(path: Path, stream: BinaryIO, stored_size: int) -> Path:
+    """Return where the messages of a bag of ROS 1 stand as an MCAP file, until the program ends."""
+    from multiprocessing.util import Finalize  # few files need these
+
+    from turtlelog.log.ros1_bag import copy_ros1_bag
+
+    known = None if isinstance(path, RemotePath) else path.stat()
+    key = known and (str(path.resolve()), known.st_mtime_ns, known.st_size, known.st_ino)
+    if key in _COPIES:
+        return _COPIES[key]
+    folder = Path(tempfile.mkdtemp(prefix="turtlelog-"))
+    # At the end of processes that share work, too, which atexit does not see.
+    Finalize(None, shutil.rmtree, (folder, True), exitpriority=0)
+    copy_ros1_bag(stream, folder / "copied.mcap", stored_size)
+    if len(_COPIES) == _MOST_COPIES:
+        oldest = next(iter(_COPIES))
+        shutil.rmtree(_COPIES.pop(oldest).parent, ignore_errors=True)
+    if key is not None:
+        _COPIES[key] = folder / "copied.mcap"
+    return folder / "copied.mcap"
 
 
 def _describe_expected(path: Path) -> str:

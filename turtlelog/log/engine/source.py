@@ -26,6 +26,7 @@ from turtlelog.log.engine.decode import (
     fill_rows,
     keep_columns,
     read_rows,
+    rewrite_ros1,
     select_rows,
     unpack_messages,
 )
@@ -256,7 +257,8 @@ def read_piece(
         plan = selection.choose_plan(catalogue, topic)
         if plan is None or not len(starts):
             continue
-        unpacked, starts = unpack_messages(block, starts, catalogue.allowance, topic)
+        found_messages = unpack_messages(block, starts, catalogue.allowance, topic)
+        unpacked, starts = rewrite_ros1(plan, *found_messages)
         if selection.is_counted:
             catalogue.allowance.spend(COLUMNS, _measure_rows(plan, unpacked.data, starts))
         if topic in wholes and block.before is not None:

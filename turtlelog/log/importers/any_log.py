@@ -30,12 +30,12 @@ def import_other(path: Path, columns: Mapping[str, str]) -> Run:
     Raises:
         LogError: One line with the file and the place, where it is neither or is wrong.
     """
-    if path.suffix.lower() == ".json" or (not columns and _is_papers(path)):
+    if path.suffix.lower() == ".json" or (not columns and is_papers(path)):
         return import_log(path)
     return import_plain_table(path, columns)
 
 
-def _is_papers(path: Path) -> bool:
+def is_papers(path: Path) -> bool:
     """Return whether a CSV has the columns that only the paper's logs have."""
     return path.suffix.lower() == ".csv" and not PAPER_MARKS.isdisjoint(read_header(path))
 

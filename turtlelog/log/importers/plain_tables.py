@@ -14,8 +14,8 @@ from turtlelog.files.urls import make_path
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.importers.table_cells import Cells, Times, Values
 from turtlelog.log.importers.table_columns import Choice, choose_columns
-from turtlelog.log.importers.table_text import PlainTable, read_plain_table
-from turtlelog.log.planar import compute_heading, compute_tilt, describe_plane
+from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_plain_table
+from turtlelog.log.planar import compute_heading, compute_tilt, describe_plane, lift_poses
 from turtlelog.log.read_choice import CHOSEN
 from turtlelog.log.ros2.bag_columns import separate_times, wrap_far_headings
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
@@ -68,6 +68,11 @@ def _require_columns(table: PlainTable, chosen: Mapping[str, Choice]) -> None:
     if missing:
         if {"row", "failed"} <= {*table.names}:
             raise LogError("a table of turtlelog sweep, not a run: turtlelog plot shows it")
+        if table.names == KITTI_COLUMNS and not table.has_header:
+            raise LogError(
+                "a KITTI trajectory has no times, so it is no run; turtlelog compare FILE"
+                " --reference FILE --ate compares two of them"
+            )
         found = ", ".join(table.names[:_SHOWN_NAMES])
         more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
         raise LogError(
@@ -114,6 +119,7 @@ def _build_run(path: Path, cells: Cells) -> Run:
             heading_rad=heading_rad,
             measured_speed_m_s=_keep_whole(poses.get("speed")),
             measured_turn_rate_rad_s=_keep_whole(poses.get("turn_rate")),
+            **lift_poses(poses.get("z"), poses.get("tilt")),
         ),
         commands=replace(commands, time_ns=commands.time_ns - start_ns),
         samples=SampleColumns.build_empty(),

@@ -135,7 +135,7 @@ class Cells:
             found: Iterable[int | None] = map(_read_date, cells)
         else:
             power = _POWERS[choice.unit or self._guess_time_unit(choice)]
-            found = (_read_time(cell, power) for cell in cells)
+            found = (read_time(cell, power) for cell in cells)
         times = np.empty(len(cells), dtype=np.int64)
         for row, time_ns in enumerate(found):
             if time_ns is None:
@@ -167,7 +167,7 @@ def _steps_by_turns(heading: Values) -> bool:
     return bool(((step > _WRAPS_DEG[0]) & (step < _WRAPS_DEG[1])).any())
 
 
-def _read_time(cell: Any, power: int) -> int | None:
+def read_time(cell: Any, power: int) -> int | None:
     """Return a number of seconds or less as nanoseconds, to the last digit; None of what is none.
 
     Args:

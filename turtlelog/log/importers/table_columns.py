@@ -71,7 +71,7 @@ _NAMES: Final[Mapping[str, str]] = MappingProxyType(
         **{
             axis: f"{axis} pos_{axis} position_{axis} p{axis} {axis}_pos {axis}_position {axis}pos"
             f" pose_{axis} t{axis} pose_position_{axis} pose_pose_position_{axis}"
-            f" transform_translation_{axis} translation_{axis}"
+            f" transform_translation_{axis} translation_{axis} p_rs_r_{axis}"
             for axis in "xyz"
         },
         "heading": "heading yaw theta psi pos_theta pose_theta heading_angle yaw_angle"
@@ -79,7 +79,7 @@ _NAMES: Final[Mapping[str, str]] = MappingProxyType(
         **{
             f"q{axis}": f"q{axis} q_{axis} quat_{axis} quaternion_{axis} orientation_{axis}"
             f" rotation_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"
-            f" transform_rotation_{axis}"
+            f" transform_rotation_{axis} q_rs_{axis}"
             for axis in "xyzw"
         },
         "speed": "speed v vel velocity linear_velocity linear_speed lin_vel forward_speed linear_x"

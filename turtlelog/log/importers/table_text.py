@@ -18,6 +18,12 @@ from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_ro
 TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 """The columns of a TUM trajectory, which has no header: time, position, quaternion."""
 
+KITTI_COLUMNS: Final = (
+    *("r11", "r12", "r13", "tx", "r21", "r22", "r23", "ty", "r31", "r32", "r33", "tz"),
+)
+"""The columns of a KITTI trajectory, which has neither header nor times: the first three rows of
+the matrix from the robot's frame to the world's, one after the other."""
+
 _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|", re.I)
 _LONGEST_HEAD: Final = 64 * 1024
 """Bytes of a first line, or of the comments above it, that may name columns: 250 states of 60
@@ -56,7 +62,7 @@ class PlainTable:
         names: Of the columns, as the header writes them.
         columns: What reads their cells, from the first row on: texts, or numbers of Parquet.
         word: What the number of a row counts: `line` or `row`.
-        has_header: Whether the file names its columns; a TUM trajectory does not.
+        has_header: Whether the file names its columns; trajectories of TUM and KITTI do not.
         units: Of columns whose kind tells it: times of Parquet are in ns, those of TUM in s.
     """
 
@@ -71,7 +77,7 @@ def read_plain_table(path: Path) -> PlainTable:
     """Return the cells of a table of text, or of a Parquet file.
 
     Raises:
-        LogError: Where it is no table, has no header and is no TUM trajectory, or has no rows.
+        LogError: Where it is no table, has no header and is no trajectory, or has no rows.
     """
     if path.suffix.lower() == ".parquet":
         return _read_parquet(path)
@@ -151,7 +157,7 @@ def _find_delimiter(line: str) -> str:
 
 
 def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bool, list[str]]:
-    """Return the names of columns without a header: of a comment above them, or those of TUM."""
+    """Return the names of columns without a header: of a comment above them, of TUM or KITTI."""
     for comment in reversed(comments):
         for candidate in dict.fromkeys((delimiter, _find_delimiter(comment))):
             if (
@@ -162,11 +168,12 @@ def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bo
             names = _split_line(comment, candidate)
             if len(names) == count and not any(map(_is_number, names)):
                 return True, names
-    if count == len(TUM_COLUMNS):
-        return False, [*TUM_COLUMNS]
+    for known in (TUM_COLUMNS, KITTI_COLUMNS):
+        if count == len(known):
+            return False, [*known]
     raise LogError(
-        "expected a header that names the columns, or the 8 columns of a TUM trajectory"
-        f" ({' '.join(TUM_COLUMNS)}), found {count} columns without names"
+        "expected a header that names the columns, the 8 columns of a TUM trajectory"
+        f" ({' '.join(TUM_COLUMNS)}) or the 12 of KITTI, found {count} columns without names"
     )
 
 

@@ -13,6 +13,7 @@ from turtlelog.log.container import name_write_error, write_columns
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
+from turtlelog.log.recording.shared_topics import build_shared_messages
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
@@ -44,14 +45,21 @@ _INFO: Final = 20
 _WARN: Final = 30
 
 
-def write_recording(run: Run, path: str | Path) -> None:
+def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -> None:
     """Write a run as an MCAP file; the same run gives the same bytes.
+
+    Args:
+        run: What is written.
+        path: The file.
+        shares_poses: Whether poses stand also in `/odom`, `/tf` and `/path`, by which other
+            programs know a robot; readers of turtlelog pass over these.
 
     Raises:
         LogError: If the place cannot be written, or the run holds what a recording cannot.
     """
     try:
         topics = build_messages(run)
+        topics += build_shared_messages(run) if shares_poses else ()
         head, scenario = format_head(describe_run(run)), format_scenario_file(run)
     except (LogError, UnicodeEncodeError) as err:
         raise name_write_error(path, err) from err

@@ -92,6 +92,15 @@ PHASE: Final = Topic("/turtle1/phase", "std_msgs/msg/String")
 EVENT: Final = Topic("/rosout", "rcl_interfaces/msg/Log")
 """One message per event."""
 
+ODOMETRY: Final = Topic("/odom", "nav_msgs/msg/Odometry")
+"""The poses once more, for other programs; a reader takes them from `POSE`, as the next two."""
+
+TRANSFORMS: Final = Topic("/tf", "tf2_msgs/msg/TFMessage")
+"""The poses as transforms from the world to the robot."""
+
+PATH: Final = Topic("/path", "nav_msgs/msg/Path")
+"""All poses in one message at the time of the last."""
+
 _POSES: Final = (GOAL, POSE, POSE64, VELOCITY64)
 _AFTER_SAMPLES: Final = (COMMAND, PHASE, EVENT)
 """Topics of every recording, before and after `CONTROL` and those that not every one has."""
@@ -158,8 +167,11 @@ _DIGESTS: Final = """\
 geometry_msgs/msg/Pose2D d68efa5b46e70f7b16ca23085474fdac5a44b638783ec42f661da64da4724ccc
 geometry_msgs/msg/PoseStamped 10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8
 geometry_msgs/msg/Twist 9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a
+nav_msgs/msg/Odometry 3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0
+nav_msgs/msg/Path 1957a5bb3cee5da65c4e52e52b65a93df227efce4c20f8458b36e73066ca334b
 rcl_interfaces/msg/Log e28ce254ca8abc06abf92773b74602cdbf116ed34fbaf294fb9f81da9f318eac
 std_msgs/msg/String df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18
+tf2_msgs/msg/TFMessage e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087
 turtlelog_msgs/msg/ControlSample 53260607615135d6bf11cc8adaf06aa06e43587b77f3f4c4e3b507e39c602cb9
 turtlesim/msg/Pose 739beba26bcba6920404ba722b7b8321348512f92ea5be235c47251940dd8aa9
 """
@@ -191,6 +203,7 @@ def define_states(names: Iterable[str]) -> str:
 _KNOWN: Final = (
     *("geometry_msgs/msg/PoseStamped", "turtlesim/msg/Pose", "geometry_msgs/msg/Pose2D"),
     *("geometry_msgs/msg/Twist", "std_msgs/msg/String", "rcl_interfaces/msg/Log"),
+    *("nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Path"),
 )
 
 SCHEMAS: Final[Mapping[str, str]] = MappingProxyType(

@@ -97,6 +97,9 @@ _SHAPES: Final = {
     "geometry_msgs/msg/Pose2D": PoseShape(position="", heading="theta"),
     "geometry_msgs/msg/TransformStamped": _join_shape("transform.", "translation", "rotation"),
 }
+POSITIONS: Final = {kind: shape.position for kind, shape in _SHAPES.items()}
+"""What stands before x and y in the fields of each type of poses."""
+
 _NO_SHAPE: Final = _join_shape("pose.")
 """What is missing is named as of a pose with a stamp."""
 

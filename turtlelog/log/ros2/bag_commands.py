@@ -98,10 +98,14 @@ def read_commands_alone(
     )
 
 
+_STORAGES: Final = {".mcap": "mcap", ".bag": "rosbag1"}
+"""How a run says what it was read of, by the ending of a lone file."""
+
+
 def name_bag(path: Path) -> tuple[str, str]:
     """Return the name and the source of a run that is read of a bag."""
     name = path.resolve().name
-    source = f"{'mcap' if path.suffix == '.mcap' else 'rosbag2'}: {name}"
+    source = f"{_STORAGES.get(path.suffix, 'rosbag2')}: {name}"
     return (name if path.is_dir() else strip_suffixes(path)), source
 
 

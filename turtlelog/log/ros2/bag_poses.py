@@ -2,21 +2,22 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.read_choice import ReadChoice, parse_joints, parse_wheels
 from turtlelog.log.ros2.bag import Bag
-from turtlelog.log.ros2.bag_columns import find_pose_shape
+from turtlelog.log.ros2.bag_columns import POSITIONS, find_pose_shape
 from turtlelog.log.ros2.bag_topics import (
     FIX,
     JOINTS,
     NEEDS_WHEELS,
-    TRANSFORMS,
+    TRANSFORM_TYPES,
     NoPosesError,
     Pick,
     choose_joint_topic,
@@ -76,7 +77,10 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
     if asked and choice.pose_topic is None:
         return _trace_poses(bag, _pick_transforms(topics), topics, choice)
     pick = _pick(bag, topics, choice.pose_topic)
-    if pick.topic.type == TRANSFORMS:
+    found: Found | None = None
+    if choice.pose_topic is None and not asked:
+        pick, found = _pick_moving(bag, topics, pick)
+    if pick.topic.type in TRANSFORM_TYPES:
         try:
             return _trace_poses(bag, pick, topics, choice)
         except LogError:
@@ -89,15 +93,15 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
         raise LogError(
             f"{name}: expected poses from transforms, found {pick.describe()}, which are not"
         )
-    return _read_poses(bag, pick)
+    return _read_poses(bag, pick, found)
 
 
-def _read_poses(bag: Bag, pick: Pick) -> PoseSource:
-    """Return the messages of a topic that holds poses itself."""
+def _read_poses(bag: Bag, pick: Pick, found: Found | None) -> PoseSource:
+    """Return the messages of a topic that holds poses itself, if they were not read yet."""
     name = pick.topic.topic
     if pick.topic.type == JOINTS:
         raise LogError(f"pose_topic {pick.describe()}: {NEEDS_WHEELS}")
-    found = [*bag.read({name})]
+    found = [*bag.read({name})] if found is None else found
     notes = note_pick("pose_topic", pick)
     if pick.topic.type != FIX:
         frame = _read_frame(found, name)
@@ -145,7 +149,8 @@ def _pick_fix(topics: Collection[TopicInfo]) -> Pick | None:
 def note_pick(name: str, pick: Pick, more: str = "") -> dict[str, str]:
     """Return notes on a topic that was chosen, and on those that could have been meant."""
     others = {f"other_{name}s": list_names(pick.others)} if pick.others else {}
-    return {name: pick.describe() + more, **others}
+    still = {"still": f"{pick.still} never moves and was left out"} if pick.still else {}
+    return {name: pick.describe() + more, **others, **still}
 
 
 def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
@@ -154,7 +159,7 @@ def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
     Raises:
         LogError: Where they cannot be read.
     """
-    held = [topic.topic for topic in topics if topic.type == TRANSFORMS and topic.count]
+    held = [topic.topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     place = home.rpartition("/")[0]
     own = [name for name in held if name.rpartition("/")[0] == place]
     names = own if any(not _is_static(name) for name in own) else held
@@ -190,6 +195,54 @@ def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> Pick:
         raise
 
 
+_FEWEST_STILL: Final = 20
+"""Messages that are all alike of a topic that never moves: fewer may be a robot that waits."""
+
+
+def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> tuple[Pick, Found | None]:
+    """Return a topic that moves in place of one that never does, and its messages where read.
+
+    Some robots publish an odometry of zeros beside one that is computed.
+    """
+    if not pick.others or pick.topic.type not in POSITIONS:
+        return pick, None
+    first = _read_moving(bag, pick.topic)
+    if first is None or first.moves:
+        return pick, None if first is None else first.found
+    named = [topic for topic in topics if topic.topic in pick.others and topic.type in POSITIONS]
+    for other in named:
+        try:
+            read = _read_moving(bag, other)
+        except LogError:
+            continue  # nobody asked for it
+        if read is not None and read.moves:
+            others = (pick.topic.topic, *(name for name in pick.others if name != other.topic))
+            return Pick(topic=other, others=others, still=pick.topic.topic), read.found
+    return pick, first.found
+
+
+class _Read(NamedTuple):
+    """Messages of a topic, and whether their positions differ, to the last bit."""
+
+    found: Found
+    moves: bool
+
+
+def _read_moving(bag: Bag, topic: TopicInfo) -> _Read | None:
+    """Return the messages of a topic and whether it moves; None where that cannot be told."""
+    if topic.count < _FEWEST_STILL or topic.reason:
+        return None
+    place, found = POSITIONS[topic.type], [*bag.read({topic.topic})]
+    held = [file[topic.topic].fields for file in found if topic.topic in file]
+    names = [f"{place}{name}" for name in "xyz"]
+    columns = [
+        np.concatenate([np.asarray(fields[name]) for fields in held])
+        for name in names
+        if all(name in fields for fields in held)
+    ]
+    return _Read(found=found, moves=any((column != column[0]).any() for column in columns))
+
+
 def _holds_poses(bag: Bag, topic: str) -> bool:
     try:
         found = bag.read({topic})
@@ -199,7 +252,7 @@ def _holds_poses(bag: Bag, topic: str) -> bool:
 
 
 def _pick_transforms(topics: Collection[TopicInfo]) -> Pick:
-    fitting = [topic for topic in topics if topic.type == TRANSFORMS and topic.count]
+    fitting = [topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     moving = [topic for topic in fitting if not _is_static(topic.topic)]
     if not moving:
         raise LogError("no transforms (/tf)")
@@ -246,7 +299,8 @@ def _note_frames(chosen: FrameChoice, held: Sequence[str], dropped: int) -> dict
     if held:
         notes["held_transforms"] = f"{', '.join(held)}: the newest that was recorded counts"
     if dropped:
-        notes["dropped_before_transforms"] = f"{dropped} poses before the first of {held[0]}"
+        poses = describe_count(dropped, "pose")
+        notes["dropped_before_transforms"] = f"{poses} before the first of {held[0]}"
     return notes
 
 

@@ -13,7 +13,7 @@ from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.file_info import RecordingInfo, TopicInfo
-from turtlelog.log.planar import describe_plane
+from turtlelog.log.planar import describe_plane, lift_poses
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -54,7 +54,13 @@ from turtlelog.log.ros2.bag_topics import (
     Pick,
     describe_unread_topics,
 )
-from turtlelog.log.ros2.reported_rates import LATERAL, judge_rates
+from turtlelog.log.ros2.reported_path import (
+    PATH_NOTE,
+    describe_paths,
+    describe_small_leaps,
+    measure_paths,
+)
+from turtlelog.log.ros2.reported_rates import LATERAL, SPEED, judge_rates
 from turtlelog.run import PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
@@ -64,6 +70,9 @@ NOT_UNDERSTOOD: Final = "not_understood"
 """Note on topics of poses, commands, goals or paths that cannot be read."""
 
 _SENSED: Final = (SENSED.name, SENSED.schema)
+
+_RATES: Final = frozenset({"speed", "turn_rate", "lateral_speed"})
+"""Columns beside a pose; a topic of sensed poses has nan in all of them."""
 
 
 def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
@@ -194,7 +203,8 @@ def _build_run(
     """Return the run, and where the robot was by the recorder's clock."""
     poses = order_topic(found, source.topic, extract_poses)
     has_place = np.isfinite(poses.columns["x"]) & np.isfinite(poses.columns["y"])
-    unturned = int((has_place & np.isnan(poses.columns["heading"])).sum())
+    has_no_heading = has_place & np.isnan(poses.columns["heading"])
+    unturned, vertical = int(has_no_heading.sum()), _count_vertical(poses.columns, has_no_heading)
     poses, dropped = _drop_nan(poses, source.topic.topic)
     commands, dropped_commands = None, 0
     if command_pick is not None:
@@ -207,12 +217,13 @@ def _build_run(
     )
     # Views: a second copy of x and y would take 16 bytes a pose.
     poses = replace(poses, columns={**poses.columns, **dict(zip("xy", track.xy_m.T, strict=True))})
-    leaps = describe_leaps(track.xy_m)
+    leaps = describe_leaps(track.xy_m) or describe_small_leaps(track.xy_m)
     times = time_rows(poses.stamps, None if commands is None else commands.stamps, choice.time)
     poses = poses.take(times.poses.rows, times.poses.time_ns)
     columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     if commands is not None:
         commands = commands.take(times.commands.rows, times.commands.time_ns)
+    speeds = _list_speeds(commands)
     tables = [rows for rows in (poses, commands) if rows]
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
     time_ns, moved = separate_times(poses.time_ns - start_ns)
@@ -233,8 +244,14 @@ def _build_run(
         **rate_notes,
     }
     plane = describe_plane(columns.get("z"), columns.get("tilt"))
-    notes |= {} if plane is None else {"plane": plane}
+    if plane is not None or vertical:
+        notes["plane"] = f"{plane or 'the robot leaves the plane'}{_tell_vertical(vertical)}"
     notes |= {} if leaps is None else {"leaps": leaps}
+    if plane is None:
+        # A speed is of the robot's axes: of one that leaves the plane it is not that from above.
+        reported = poses.columns if SPEED in columns else columns
+        paths = describe_paths(measure_paths(poses.time_ns, reported, speeds))
+        notes |= {} if paths is None else {PATH_NOTE: _name_others(paths, source)}
     if command_pick is not None:
         notes |= note_pick("command_topic", command_pick)
     run = Run(
@@ -250,6 +267,7 @@ def _build_run(
             measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
             sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
             sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
+            **lift_poses(columns.get("z"), columns.get("tilt")),
         ),
         commands=build_commands(commands, start_ns),
         samples=SampleColumns.build_empty(),
@@ -266,18 +284,51 @@ def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
     Raises:
         LogError: Where none is.
     """
-    speeds = [name for name in rows.columns if name.startswith("measured")]
+    speeds = [name for name in rows.columns if name.removeprefix("measured_") in _RATES]
     unknown = [name for name in speeds if not np.isfinite(rows.columns[name]).any()]
     columns = {name: column for name, column in rows.columns.items() if name not in unknown}
     # How high it is and how it leans is only described, and few robots move sideways.
     needed = [name for name in columns if name not in {"z", "tilt", LATERAL}]
     kept, dropped = drop_not_finite(replace(rows, columns=columns), needed)
+    if not len(kept.time_ns) and _count_vertical(columns, np.isnan(columns["heading"])) == dropped:
+        raise LogError(
+            f"topic {topic}: the forward axis points up or down in all {dropped} poses: there is no"
+            " heading"
+        )
     if not len(kept.time_ns):
         raise LogError(
             f"topic {topic}: expected numbers in x, y and heading, found nan or infinity in all"
             f" {dropped} poses"
         )
     return kept, dropped
+
+
+def _list_speeds(commands: OrderedRows | None) -> tuple[NDArray[np.int64], Values] | None:
+    """Return when commands were published, and the magnitudes of their velocities [m/s]."""
+    if commands is None:
+        return None
+    speed, lateral = commands.columns["speed"], commands.columns["lateral_speed"]
+    return commands.time_ns, np.hypot(speed, lateral)
+
+
+def _name_others(text: str, source: PoseSource) -> str:
+    """Return a sentence on poses that may be wrong with the topics that hold others."""
+    others = source.notes.get("other_pose_topics")
+    return text if others is None or "poses" not in text else f"{text}; others: {others}"
+
+
+def _count_vertical(columns: Mapping[str, Values], rows: NDArray[np.bool_]) -> int:
+    """Return how many of some poses have no heading as their forward axis points up or down."""
+    tilt_rad = columns.get("tilt")
+    # A quaternion that was never set has a tilt of 0.
+    return 0 if tilt_rad is None else int((tilt_rad[rows] > 0.0).sum())
+
+
+def _tell_vertical(count: int) -> str:
+    if not count:
+        return ""
+    which = "pose has" if count == 1 else "poses have"
+    return f"; left out: {count} {which} no heading, as the forward axis points up or down"
 
 
 def _note_dropped(poses: int, commands: int, unturned: int) -> dict[str, str]:

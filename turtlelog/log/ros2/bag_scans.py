@@ -98,10 +98,14 @@ def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
 
 
 def _pick(topics: Collection[TopicInfo], kind: str, home: str) -> TopicInfo | None:
-    """Return the topic of a kind below the robot's name, or else with the most messages."""
+    """Return the topic of a kind below the robot's name, or else with the most messages.
 
-    def rank(topic: TopicInfo) -> tuple[bool, int, int]:
-        return topic.topic.rpartition("/")[0] == home, topic.count, -len(topic.topic)
+    A costmap, which is sent more often than the map, counts only where there is no other.
+    """
+
+    def rank(topic: TopicInfo) -> tuple[bool, bool, int, int]:
+        is_map, is_own = "costmap" not in topic.topic, topic.topic.rpartition("/")[0] == home
+        return is_map, is_own, topic.count, -len(topic.topic)
 
     return max((one for one in topics if one.type == kind and one.count), key=rank, default=None)
 
@@ -274,7 +278,7 @@ def _describe(
     known: int,
 ) -> Iterator[str]:
     topic = messages[0].topic
-    thinned = "" if kept == count else f", {kept} of them shown"
+    thinned = "" if kept == known else f", {kept} of them shown"
     yield f"Scans of {topic}: {describe_count(count, 'scan')}{thinned}."
     if known < count:
         lost = describe_count(count - known, "scan")

@@ -12,6 +12,8 @@ from turtlelog.log.read_choice import match_topic
 from turtlelog.log.recording.topics import MEASURED, POSE64, SHAPED, VELOCITY64
 
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+FRAME_TRANSFORM: Final = "foxglove.FrameTransform"
+TRANSFORM_TYPES: Final = (TRANSFORMS, FRAME_TRANSFORM)
 FIX: Final = "sensor_msgs/msg/NavSatFix"
 JOINTS: Final = "sensor_msgs/msg/JointState"
 PATH: Final = "nav_msgs/msg/Path"
@@ -26,7 +28,7 @@ _TIERS: Final = {
     "geometry_msgs/msg/Pose": 3,
     "geometry_msgs/msg/Pose2D": 3,
     "geometry_msgs/msg/TransformStamped": 4,
-    TRANSFORMS: 5,
+    **dict.fromkeys(TRANSFORM_TYPES, 5),
     FIX: 6,
 }
 """Types of poses, and which come first: odometry tells rates, too; stamps come before none, and
@@ -118,10 +120,12 @@ class Pick:
     Attributes:
         topic: The one.
         others: Names of those that could have been meant as well.
+        still: Name of the one that would have been chosen, but never moves; empty otherwise.
     """
 
     topic: TopicInfo
     others: tuple[str, ...] = ()
+    still: str = ""
 
     def describe(self) -> str:
         """Return its name and type."""
@@ -150,7 +154,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
         # Robots that are told apart by number alone: the first.
         best = [min(best, key=lambda topic: split_numbers(topic.topic))]
     chosen = _require_one(best, "pose_topic", "--pose-topic")
-    others = [topic for topic in fitting if topic != chosen and topic.type != TRANSFORMS]
+    others = [topic for topic in fitting if topic != chosen and topic.type not in TRANSFORM_TYPES]
     return Pick(topic=chosen, others=tuple(topic.topic for topic in others))
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.ros2.bag_topics import split_numbers
+from turtlelog.log.ros2.bag_topics import FRAME_TRANSFORM, TRANSFORMS, split_numbers
 
 Values = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def collect_links(
         LogError: Where they are of another shape.
     """
     rows: dict[tuple[str, str], list[tuple[int, dict[str, Any]]]] = defaultdict(list)
-    for columns in messages:
+    for columns in map(_wrap_foxglove, messages):
         if "transforms" not in columns.fields:
             raise LogError(
                 f"topic {columns.topic}: expected {columns.type} with a field transforms, found"
@@ -117,6 +117,38 @@ def collect_links(
                 names = one["header.frame_id"].lstrip("/"), one["child_frame_id"].lstrip("/")
                 rows[names].append((time_ns, one))
     return {names: _build_link(names, found, is_static=is_static) for names, found in rows.items()}
+
+
+def _wrap_foxglove(columns: TopicColumns) -> TopicColumns:
+    """Return messages of `foxglove.FrameTransform` as TFMessages of one, others as they are.
+
+    Raises:
+        LogError: Where a field is missing.
+    """
+    if columns.type != FRAME_TRANSFORM:
+        return columns
+    missing = [name for name in _FOXGLOVE_NAMES if name not in columns.fields]
+    if missing:
+        raise LogError(
+            f"topic {columns.topic}: expected {columns.type} with a field {missing[0]}, found"
+            f" {', '.join(columns.fields)}"
+        )
+    found = (columns.fields[name].tolist() for name in _FOXGLOVE_NAMES)
+    wrapped = np.empty(len(columns), dtype=object)
+    for row, values in enumerate(zip(*found, strict=True)):
+        wrapped[row] = [dict(zip(_FOXGLOVE_NAMES.values(), values, strict=True))]
+    return replace(columns, type=TRANSFORMS, fields={"transforms": wrapped})
+
+
+_FOXGLOVE_NAMES: Final = {
+    "timestamp.sec": "header.stamp.sec",
+    "timestamp.nsec": "header.stamp.nanosec",
+    "parent_frame_id": "header.frame_id",
+    "child_frame_id": "child_frame_id",
+    **{f"translation.{axis}": f"transform.translation.{axis}" for axis in "xyz"},
+    **{f"rotation.{axis}": f"transform.rotation.{axis}" for axis in "xyzw"},
+}
+"""Fields of Foxglove's message, and what they are called in that of ROS."""
 
 
 def _build_link(

@@ -21,6 +21,48 @@ def _compute_displacement(context: RunContext) -> Result:
     return Found(float(np.hypot(*(xy_m[-1] - xy_m[0]))))
 
 
+_IN_PLANE: Final = Missing(
+    status=Status.ABSENT, reason="the robot stays in the plane, or its poses have no height"
+)
+
+
+def _on_space(
+    column: str, compute: Callable[[Values, Values], Result]
+) -> Callable[[RunContext], Result]:
+    """Compute on heights or tilts that are numbers, with the positions of their poses."""
+
+    def compute_on_space(context: RunContext) -> Result:
+        values = getattr(context.run.poses, column)
+        if values is None or not np.isfinite(values).any():
+            return _IN_PLANE
+        rows = np.isfinite(values)
+        return compute(context.run.poses.xy_m[rows], values[rows])
+
+    return compute_on_space
+
+
+def _compute_way(xy_m: Values, height_m: Values) -> Result:
+    steps = np.diff(np.column_stack([xy_m, height_m]), axis=0)
+    return Found(float(np.sqrt((steps**2).sum(axis=1)).sum()))
+
+
+run_metric(
+    "run.path_length_in_space",
+    "m",
+    "Length of the line through all poses with their heights.",
+    grows=True,
+)(_on_space("height_m", _compute_way))
+run_metric("run.height_range", "m", "Greatest height less the least.", better=None, grows=True)(
+    _on_space("height_m", lambda _, height_m: Found(float(np.ptp(height_m))))
+)
+run_metric(
+    "run.tilt_max",
+    "deg",
+    "Largest angle between the robot's vertical axis and the world's.",
+    grows=True,
+)(_on_space("tilt_rad", lambda _, tilt_rad: Found(float(np.degrees(tilt_rad.max())))))
+
+
 @run_metric(
     "run.total_turning",
     "deg",

@@ -1,0 +1,191 @@
+"""The path by poses beside that by the reported speed: which is wrong where they differ."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import turtlelog as tl
+from tests.cli.conftest import Call, call as call
+from tests.cli.test_commands_alone import say_twist
+from tests.log.ros2.bags import START_NS, Said, make_vector
+from tests.log.ros2.robots import describe_head, describe_place, turn, write_robot
+from tests.log.runs import find_shared
+from turtlelog.log.ros2.reported_path import (
+    PATH_NOTE,
+    describe_paths,
+    describe_small_leaps,
+    measure_paths,
+)
+from turtlelog.log.ros2.reported_rates import LATERAL, SPEED
+
+Values = NDArray[np.float64]
+COUNT, HZ = 401, 20.0
+TIME_NS = (np.arange(COUNT) * 1e9 / HZ).astype(np.int64)
+
+
+def drive(speed: float = 0.5, *, reported: float = 0.5) -> dict[str, Values]:
+    """Return 20 s of a robot that goes straight ahead, and what it reports."""
+    return {
+        "x": speed * TIME_NS / 1e9,
+        "y": np.zeros(COUNT),
+        SPEED: np.full(COUNT, reported),
+    }
+
+
+def tell(columns: dict[str, Values], commanded: float | None = None) -> str | None:
+    speeds = None if commanded is None else (TIME_NS, np.full(COUNT, commanded))
+    return describe_paths(measure_paths(TIME_NS, columns, speeds))
+
+
+def say_odometry(
+    xy_m: Values, *, speed: float, topic: str = "/odom", hz: float = HZ, first_s: float = 0.0
+) -> list[Said]:
+    twist = {"linear": make_vector(speed), "angular": make_vector()}
+    return [
+        Said(
+            topic=topic,
+            type="nav_msgs/msg/Odometry",
+            time_ns=START_NS + round((first_s + row / hz) * 1e9),
+            sequence=row,
+            values={
+                "header": describe_head("odom"),
+                "child_frame_id": "base_link",
+                "pose": {
+                    "pose": describe_place(float(x), float(y), turn(0.0)),
+                    "covariance": [0.0] * 36,
+                },
+                "twist": {"twist": twist, "covariance": [0.0] * 36},
+            },
+        )
+        for row, (x, y) in enumerate(xy_m)
+    ]
+
+
+def straight(speed: float, count: int = 201, hz: float = HZ) -> Values:
+    return np.column_stack([speed * np.arange(count) / hz, np.zeros(count)])
+
+
+@pytest.mark.parametrize(("reported", "is_said"), [(0.41, False), (0.39, True), (0.65, True)])
+def test_paths_that_differ_by_a_fifth_are_said(reported: float, *, is_said: bool) -> None:
+    told = tell(drive(reported=reported))
+    assert (told is not None) == is_said
+    if told is not None:
+        assert told.startswith(f"the path is 10 m by the poses and {20 * reported:g} m by the")
+        assert told.endswith("nothing tells which is wrong")
+
+
+def test_a_short_way_is_not_judged() -> None:
+    assert tell(drive(0.02, reported=0.01)) is None
+    assert tell(drive(0.03, reported=0.01)) is not None
+
+
+def test_a_robot_that_drives_sideways_reports_both_speeds() -> None:
+    assert tell(drive(reported=0.3) | {LATERAL: np.full(COUNT, 0.4)}) is None
+
+
+def test_an_odometry_of_zeros_is_more_likely_wrong_than_its_speed() -> None:
+    assert tell(drive(0.0)) == (
+        "the poses never move, and are likely wrong: the reported speed drives 10 m"
+    )
+    told = tell(drive(0.0, reported=0.0), commanded=0.5)
+    assert told is not None
+    assert told.startswith("the poses never move though commands ask for 10 m")
+    assert tell(drive(0.0, reported=0.0)) is None
+
+
+def test_jumps_are_blamed_for_what_they_add() -> None:
+    columns = drive()
+    columns["y"][100:] += 3.0
+    columns["y"][200:] -= 2.0
+    told = tell(columns)
+    assert told is not None
+    assert told.endswith("the poses are more likely wrong, whose jumps add 4.95 m")
+
+
+def test_noise_from_pose_to_pose_is_blamed() -> None:
+    columns = drive()
+    columns["y"] += np.random.default_rng(0).normal(0.0, 0.02, COUNT)
+    told = tell(columns)
+    assert told is not None
+    assert "the poses are more likely wrong from one to the next, where they scatter" in told
+
+
+@pytest.mark.parametrize(
+    ("commanded", "wrong"),
+    [(0.5, "the reported speed is"), (1.0, "the poses are"), (0.74, "nothing tells")],
+)
+def test_commands_tell_which_of_two_paths_is_likely_wrong(commanded: float, wrong: str) -> None:
+    told = tell(drive(0.5, reported=1.0), commanded=commanded)
+    assert told is not None
+    assert told.partition(": ")[2].startswith(wrong)
+
+
+def test_real_robots_agree_with_themselves() -> None:
+    for name in ("tb3", "neato_wall", "sim_time"):
+        assert PATH_NOTE not in tl.read_run(find_shared("robots", name)).notes
+
+
+def test_of_two_odometries_that_which_moves_is_read(call: Call, tmp_path: Path) -> None:
+    still, moving = straight(0.0), straight(0.5)
+    bag = write_robot(
+        tmp_path,
+        say_odometry(still, speed=0.0),
+        say_odometry(moving, speed=0.5, topic="/wheel/odometry"),
+    )
+    told = call("info", bag).flat
+    assert "poses /wheel/odometry, 20 Hz, 201 messages" in told
+    assert "still /odom never moves and was left out" in told
+    assert "poses from /wheel/odometry" in call("metrics", bag).err
+    assert not tl.read_run(f"{bag}:/odom").poses.xy_m.any()
+    both = write_robot(
+        tmp_path,
+        say_odometry(still, speed=0.0),
+        say_odometry(still, speed=0.0, topic="/wheel/odometry"),
+    )
+    assert tl.read_run(both).notes["pose_topic"].startswith("/odom ")
+
+
+def test_a_bag_says_that_its_poses_never_move_and_where_others_are(
+    call: Call, tmp_path: Path
+) -> None:
+    commands = [say_twist(0.5, row=row) for row in range(200)]
+    bag = write_robot(tmp_path, say_odometry(straight(0.0), speed=0.5), commands)
+    told = call("info", bag).flat
+    assert "path by speed the poses never move, and are likely wrong: the reported speed" in told
+    assert "path by speed: the poses never move" in call("metrics", bag).err
+
+
+@pytest.mark.parametrize("off_m", [0.02, 0.04])
+@pytest.mark.parametrize("share", [2, 3])
+def test_two_programs_a_few_centimetres_apart_are_said(
+    call: Call, tmp_path: Path, off_m: float, share: int
+) -> None:
+    xy_m = straight(0.5) + np.random.default_rng(0).normal(0.0, 0.001, (201, 2))
+    xy_m[::share] += [0.6 * off_m, 0.8 * off_m]
+    told = call("info", write_robot(tmp_path, say_odometry(xy_m, speed=0.5))).flat
+    assert "two programs seem to publish them; a reported speed is more likely right" in told
+
+
+@pytest.mark.parametrize("size_m", [0.001, 0.01, 0.1])
+@pytest.mark.parametrize("kind", ["normal", "laplace", "lateral", "grid"])
+def test_noise_and_rounding_are_no_second_program(kind: str, size_m: float) -> None:
+    random = np.random.default_rng(4)
+    xy_m = straight(0.3, 2000)
+    if kind == "grid":
+        noise_m = random.normal(0.0, size_m / 4.0, xy_m.shape)
+        assert describe_small_leaps(np.round((xy_m + noise_m) / size_m) * size_m) is None
+        assert describe_small_leaps(np.round(noise_m / size_m) * size_m) is None
+        return
+    noise_m = (random.laplace if kind == "laplace" else random.normal)(0.0, size_m, xy_m.shape)
+    noise_m[:, 0] *= kind != "lateral"
+    assert describe_small_leaps(xy_m + noise_m) is None
+
+
+def test_a_step_apart_of_less_than_a_centimetre_is_not_judged() -> None:
+    xy_m = straight(0.5)
+    for off_m, is_said in ((0.0094, False), (0.0106, True)):
+        apart_m = xy_m.copy()
+        apart_m[::2, 1] += off_m
+        assert (describe_small_leaps(apart_m) is not None) == is_said

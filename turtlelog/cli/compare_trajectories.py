@@ -1,0 +1,406 @@
+"""`turtlelog compare --ate` and `--rpe`: errors of trajectories beside a reference."""
+
+import math
+import shlex
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple
+
+import numpy as np
+from cyclopts import Group, Parameter
+
+import turtlelog as tl
+from turtlelog.cli.options import Place, ReadingOptions
+from turtlelog.cli.output import (
+    EXIT_BAD_INPUT,
+    EXIT_FINE,
+    fill_lines,
+    find_width,
+    fit_table,
+    print_error,
+    print_json,
+    print_note,
+    print_tables,
+    print_text,
+)
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_pictures
+from turtlelog.display import format_short, join_words
+from turtlelog.errors import CompareError, TurtlelogError, UsageError
+
+if TYPE_CHECKING:
+    from turtlelog.compare import (
+        ErrorStatistics,
+        Table,
+        TrajectoryComparison,
+        TrajectorySettings,
+    )
+    from turtlelog.log import ReadChoice
+    from turtlelog.run import Trajectory
+
+
+@Parameter(name="*", group=Group("Trajectories", sort_key=1))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrajectoryOptions:
+    """Errors of trajectories, and which poses belong together.
+
+    Attributes:
+        ate: Absolute trajectory error: positions and rotations after alignment to the reference.
+        rpe: Relative pose error over this length of the reference, as in 1m, 30deg, 0.5s or
+            10frames; may be repeated.
+        all_pairs: Begin a relative motion at every pose. Default: where the last one ended.
+        associate: Poses of one moment: the nearest in time, or with linear the trajectory with more
+            poses interpolated at the times of the other. Default: nearest.
+        max_difference: Largest difference in time between poses that belong together. Default:
+            0.01. Unit: s.
+        time_offset: Time added to the times of the files beside the reference, or start, which
+            brings the first poses together. Default: 0. Unit: s.
+        times: File with a time for each pose of KITTI trajectories, one a line. Unit: s.
+    """
+
+    ate: bool = False
+    rpe: Annotated[list[str] | None, Parameter(metavar="LENGTH", negative=())] = None
+    all_pairs: Annotated[bool, Parameter(negative=())] = False
+    associate: Literal["nearest", "linear"] | None = None
+    max_difference: Annotated[float | None, Parameter(metavar="S")] = None
+    time_offset: Annotated[str | None, Parameter(metavar="S", allow_leading_hyphen=True)] = None
+    times: Place | None = None
+
+    def require_sense(self) -> bool:
+        """Return whether trajectories are compared.
+
+        Raises:
+            UsageError: Where an option stands without --ate and --rpe.
+        """
+        if self.ate or self.rpe:
+            return True
+        given = {
+            "all-pairs": self.all_pairs or None,
+            "associate": self.associate,
+            "max-difference": self.max_difference,
+            "time-offset": self.time_offset,
+            "times": self.times,
+        }
+        for name, value in given.items():
+            if value is not None:
+                raise UsageError(f"--{name}: needs --ate or --rpe LENGTH")
+        return False
+
+    def take_reference(self, reference: Path | None, files: Sequence[Path]) -> Path:
+        """Return the reference.
+
+        Raises:
+            UsageError: Where there is none.
+        """
+        option = "--ate" if self.ate else "--rpe"
+        if reference is None:
+            raise UsageError(f"{option}: needs --reference FILE, the trajectory that is true")
+        if not files:
+            raise UsageError(f"{option}: needs a file beside the reference")
+        return reference
+
+    def build_settings(self, align: str | None) -> "TrajectorySettings":
+        """Return how trajectories are compared.
+
+        Raises:
+            UsageError: Where a value is of no use.
+        """
+        from turtlelog.compare.trajectory_comparison import ALIGN_IN
+
+        known = [one for one in ALIGN_IN if one == align]
+        if align is not None and not known:
+            raise UsageError(
+                f"--align {align[:60]}: must be {join_words(ALIGN_IN, 'or')} with --ate and --rpe"
+            )
+        most_s = 0.01 if self.max_difference is None else self.max_difference
+        if not 0.0 <= most_s < _LONGEST_S:
+            raise UsageError(f"--max-difference {most_s:g}: must be a time of at least 0 s")
+        try:
+            deltas = tuple(tl.compare.parse_delta(text) for text in self.rpe or ())
+        except CompareError as err:
+            raise UsageError(f"--rpe {err}") from err
+        return tl.compare.TrajectorySettings(
+            align=known[0] if known else None,
+            interpolates=self.associate == "linear",
+            most_apart_s=most_s,
+            offset_s=self._parse_offset(),
+            deltas=deltas,
+            overlaps=self.all_pairs,
+        )
+
+    def _parse_offset(self) -> float | None:
+        if self.time_offset in {None, "start"}:
+            return 0.0 if self.time_offset is None else None
+        try:
+            offset_s = float(self.time_offset or "")
+        except ValueError:
+            offset_s = math.nan
+        if not abs(offset_s) < _LONGEST_S:
+            raise UsageError(f"--time-offset {self.time_offset}: must be a time in s, or start")
+        return offset_s
+
+
+_LONGEST_S: Final = 4e9
+"""Times since 1970 are below, and in nanoseconds fit 64 bits."""
+
+
+class TrajectoryPlace(NamedTuple):
+    """How the answer is shown.
+
+    Attributes:
+        align: As typed.
+        plot: Picture to write.
+        kind: Format of the answer.
+        topics: What to read.
+    """
+
+    align: str | None
+    plot: Path | None
+    kind: str
+    topics: ReadingOptions | None
+
+
+def compare_with_trajectory(
+    reference: Path, files: Sequence[Path], options: TrajectoryOptions, place: TrajectoryPlace
+) -> int:
+    """Print the errors of the trajectories in some files beside that of a reference."""
+    settings = options.build_settings(place.align)
+    require_pictures(place.plot, None, [reference, *files], drawn=files, of="trajectory")
+    choice = (place.topics or ReadingOptions()).build_choice()
+    true = _read(reference, choice, options)
+    found: list[tuple[Path, TrajectoryComparison]] = []
+    for file in files:
+        try:
+            with show_progress("comparing"):
+                estimate = _read(file, choice, options)
+                found.append((file, tl.compare.compare_trajectories(true, estimate, settings)))
+        except TurtlelogError as err:
+            print_error(str(err))
+    if found:
+        _print(found, reference, options, place.kind)
+        if place.plot is not None:
+            tl.draw.write_trajectory_figure(found[0][1], place.plot)
+            print_note(f"wrote {place.plot}")
+    return EXIT_FINE if len(found) == len(files) else EXIT_BAD_INPUT
+
+
+def _read(file: Path, choice: "ReadChoice", options: TrajectoryOptions) -> "Trajectory":
+    """Return the trajectory in a file, called as it was typed, and print what was chosen."""
+    found = tl.log.read_trajectory(file, choice, times=options.times)
+    if "chosen" in found.notes:
+        print_note(f"{file}: {found.notes['chosen']}")
+    return replace(found, name=str(file))
+
+
+def _print(
+    found: "Sequence[tuple[Path, TrajectoryComparison]]",
+    reference: Path,
+    options: TrajectoryOptions,
+    kind: str,
+) -> None:
+    if kind == "json":
+        runs = [_build_answer(file, one) for file, one in found]
+        print_json(TrajectoriesAnswer(reference=str(reference), runs=runs))
+        return
+    table = tl.compare.tabulate_trajectories([one for _, one in found])
+    if kind != "txt":
+        print_tables([table], kind)
+        return
+    heads = [line for _, one in found for line in _describe(one)]
+    told = [line for _, one in found for line in _describe_basis(one, options)]
+    file = shlex.quote(str(found[0][0]))
+    hint = f"turtlelog compare {file} --reference {shlex.quote(str(reference))} --ate --plot FILE"
+    print_text(
+        "\n".join(
+            [
+                fill_lines(heads, indent=2),
+                "",
+                fit_table(_shorten(table, find_width())),
+                fill_lines([*told, *table.notes, f"Picture: {hint}.pdf"], indent=2),
+            ]
+        )
+    )
+
+
+def _shorten(table: "Table", width: int) -> "Table":
+    """Return a table that fits a line: without the only file, and the sum of squares if need be."""
+    first = 0 if len({row[0] for row in table.rows}) > 1 else 1
+    rows = []
+    for name, error, unit, *values in table.rows:
+        texts = [f"{cell:.3g}" if isinstance(cell, float) else cell for cell in values]
+        rows.append((name, f"{error} [{unit}]", *texts)[first:])
+    columns = tuple(column for column in table.columns[first:] if column.title != "unit")
+    short = replace(table, columns=columns, rows=tuple(rows), notes=())
+    ranks = [0 if column.title == "sse" else None for column in columns]
+    return tl.compare.narrow_table(short, width, ranks)
+
+
+def _describe(one: "TrajectoryComparison") -> list[str]:
+    """Return the errors in sentences: RMSE of positions and rotations."""
+    from turtlelog.compare.trajectory_comparison import NAMES
+
+    turn = "heading" if one.space == "plane" else "rotation"
+    how = {"none": "without alignment", "origin": "with the first poses brought together"}
+    after = how.get(one.align, f"after alignment in {NAMES.get(one.align, '')}")
+    lines = [
+        f"{one.name}: absolute trajectory error {_format(one.find_error('ate', 'position'), 'm')}"
+        f" RMSE, {turn} {_format(one.find_error('ate', 'rotation'), 'rad')}, {after}."
+    ]
+    for error in one.errors:
+        if error.kind == "rpe" and error.quantity == "position":
+            rotation = one.find_error("rpe", "rotation", error.delta)
+            lines.append(
+                f"Relative pose error over {error.delta}: {_format(error.statistics, 'm')} RMSE,"
+                f" {turn} {_format(rotation, 'rad')}, of {error.statistics.count} motions."
+            )
+    if one.align != "none":
+        lines.append(
+            f"The alignment {_describe_alignment(one)}. Without it the position error is"
+            f" {format_short(one.before_m, 'm')} RMSE."
+        )
+    return lines
+
+
+def _format(statistics: "ErrorStatistics | None", unit: str) -> str:
+    if statistics is None:
+        return "-"
+    if 0.0 < statistics.rmse < _TINY:
+        return "below 1e-6 mm" if unit == "m" else "below 1e-7 deg"
+    return format_short(statistics.rmse, unit)
+
+
+_TINY: Final = 1e-9
+"""Errors below are of rounding [m, rad]: text with nine decimals ends there."""
+
+
+def _describe_alignment(one: "TrajectoryComparison") -> str:
+    turn_rad = _find_turn(one)
+    moved_m = float(np.linalg.norm(one.alignment.translation_m))
+    scaled = f", scales it by {one.alignment.scale:.5g}" if one.align.startswith("sim") else ""
+    turned, moved = format_short(turn_rad, "rad"), format_short(moved_m, "m")
+    return f"turns the estimate by {turned} about the origin{scaled} and moves it by {moved}"
+
+
+def _find_turn(one: "TrajectoryComparison") -> float:
+    """Return the angle of the rotation of the alignment [rad]."""
+    rotation = one.alignment.rotation
+    skew = rotation - rotation.T
+    sine = float(np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]))
+    return math.atan2(sine, float(np.trace(rotation)) - 1.0)
+
+
+def _describe_basis(one: "TrajectoryComparison", options: TrajectoryOptions) -> list[str]:
+    """Return which poses were compared."""
+    count, (ours, theirs) = len(one.estimate), one.poses
+    what = "x, y and heading" if one.space == "plane" else "positions and rotations in space"
+    how = (
+        "interpolated linearly between the nearest"
+        if options.associate == "linear"
+        else "the nearest in time"
+    )
+    return [
+        f"Compared: {what} of {count} moments, {how}; {one.name} has {ours} poses,"
+        f" {one.reference_name} {theirs}."
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrajectoryErrorAnswer:
+    """Statistics of one error over poses (ATE) or relative motions (RPE).
+
+    Attributes:
+        error: ATE or RPE.
+        quantity: Of positions, or the angle of rotations; in the plane of headings.
+        unit: Of the statistics; of `sse` squared.
+        delta: Length of the relative motions; None for the ATE.
+        delta_unit: `frames`, `m`, `deg` or `s`; None for the ATE.
+        count: Number of poses or motions.
+        std: Standard deviation about the mean, divided by `count`.
+        sse: Sum of squares.
+    """
+
+    error: Literal["ate", "rpe"]
+    quantity: Literal["position", "rotation"]
+    unit: Literal["m", "rad"]
+    delta: float | None
+    delta_unit: str | None
+    count: int
+    rmse: float
+    mean: float
+    median: float
+    std: float
+    min: float
+    max: float
+    sse: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrajectoryAnswer:
+    """A trajectory beside the reference.
+
+    Attributes:
+        file: As typed.
+        name: Of the trajectory.
+        space: `plane` if x, y and heading were compared, `space` if positions and rotations were.
+        align: `none`, `origin`, `se2`, `se3`, `sim2` or `sim3`.
+        rotation: Of the alignment, row by row.
+        translation_m: Of the alignment.
+        scale: Of the alignment, 1 unless it is fitted.
+        associated: Moments that were compared.
+        poses: Poses of the trajectory.
+        reference_poses: Poses of the reference.
+        rmse_before_m: RMSE of the positions without alignment.
+        errors: ATE of positions and rotations, then the RPE of each length.
+        notes: What one must know.
+    """
+
+    file: str
+    name: str
+    space: Literal["plane", "space"]
+    align: str
+    rotation: list[list[float]]
+    translation_m: list[float]
+    scale: float
+    associated: int
+    poses: int
+    reference_poses: int
+    rmse_before_m: float
+    errors: list[TrajectoryErrorAnswer]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrajectoriesAnswer:
+    """Trajectories beside that of a reference, which is a file."""
+
+    reference: str
+    runs: list[TrajectoryAnswer]
+
+
+def _build_answer(file: Path, one: "TrajectoryComparison") -> TrajectoryAnswer:
+    return TrajectoryAnswer(
+        file=str(file),
+        name=one.name,
+        space=one.space,
+        align=one.align,
+        rotation=one.alignment.rotation.tolist(),
+        translation_m=one.alignment.translation_m.tolist(),
+        scale=one.alignment.scale,
+        associated=len(one.estimate),
+        poses=one.poses[0],
+        reference_poses=one.poses[1],
+        rmse_before_m=one.before_m,
+        errors=[
+            TrajectoryErrorAnswer(
+                error=error.kind,
+                quantity=error.quantity,
+                unit="m" if error.quantity == "position" else "rad",
+                delta=None if error.delta is None else error.delta.value,
+                delta_unit=None if error.delta is None else error.delta.unit,
+                **asdict(error.statistics),
+            )
+            for error in one.errors
+        ],
+        notes=one.notes,
+    )

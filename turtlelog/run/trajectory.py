@@ -1,0 +1,120 @@
+"""Trajectory: poses in the plane or in space by absolute time, for errors between two of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import fit_line
+from turtlelog.errors import RunError
+from turtlelog.run.columns import Rebuilding, list_fields, rebuild
+from turtlelog.run.run import Run
+
+Values = NDArray[np.float64]
+
+_UNIT_LENGTH: Final = 1e-6
+"""How far the length of a quaternion may be from 1: what is built here has divided by it."""
+
+_FARTHEST_M: Final = 1e12
+"""Coordinates beyond are of no robot [m]: the sun is at 1.5e11, and squares of 1e155 overflow."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trajectory:
+    """Poses of a robot. Takes its arrays over and makes them read-only.
+
+    Attributes:
+        name: What it is called in answers.
+        time_ns: Time of each pose as its file gives it [ns], shape (n,), strictly increasing. Of
+            a trajectory without times the number of the pose, in units of 1 s.
+        xyz_m: Position in the world frame [m], shape (n, 3).
+        orientation_quat_wxyz: Rotation from the robot's frame to the world's, of length 1, shape
+            (n, 4).
+        space: `space` if the file has heights and rotations, `plane` if x, y and heading alone.
+        clock: `time`, or `frame` for poses that are only numbered.
+        notes: What was left out in reading, by a word.
+    """
+
+    name: str
+    time_ns: NDArray[np.int64]
+    xyz_m: Values
+    orientation_quat_wxyz: Values
+    space: Literal["plane", "space"]
+    clock: Literal["time", "frame"] = "time"
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        count = len(self.time_ns)
+        shapes = (self.xyz_m.shape, self.orientation_quat_wxyz.shape)
+        if shapes != ((count, 3), (count, 4)):
+            raise RunError(
+                f"trajectory: expected rows of 3 and 4 for {count} times, found {shapes}"
+            )
+        if (np.diff(self.time_ns) <= 0).any():
+            row = int((np.diff(self.time_ns) <= 0).argmax()) + 1
+            raise RunError(f"trajectory.time_ns[{row}]: expected a time after the one before")
+        for name in ("xyz_m", "orientation_quat_wxyz"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise RunError(f"trajectory.{name}: expected finite numbers")
+        if (farthest_m := float(np.abs(self.xyz_m).max(initial=0.0))) > _FARTHEST_M:
+            raise RunError(
+                f"trajectory: expected positions within {_FARTHEST_M:g} m, found {farthest_m:g} m"
+            )
+        lengths = np.linalg.norm(self.orientation_quat_wxyz, axis=1)
+        if (np.abs(lengths - 1.0) > _UNIT_LENGTH).any():
+            raise RunError("trajectory.orientation_quat_wxyz: expected quaternions of length 1")
+        for array in (self.time_ns, self.xyz_m, self.orientation_quat_wxyz):
+            array.flags.writeable = False
+        object.__setattr__(self, "notes", MappingProxyType(dict(self.notes)))
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def __repr__(self) -> str:
+        return fit_line(f"<Trajectory {self.name}: {len(self)} poses in {self.space}>")
+
+    def __reduce__(self) -> Rebuilding:
+        return rebuild, (type(self), list_fields(self))
+
+
+def build_planar_trajectory(run: Run) -> Trajectory:
+    """Return the poses of a run as a trajectory in the plane, at the run's own times."""
+    return Trajectory(
+        name=run.name,
+        time_ns=run.poses.time_ns,
+        xyz_m=np.column_stack([run.poses.xy_m, np.zeros(len(run.poses))]),
+        orientation_quat_wxyz=turn_headings(run.poses.heading_rad),
+        space="plane",
+    )
+
+
+def turn_headings(heading_rad: Values) -> Values:
+    """Return headings [rad], shape (n,), as quaternions w, x, y, z, shape (n, 4)."""
+    none = np.zeros(len(heading_rad))
+    return np.column_stack([np.cos(heading_rad / 2.0), none, none, np.sin(heading_rad / 2.0)])
+
+
+def find_quaternions(rotations: Values) -> Values:
+    """Return rotation matrices, shape (n, 3, 3), as quaternions w, x, y, z of length 1, (n, 4).
+
+    From the largest of the four parts, which loses no digits: S. W. Shepperd, "Quaternion from
+    Rotation Matrix", Journal of Guidance and Control 1(3), 1978.
+    """
+    diagonal = np.einsum("nii->ni", rotations)
+    trace = diagonal.sum(axis=1)
+    # Of each matrix the column of 4 q q^T whose part on the diagonal is the largest.
+    squares = np.column_stack([1.0 + trace, *(1.0 - trace + 2.0 * one for one in diagonal.T)])
+    outer = np.empty((len(rotations), 4, 4))
+    outer[:, range(4), range(4)] = squares
+    for row, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), start=1):
+        outer[:, 0, row] = outer[:, row, 0] = rotations[:, i, j] - rotations[:, j, i]
+    for (first, second), (i, j) in zip(
+        ((1, 2), (1, 3), (2, 3)), ((0, 1), (0, 2), (1, 2)), strict=True
+    ):
+        mixed = rotations[:, i, j] + rotations[:, j, i]
+        outer[:, first, second] = outer[:, second, first] = mixed
+    found = outer[np.arange(len(rotations)), squares.argmax(axis=1)]
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
