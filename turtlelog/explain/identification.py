@@ -28,8 +28,8 @@ class Certainty(enum.StrEnum):
     AMBIGUOUS = "ambiguous"
     """Several values fit alike; they are the candidates, and the value is the likeliest."""
     RECORDED = "as recorded"
-    """Of the recorded scenario, whose re-simulation reproduces every sample; the samples alone do
-    not show it."""
+    """Value of the recorded scenario, whose re-simulation reproduces every sample; the samples
+    alone do not show it."""
     UNKNOWN = "unknown"
     """The log does not determine it."""
 

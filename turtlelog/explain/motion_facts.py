@@ -77,8 +77,8 @@ class MotionFacts:
     Attributes:
         name: Name of the run.
         kind: Kind of robot that the poses belong to.
-        poses: Times from one to the next; None of fewer than two.
-        commands: Likewise.
+        poses: Times from one pose to the next; None for fewer than two.
+        commands: Times from one command to the next; None for fewer than two.
         largest: Commands of the largest magnitude on each axis that is used.
         outliers: Measured rates that their neighbours contradict.
         jumps: Steps that a robot cannot have driven; of turtlesim the replay has them.

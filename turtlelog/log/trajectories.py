@@ -58,7 +58,7 @@ def read_trajectory(
     Args:
         path: A trajectory of TUM, KITTI or EuRoC, or anything that `read_run` takes; FILE:TOPIC for
             one topic of a bag.
-        choice: What is meant, as for `read_run`.
+        choice: Selection as for `read_run`.
         times: File with the time of each pose [s] for a KITTI trajectory, which has none.
 
     Raises:

@@ -74,8 +74,8 @@ class PoseJump:
         moved_m: Forward along the heading, backward negative [m].
         aside_m: Distance to the left [m].
         turned_rad: Counter-clockwise [rad].
-        excess_m: How much further that is than the robot drove, as its neighbours say [m].
-        excess_rad: Likewise of the turn [rad].
+        excess_m: Distance beyond that which the robot drove by the neighbouring steps [m].
+        excess_rad: Turn beyond that of the neighbouring steps [rad].
     """
 
     row: int

@@ -27,7 +27,7 @@ class Trajectory:
     """Poses of a robot. Takes its arrays over and makes them read-only.
 
     Attributes:
-        name: What it is called in answers.
+        name: Name in answers.
         time_ns: Time of each pose as its file gives it [ns], shape (n,), strictly increasing. Of
             a trajectory without times the number of the pose, in units of 1 s.
         xyz_m: Position in the world frame [m], shape (n, 3).
@@ -35,7 +35,7 @@ class Trajectory:
             (n, 4).
         space: `space` if the file has heights and rotations, `plane` if x, y and heading alone.
         clock: `time`, or `frame` for poses that are only numbered.
-        notes: What was left out in reading, by a word.
+        notes: Omissions in reading, by a word.
     """
 
     name: str

@@ -137,7 +137,7 @@ class PlainLoop:
 
     Attributes:
         declaration: Declaration of the law.
-        now: Where the loop stands: of `Progress`.
+        now: State of the loop, of `Progress`.
     """
 
     def __init__(

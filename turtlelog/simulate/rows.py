@@ -222,7 +222,7 @@ class SampleRow:
         stop: Why this is the last sample: place in the law's `stops`, from 1; 0: it is not.
         ends_phase: Whether the next sample is of another phase.
         bearing_rad: Goal bearing [rad].
-        heading_error_rad: What the heading should be minus the heading [rad].
+        heading_error_rad: Reference heading minus heading [rad].
         error_x_m: Goal minus position, world frame [m]; so `error_y_m`.
         distance_m: Distance from the pose to the goal [m].
         world_v_x_m_s: Gain times error before projection [m/s]; so `world_v_y_m_s`.

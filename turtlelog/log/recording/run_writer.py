@@ -49,7 +49,7 @@ def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -
     """Write a run as an MCAP file; the same run gives the same bytes.
 
     Args:
-        run: What is written.
+        run: Run to write.
         path: The file.
         shares_poses: Whether poses stand also in `/odom`, `/tf` and `/path`, by which other
             programs know a robot; readers of turtlelog pass over these.
