@@ -224,8 +224,8 @@ class ArtifactWriter:
     def write(self, run: Run, result: CheckResult, *, prefix: str = "") -> Artifacts:
         """Write a .rrd that opens at the violation, its picture, and the recording around it.
 
-        Where a violation belongs to no moment they show the end of the run, and the recording is
-        whole. Of a run without poses there is nothing to look at, and a note says so.
+        If a violation belongs to no moment they show the end of the run, and the recording is
+        whole. For a run without poses there is nothing to look at, and a note says so.
 
         Args:
             run: That failed.

@@ -179,7 +179,7 @@ def check_run(
 ) -> FormulaResult:
     """Check a formula over a run's signals, metrics and parameters.
 
-    Of a run that was cut, what the formula says of the time after its end is unknown.
+    If the run was truncated, the time after its end is unknown.
 
     Args:
         run: Time zero is its first sample.
@@ -219,8 +219,8 @@ _Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
 def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
     """Return the verdict; of long traces there is one walk at a time.
 
-    Where part is unknown, the whole may still be decided: by the margins in which the unknown
-    counts as badly, or as well, as it can.
+    If part is unknown, the whole may still be decided: by the margins in which the unknown counts
+    as badly, or as well, as it can.
     """
     walk = FormulaWalk(expression, trace)
     margin = walk.margin

@@ -52,8 +52,7 @@ def match_run(
         run: That is judged.
         reference: A run, its file, or metrics; of metrics, what never had a value is as it was.
         tolerance: Tolerance of every signal or metric; `Tolerances` or a file of them name those
-            that are judged. Where None, signals may be 1e-6 apart, and metrics worse by a
-            millionth.
+            that are judged. If None, signals may be 1e-6 apart, and metrics worse by a millionth.
         file: Name of the run in results; empty: the run's own name.
         alignment: See `compare_runs`.
 

@@ -90,8 +90,8 @@ def read_reference_trajectory(
         reads_files: Whether runs are called as their files, whose poses in space are read.
 
     Raises:
-        CheckError: Where errors have no reference.
-        LogError: Where it cannot be read.
+        CheckError: If errors have no reference.
+        LogError: If it cannot be read.
     """
     names = sorted(list_names(spec.checks) & TRAJECTORY_VALUES.keys())
     if not names:

@@ -171,7 +171,7 @@ class Recording:
             reference: A recording, a run, a path to one or to metrics as `turtlelog metrics --json`
                 prints them, or the fixture `reference`.
             tolerance: Tolerance of every signal or metric; `Tolerances` or a tolerance file name
-                those that are judged. Where None, signals may be 1e-6 apart, and metrics worse by a
+                those that are judged. If None, signals may be 1e-6 apart, and metrics worse by a
                 millionth.
 
         Raises:
@@ -190,8 +190,8 @@ class Recording:
         """Return what a law makes of the recorded poses.
 
         Args:
-            law: An instance, or a scenario with one. Where None that of the recording, which runs
-                if it is built in or `trust_law` is set.
+            law: An instance, or a scenario with one. None: that of the recording, which runs if it
+                is built in or `trust_law` is set.
 
         Raises:
             CheckError: If it is no law with its parameters.
@@ -308,7 +308,7 @@ class SimulatedRuns:
     """Records simulations into a folder.
 
     Args:
-        folder: Where the recordings go.
+        folder: Folder of the recordings.
         watch: Object that is called with every check on them.
     """
 

@@ -76,7 +76,7 @@ def compute_robustness(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CriticalPart:
-    """Where a margin comes from, however deep it stands.
+    """Origin of a margin, however deep it stands.
 
     Attributes:
         node: A comparison of two sides, or what is true or false by itself.

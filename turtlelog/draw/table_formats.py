@@ -59,8 +59,8 @@ class _Column:
 def format_text(table: Table, width: int | None = None) -> str:
     """Return a table for a terminal: aligned columns, units in the second line, notes below.
 
-    Where it is wider than `width` names are broken into lines; where that is not enough, the
-    columns stand in several blocks, each with the columns of text that the rows begin with.
+    If it is wider than `width` names are broken into lines; where that is not enough, the columns
+    stand in several blocks, each with the columns of text that the rows begin with.
     """
     columns = [_build_column(table, index) for index in range(len(table.columns))]
     blocks = [columns] if width is None else _fit(columns, width)

@@ -123,9 +123,9 @@ def attribute_scenario(
 ) -> Attribution:
     """Attribute a value of a scenario to causes.
 
-    All 2^n sets of n causes are simulated, with each of 32 seeds where one that is in draws
-    random numbers. Of more than six, those six take part that change the value most, alone out or
-    alone in; the others stay as recorded.
+    All 2^n sets of n causes are simulated, with each of 32 seeds where one that is in draws random
+    numbers. If there are more than six causes, the six that change the value most take part, alone
+    out or alone in; the others stay as recorded.
 
     Raises:
         ExplainError: If a metric or cause is not known, a cause stands twice, or there are none.

@@ -199,8 +199,8 @@ class StartRange:
         high: The largest value.
         without_value: Number of starts without a value.
         is_wide: Whether the value depends on single samples: whether both its range and that of
-            what the effects add exceed half of what they add to the scenario's own. Where they add
-            no more than the resolution to it, both exceed that, and half of the largest value.
+            what the effects add exceed half of what they add to the scenario's own. If they add no
+            more than the resolution to it, both exceed that, and half of the largest value.
         parts: Part of each cause that changes the value, if the range is wide. Empty where they do
             not all add to it at every start, or where it takes too many simulations.
         without_all: Smallest and largest value without all causes that act, if the range is wide.
@@ -252,8 +252,8 @@ class Attribution:
         unit: Its unit.
         as_logged: The log's own value; None if it has none, or where there is no log.
         resimulated: The value re-simulated with all effects; None if it has no value.
-        without_all: Re-simulated, with all that take part out; None if it has no value. Where what
-            is left is random, the mean over seeds.
+        without_all: Re-simulated, with all that take part out; None if it has no value. If what is
+            left is random, the mean over seeds.
         causes: Those that take part: the value is divided among them.
         contributions: Theirs, in their order; none if they are withheld. `math.fsum` of them is
             resimulated - without_all: see `compute_contributions`. With random effects they are

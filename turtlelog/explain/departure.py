@@ -1,4 +1,4 @@
-"""Where two runs of the same settings depart, and what that tells of the cause."""
+"""First difference of two runs of the same settings, and what it shows of the cause."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """A value as a game: what some causes make, played without any set of them, over seeds.
 
-Where a cause that is in draws random numbers, one run says little of it: such a scenario is
-simulated with every one of `SEEDS`, and the same seeds with and without a cause.
+If a cause that is in draws random numbers, one run says little of it: such a scenario is simulated
+with every one of `SEEDS`, and the same seeds with and without a cause.
 """
 
 import time

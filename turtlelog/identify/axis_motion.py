@@ -56,7 +56,7 @@ class AxisMotion:
         first: Row of the pose that each step begins at, shape (n,); it ends at the next.
         moved: How far each step went [m] or [rad], shape (n,).
         commands: Commands of this axis, with a 0 if the robot stops by itself.
-        stops: Where it does.
+        stops: Place where it stops.
     """
 
     time_s: Values

@@ -1,7 +1,7 @@
 """Common parts of laws that track a path: loops and reference pose.
 
-Where the path has a speed, the reference leaves its beginning with the first sample and moves at
-that speed; the run ends when it reaches the end. Otherwise the reference is the point of the path
+If the path has a speed, the reference leaves its beginning with the first sample and moves at that
+speed; the run ends when it reaches the end. Otherwise the reference is the point of the path
 nearest to the robot, and the run ends within a tolerance of the end.
 """
 

@@ -73,7 +73,7 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
     Args:
         source: The file, or the folder of a bag: a bag that was never closed has no
             `metadata.yaml`.
-        target: The MCAP file to write. Of a folder, a name that does not end in .mcap is a new
+        target: The MCAP file to write. For a folder, a name that does not end in .mcap is a new
             folder, for a bag of all its files.
 
     Raises:
@@ -216,8 +216,8 @@ class _Copied:
         lost: What could not be read.
         data_end: Byte behind the end of the data, None if there is none.
         is_vouched: Whether the checksum of the whole data section holds.
-        mismatch: Where it does not; its place is that of the checksum.
-        summary: Where the summary is not sound; its place.
+        mismatch: Place of the checksum if it does not agree.
+        summary: Place of the summary if it is not sound.
     """
 
     rewriter: Rewriter

@@ -164,7 +164,7 @@ def _read_times(path: Path, count: int) -> Times:
     """Return the times of poses, one a line [s] -> [ns].
 
     Raises:
-        LogError: Where they are not as many, or a line is no time.
+        LogError: If they are not as many, or a line is no time.
     """
     found: list[int] = []
     with name_file(path, expected="a file of times"), open_file(path) as stream:

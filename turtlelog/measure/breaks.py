@@ -1,4 +1,4 @@
-"""Where the poses of any robot break: segments without poses, and steps that it cannot have made.
+"""Breaks in the poses of any robot: segments without poses, and steps that it cannot have made.
 
 Of turtlesim, whose poses hold what was applied, a replay through its plant tells more.
 """

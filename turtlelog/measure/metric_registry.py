@@ -101,8 +101,7 @@ def _list_metrics(declarations: tuple[Declaration, ...]) -> Mapping[str, MetricK
 def list_essential_metrics(*of: Declaration | Run) -> tuple[str, ...]:
     """Return the ids of the metrics to look at first: of laws, or of what runs hold.
 
-    Of a run without samples, which no law is known of, those that its poses, commands and goal
-    give.
+    For a run without samples, whose law is not known, those that its poses, commands and goal give.
     """
     lawless = [run for run in of if isinstance(run, Run) and is_lawless(run)]
     if len(lawless) < len(of) or not of:

@@ -164,7 +164,7 @@ def _find_first_arc(run: Run, path: Path) -> float | None:
 
 
 _TRACES: Final[WeakKeyDictionary[Run, dict[str, tuple[Values, Values]]]] = WeakKeyDictionary()
-"""Where poses and references of a run are on its path, found row by row, while the run is kept."""
+"""Places of poses and references of a run on its path, found row by row, while the run is kept."""
 
 
 def _recall(

@@ -82,8 +82,8 @@ class MetricKind:
     def compute_loss(self, value: float, reference: float) -> float:
         """Return by how much a value is worse than a reference, in the metric's unit.
 
-        Negative where it is better, 0 where both are equal or under the floor. Of a metric that has
-        no better direction every change is a loss.
+        Negative where it is better, 0 where both are equal or under the floor. If the metric has no
+        better direction, every change is a loss.
         """
         if self.better is None:
             return abs(value - reference)

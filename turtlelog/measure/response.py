@@ -62,7 +62,7 @@ class CommandStretch:
 class Response:
     """How the controlled signal of a loop answers its reference.
 
-    Where the reference stands still, `values` are the signal itself. Where it moves they are the
+    If the reference stands still, `values` are the signal itself. If it moves they are the
     reference at the beginning minus the error, which is what the signal would be if the reference
     had stood still: they come to `reference` where the error comes to 0.
 
@@ -194,7 +194,7 @@ _NEAR: Final = 1.5
 def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
     """Return the row of the pose at which a loop begins: of one between two poses the earlier.
 
-    That is the one which a timer reads. Where poses are lost before the begin it is the later one.
+    That is the one which a timer reads. If poses are lost before the begin it is the later one.
     """
     after = int(np.searchsorted(time_ns, start_ns, side="left"))
     if after in {0, len(time_ns)} or time_ns[after] == start_ns:

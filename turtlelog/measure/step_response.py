@@ -108,8 +108,8 @@ def find_settling_time(
     """Return the last time at which the response enters the band and stays in it [s].
 
     The band is `reference` +- `band` times the step's magnitude; the crossing is interpolated
-    between the rows around it. NaN if the last row is outside. Of an exponential: ln(1 / band) tau,
-    so ln 50 tau for 2 %.
+    between the rows around it. NaN if the last row is outside. For an exponential it is ln(1 /
+    band) tau, so ln 50 tau for 2 %.
     """
     half_width = band * abs(reference - initial)
     last = find_last_outside(values, reference - half_width, reference + half_width)

@@ -109,10 +109,10 @@ def replay_law(
 ) -> LawReplay:
     """Let a law answer the recorded poses, in the order and at the times of the samples.
 
-    Where poses were sensed, these are what it answers; shaping and limits act again. Its answers
-    are compared with the recorded samples and with the commands that were published. The law sees
-    what the recorded one saw; its own commands have no effect on the poses. Of the scenario only
-    the law, its path, the shaping, the limits and the goal count.
+    If poses were sensed, these are what it answers; shaping and limits act again. Its answers are
+    compared with the recorded samples and with the commands that were published. The law sees what
+    the recorded one saw; its own commands have no effect on the poses. Only the law, its path, the
+    shaping, the limits and the goal of the scenario are used.
 
     Args:
         run: Run with samples.

@@ -60,8 +60,8 @@ class PlantStretch:
         signals: x, y [m] and heading [rad], with what rounding explains as their limit.
         rounding_m: Largest error from 32-bit rounding of the first pose and of velocities that
             represent commands, along the way driven [m]; the plant's own state is in double
-            precision, and not recorded. Of a lagged robot, whose start is known, one step of 32
-            bits at the largest coordinate.
+            precision, and not recorded. For a robot model, whose start is known, it is one step of
+            32 bits at the largest coordinate.
         rounding_rad: The same for the heading [rad].
     """
 

@@ -111,8 +111,8 @@ def _list_rows(motion: RecordedMotion, starts: frozenset[int]) -> Iterator[_Row]
 def follow_commands(run: Run) -> NDArray[np.int64]:
     """Return which pose first shows which command: rows of both, shape (n, 2).
 
-    Of the commands that were taken those that changed what the plant held: no pose shows when one
-    was taken that equals the one before. Nor does a pose behind a jump or gap.
+    These are the commands that were taken and changed what the plant held: no pose shows when a
+    command was taken that equals the one before. Nor does a pose behind a jump or gap.
 
     Raises:
         ReplayError: As `read_motion` does.

@@ -189,9 +189,9 @@ class Run:
     def goal_line(self) -> GoalLine | None:
         """The line from the first pose that was read to the goal; None if it is not known.
 
-        Where the first sample is lost, or the goal is not known, the first bearing that was
-        recorded gives the direction. Where there are neither samples nor loops, nothing shows which
-        pose was read first: it is the first that was recorded.
+        If the first sample is lost, or the goal is not known, the first bearing that was recorded
+        gives the direction. If there are neither samples nor loops, nothing shows which pose was
+        read first: it is the first that was recorded.
         """
         samples = self.samples
         if not len(self.poses):
@@ -220,7 +220,7 @@ class Run:
     def path(self) -> Path | None:
         """The path that it is to follow; None if it follows none, or it is not recorded.
 
-        Of a run without samples nothing is known of a law: a path that is recorded counts.
+        The law of a run without samples is not known: a recorded path is used.
         """
         is_followed = self.declaration.follows_path or not len(self.samples)
         return restore_path(self.parameters) if is_followed else None
@@ -234,7 +234,7 @@ class Run:
     def start_ns(self) -> int:
         """Time zero of metrics, windows and alignment: the first sample, or else pose [ns].
 
-        Of a run without poses it is the first command.
+        For a run without poses it is the first command.
         """
         columns = (self.samples, self.poses, self.commands)
         return next(int(column.time_ns[0]) for column in columns if len(column))
@@ -264,7 +264,7 @@ class Run:
     def slice(self, start_s: float | None = None, end_s: float | None = None) -> "Run":
         """Return what was recorded in a segment of time, its ends included, as a run of its own.
 
-        Its times stay those of this run. Where the end is cut off it has no stop reason, and its
+        Its times stay those of this run. If the end is cut off it has no stop reason, and its
         parameters no longer determine it: `explain` identifies it from its samples.
 
         Args:

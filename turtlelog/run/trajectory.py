@@ -28,8 +28,8 @@ class Trajectory:
 
     Attributes:
         name: Name in answers.
-        time_ns: Time of each pose as its file gives it [ns], shape (n,), strictly increasing. Of
-            a trajectory without times the number of the pose, in units of 1 s.
+        time_ns: Time of each pose as its file gives it [ns], shape (n,), strictly increasing. For a
+            trajectory without times it is the number of the pose, in units of 1 s.
         xyz_m: Position in the world frame [m], shape (n, 3).
         orientation_quat_wxyz: Rotation from the robot's frame to the world's, of length 1, shape
             (n, 4).

@@ -182,8 +182,9 @@ def replay_commands(scenario: Scenario, run: Run) -> Scenario:
     """Return the scenario with the commands of a run in place of its law, by the law `open-loop`.
 
     Their times count from the run's first sample, or from its first command where that is earlier.
-    Of commands published at one time the last one counts, and what repeats the command before it is
-    left out, for each holds until the next: what waited in a queue cannot be distinguished.
+    If several commands were published at one time, the last one is used. A command that repeats the
+    one before is left out, because each holds until the next: what waited in a queue cannot be
+    distinguished.
 
     Raises:
         ScenarioError: If the run has no commands, more than a scenario holds, or sideways ones.

@@ -251,7 +251,7 @@ def _enter_run(results: RowResults, chunk: RowChunk, row: int, run: Run) -> None
 def list_row_metrics(declaration: Declaration, patterns: Sequence[str] | None) -> tuple[str, ...]:
     """Return the ids of the metrics of a law that are asked for.
 
-    Where none are, the essential ones without dead times: looking for these in the log of each run
+    If none are, the essential ones without dead times: looking for these in the log of each run
     would take most of the time, and the scenario sets what delays there are.
     """
     if patterns is not None:

@@ -68,7 +68,7 @@ def run_sweep(
     """Simulate all rows of a sweep, write their table and return what came of it.
 
     What is done is kept beside the output as it grows: the same sweep into the same file goes on
-    from there. Where the results are there already nothing is simulated.
+    from there. If the results are there already nothing is simulated.
 
     Args:
         sweep: Result of `prepare_sweep`.

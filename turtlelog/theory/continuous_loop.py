@@ -109,8 +109,8 @@ def find_plant_final_value(kind: str) -> FinalValue:
 def find_final_value(numerator: ArrayLike, denominator: ArrayLike) -> FinalValue:
     """Return the limit of a signal for t to infinity from its Laplace transform Y(s).
 
-    The final value theorem: it is the limit of s Y(s) for s to 0, if all poles of s Y(s) lie in
-    the open left half plane. Where one does not, the theorem does not apply.
+    The final value theorem: it is the limit of s Y(s) for s to 0, if all poles of s Y(s) lie in the
+    open left half plane. If one does not, the theorem does not apply.
 
     Args:
         numerator: Numerator of Y(s), highest power first.

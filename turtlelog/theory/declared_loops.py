@@ -180,8 +180,8 @@ def hides_stability(parameters: Parameters) -> bool:
 def _find_most_age(parameters: Parameters, step_s: float) -> float:
     """Return how old the pose that a timer reads may be [s].
 
-    The timer begins when a pose comes. Where its period is no multiple of the plant's, some later
-    pose is up to one period of the plant old.
+    The timer begins when a pose comes. If its period is no multiple of the plant's, some later pose
+    is up to one period of the plant old.
     """
     if parameters.get("loop.trigger") != "timer":
         return 0.0

@@ -53,7 +53,7 @@ class PidLoop:
         process: Plant that the command drives.
         poles: Complex, in the z plane, largest magnitude first: d + 1 of P, one more with an
             integral, a derivative, a time constant, a low-pass or part of a sample of dead time
-            each. Of two that meet, half the digits are known.
+            each. If two poles meet, half their digits are known.
         stable: All poles lie inside the unit circle, farther from it than rounding reaches.
         stable_gains: Intervals of Kp [1/s] in which the loop is stable with its other gains as
             they are; () where there is none.
@@ -156,8 +156,8 @@ def compute_pid_poles(
 ) -> NDArray[np.complex128]:
     """Return the poles of a closed PID loop in the z plane, largest magnitude first.
 
-    Where two poles meet, as every root of a polynomial they are known to half the digits, about
-    1e-8. The verdict of `is_pid_stable` does not depend on them.
+    If two poles meet, as every root of a polynomial they are known to half the digits, about 1e-8.
+    The verdict of `is_pid_stable` does not depend on them.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.

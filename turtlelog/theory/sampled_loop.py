@@ -23,7 +23,7 @@ from turtlelog.theory.inputs import (
 from turtlelog.theory.sampled_poles import compute_meeting_gain, compute_sampled_poles
 
 LARGEST_DEVIATION: Final = 1e9
-"""Where the response of an unstable loop is stopped, in steps from the reference."""
+"""Size at which the response of an unstable loop is stopped, in steps from the reference."""
 
 _NEGLIGIBLE_DEVIATION: Final = 1e-20
 """In steps from the reference: far below the last digit of a double near 1, 2e-16."""

@@ -88,7 +88,7 @@ def write_explanation_rrd(
 ) -> None:
     """Write a recording of a run beside its what-ifs as ghosts, with the attribution as steps.
 
-    The last what-if is the main ghost: the run without all that acts. Where there is none it is the
+    The last what-if is the main ghost: the run without all that acts. If there is none it is the
     ideal loop, if theory knows it. If contributions are withheld, the reason is shown instead.
 
     Args:

@@ -55,7 +55,7 @@ class LiveViewer:
 
         Args:
             scenario: What runs.
-            url: Where the viewer is, as `rerun+http://127.0.0.1:9876/proxy`.
+            url: Address of the viewer, as `rerun+http://127.0.0.1:9876/proxy`.
 
         Raises:
             ShowError: If nothing answers there.

@@ -49,8 +49,8 @@ class Recorder:
 
     As a context manager it finishes the file on the way out, also on Ctrl-C and where it is asked
     to end by SIGTERM, SIGHUP or SIGQUIT. An existing file is refused, and so is one that another
-    recorder is writing. Where somebody deletes, moves or replaces the file, the recording ends with
-    the next chunk: nobody would find what is written from then on.
+    recorder is writing. If the file is deleted, moved or replaced, the recording ends with the next
+    chunk: what is written after that would be lost.
     """
 
     def __init__(
