@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # The tests start hundreds of processes: without compiled files each compiles the package anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all check torture recordings pictures gallery contact-sheet bench clean
+.PHONY: demo test test-all check words torture recordings pictures gallery contact-sheet bench clean
 
 demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
@@ -45,6 +45,10 @@ check: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy --num-workers auto
 	$(BIN)/lint-imports
+
+# README and docs, page by page: words, the median sentence, sentences and words to rewrite.
+words: .venv/installed-dev
+	@$(BIN)/python -m tests.docs.plain_words
 
 # Every cut and every flipped bit of a small recording, a hundred killed recorders.
 torture: .venv/installed-dev

@@ -146,7 +146,7 @@ class ExpressionError(TurtlelogError):
     """An expression that does not parse, or names what is not there.
 
     Attributes:
-        column: Where in its text, counted from 1; None where no place is to blame.
+        column: Column in its text, counted from 1; None if the error has no place.
     """
 
     def __init__(self, message: str, *, column: int | None = None) -> None:
@@ -202,7 +202,7 @@ class SimulationError(TurtlelogError):
     """A simulation that cannot go on.
 
     Attributes:
-        run: The `Run` up to there, None where it had no sample.
+        run: The `Run` up to there, None if it had no sample.
     """
 
     run: Any = None

@@ -24,8 +24,8 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import SPEC, Call, call as call
+from tests.docs.plain_words import find_hard_words, list_lines
 from tests.docs.test_pages import README, ROOT, list_console, matches_shown
-from tests.docs.test_words import find_hard_words, list_lines
 from tests.fresh_process import run_command
 from tests.identify.robots import Log, Truth, make_run, write_bag
 from tests.log.ros2.bags import write_metadata

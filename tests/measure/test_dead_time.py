@@ -295,7 +295,9 @@ def test_dead_time_of_a_robot_with_a_lag_is_not_guessed() -> None:
     run = simulate("textbook", **LAGGED, plant__turn_lag_s=0.1)
     found = find_dead_time(run, ROTATE)
     assert isinstance(found, Missing)
-    assert found.reason == "it cannot be told from the robot's lag (plant.turn_lag_s = 0.1)"
+    assert found.reason == (
+        "it cannot be separated from the robot's time constant (plant.turn_lag_s = 0.1)"
+    )
 
 
 def test_dead_time_that_is_no_whole_number_of_periods_is_not_rounded() -> None:

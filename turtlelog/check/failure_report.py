@@ -1,4 +1,4 @@
-"""What to say of a failed check, and what to look at: a Rerun view, its picture, the stretch."""
+"""What to say of a failed check, and what to look at: a Rerun view, its picture, the segment."""
 
 import math
 import re
@@ -224,18 +224,18 @@ class ArtifactWriter:
     def write(self, run: Run, result: CheckResult, *, prefix: str = "") -> Artifacts:
         """Write a .rrd that opens at the violation, its picture, and the recording around it.
 
-        Where a violation belongs to no moment they show the end of the run, and the recording is
-        whole. Of a run without poses there is nothing to look at, and a note says so.
+        If a violation belongs to no moment they show the end of the run, and the recording is
+        whole. For a run without poses there is nothing to look at, and a note says so.
 
         Args:
             run: That failed.
-            result: What came of the check.
+            result: Result of the check.
             prefix: Id of the test that failed; the end of it stands in front of the files' names.
 
         Raises:
-            CheckError: Where the folder cannot be made.
-            LogError: Where the recording cannot be written.
-            ShowError: Where the view cannot be written.
+            CheckError: If the folder cannot be made.
+            LogError: If the recording cannot be written.
+            ShowError: If the view cannot be written.
         """
         if not len(run.poses):
             note = f"{result.file}: no artifacts of {result.check}: it holds commands without poses"

@@ -49,24 +49,24 @@ _BEYOND: Final = "its window begins after the end, where the last values hold"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FormulaResult:
-    """What a formula comes to at the beginning of a trace. Times count from there.
+    """Verdict and margin of a formula at the beginning of a trace. Times count from there.
 
     Attributes:
-        formula: As it was written.
-        holds: The verdict; None where it is unknown.
-        margin: By how much every number may change before the verdict does, in the unit of the
-            comparison that decides: positive where it holds. inf or -inf where nothing with a
-            distance decides; None where it is unknown.
-        margin_s: Time from which the margin comes [s]; None where it is unknown.
+        formula: Text of the formula.
+        holds: The verdict; None if it is unknown.
+        margin: Change of every number that the verdict withstands, in the unit of the comparison
+            that decides: positive where it holds. inf or -inf if nothing with a distance decides;
+            None if it is unknown.
+        margin_s: Time from which the margin comes [s]; None if it is unknown.
         decided_by: The comparison from which the margin comes then.
-        value: Of what is measured in that comparison; None where that is no number.
-        limit: What it is held to; None where that is no number.
-        unit: Of the three, as signals and metrics of these names have it; empty where it is not
+        value: Left side of that comparison; None if that is no number.
+        limit: Limit of the comparison; None if that is no number.
+        unit: Unit of the three, as signals and metrics of these names have it; empty if it is not
             plain.
-        first_violation_s: First time at which it is violated [s]; None where it is not, or where
-            that is after the end of the trace.
-        values: What every name stands for at the first violation, or else at `margin_s`, or else
-            at the beginning; None for no value.
+        first_violation_s: First time at which it is violated [s]; None if it is not, or where that
+            is after the end of the trace.
+        values: Value of every name at the first violation, or else at `margin_s`, or else at the
+            beginning; None for no value.
         is_covered: Whether the trace is long enough for all that the formula looks ahead; a run
             that was cut is never long enough for a window without an end.
         reason: One clause where the verdict is unknown, or where no time of the trace violates it.
@@ -89,7 +89,7 @@ class FormulaResult:
         """Whether it holds.
 
         Raises:
-            UndecidedError: Where that is unknown.
+            UndecidedError: If that is unknown.
         """
         if self.holds is None:
             raise UndecidedError(f"{self.formula}: undecided: {self.reason}")
@@ -129,12 +129,12 @@ def check_formula(
         expression: A formula or its text, temporal or not.
         window_ns: First and last time [ns] of the trace; by default from the first moment at
             which every signal used has a value to the last time of any.
-        ending: What is known of the time after that; by default the last values hold for ever.
-        declaration: Of the law that ran, which says the units of its loops' metrics.
+        ending: Knowledge of the time after that; by default the last values hold for ever.
+        declaration: Declaration of the law that ran, which says the units of its loops' metrics.
 
     Raises:
-        ExpressionError: Where a name is not there or the kinds do not go together.
-        CheckError: Where a signal is no signal, or has no value at the first time.
+        ExpressionError: If a name is not there or the kinds do not go together.
+        CheckError: If a signal is no signal, or has no value at the first time.
     """
     if isinstance(signals, Run):
         return check_run(signals, expression, window_ns=window_ns)
@@ -179,7 +179,7 @@ def check_run(
 ) -> FormulaResult:
     """Check a formula over a run's signals, metrics and parameters.
 
-    Of a run that was cut, what the formula says of the time after its end is unknown.
+    If the run was truncated, the time after its end is unknown.
 
     Args:
         run: Time zero is its first sample.
@@ -190,8 +190,8 @@ def check_run(
             last values hold.
 
     Raises:
-        ExpressionError: Where a name is not there or the kinds do not go together.
-        CheckError: Where a signal has no value at the first time.
+        ExpressionError: If a name is not there or the kinds do not go together.
+        CheckError: If a signal has no value at the first time.
     """
     expression = _parse(expression)
     others = {name: None for name in expression.names if find_kind(run, name) is not None}
@@ -219,8 +219,8 @@ _Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
 def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
     """Return the verdict; of long traces there is one walk at a time.
 
-    Where part is unknown, the whole may still be decided: by the margins in which the unknown
-    counts as badly, or as well, as it can.
+    If part is unknown, the whole may still be decided: by the margins in which the unknown counts
+    as badly, or as well, as it can.
     """
     walk = FormulaWalk(expression, trace)
     margin = walk.margin
@@ -278,7 +278,7 @@ def _measure_reach(node: Node, *, is_cut: bool) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sides:
-    """Value and limit of a comparison; None where it has no such numbers."""
+    """Value and limit of a comparison; None if it has no such numbers."""
 
     value: float | None = None
     limit: float | None = None
@@ -294,7 +294,7 @@ def read_sides(
         expression: That it is part of.
         node: The comparison; of anything else the sides are None.
         values: What its names stand for.
-        declaration: Of the law, which says the units of its loops' metrics.
+        declaration: Declaration of the law, which says the units of its loops' metrics.
     """
     if not isinstance(node, Comparison):
         return Sides()
@@ -312,7 +312,7 @@ def read_sides(
 
 
 def find_unit(name: str, declaration: Declaration) -> str | None:
-    """Return the unit of a signal or metric, None where the name is of neither.
+    """Return the unit of a signal or metric, None if the name is of neither.
 
     Empty for a metric of a loop that is not declared, whose unit depends on what it controls.
     """
@@ -333,7 +333,7 @@ def _is_measured(node: Node, units: Mapping[str, str]) -> bool:
 
 
 def _find_unit(node: Node, units: Mapping[str, str]) -> str:
-    """Return the unit of what is measured, empty where it is not plain."""
+    """Return the unit of what is measured, empty if it is not plain."""
     if isinstance(node, Call) and node.function in {"abs", "min", "max"}:
         found = {_find_unit(argument, units) for argument in node.arguments}
         return found.pop() if len(found) == 1 else ""

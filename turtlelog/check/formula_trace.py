@@ -51,7 +51,7 @@ def find_ending(run: Run) -> RunEnding:
 
 
 def find_loss(run: Run) -> str | None:
-    """Return what a recording has lost, None where it is whole."""
+    """Return what a recording has lost, None if it is whole."""
     for name in LOSS_NOTES:
         if name in run.notes:
             return f"the recording is not complete: {run.notes[name]}"
@@ -59,7 +59,7 @@ def find_loss(run: Run) -> str | None:
 
 
 def find_window(run: Run, phase: str | None) -> tuple[int, int] | None:
-    """Return the first stretch of a phase with its pause [ns]; None where there is none."""
+    """Return the first segment of a phase with its pause [ns]; None if there is none."""
     if phase is None:
         return run.start_ns, run.end_ns
     spans = run.find_phase_spans()
@@ -96,7 +96,7 @@ Signals = Mapping[str, Column | float | bool | str | None]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FormulaTrace:
-    """What one formula names, over one stretch of time.
+    """What one formula names, over one segment of time.
 
     Attributes:
         start_ns: First time [ns].
@@ -126,8 +126,8 @@ class FormulaTrace:
         """Return what a formula names.
 
         Raises:
-            ExpressionError: Where a name is not there, with the column and the nearest names.
-            CheckError: Where a signal is no signal, or has no value at the first time.
+            ExpressionError: If a name is not there, with the column and the nearest names.
+            CheckError: If a signal is no signal, or has no value at the first time.
         """
         check_names(expression, signals)
         named = {name: signals[name] for name in expression.names}

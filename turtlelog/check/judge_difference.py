@@ -51,14 +51,14 @@ def match_run(
     Args:
         run: That is judged.
         reference: A run, its file, or metrics; of metrics, what never had a value is as it was.
-        tolerance: For every signal or metric; `Tolerances` or a file of them name those that are
-            judged. Where None, signals may be 1e-6 apart, and metrics worse by a millionth.
-        file: What results call the run; its name where empty.
-        alignment: As in `compare_runs`.
+        tolerance: Tolerance of every signal or metric; `Tolerances` or a file of them name those
+            that are judged. If None, signals may be 1e-6 apart, and metrics worse by a millionth.
+        file: Name of the run in results; empty: the run's own name.
+        alignment: See `compare_runs`.
 
     Raises:
-        CheckError: Where the reference cannot be read, or the tolerance does not fit it.
-        CompareError: Where there is no such alignment, or the runs do not overlap.
+        CheckError: If the reference cannot be read, or the tolerance does not fit it.
+        CompareError: If there is no such alignment, or the runs do not overlap.
     """
     file = file or run.name
     if isinstance(reference, ReferenceFile):

@@ -35,14 +35,14 @@ def check_runs(
     """Yield the results of every check on every run, run by run; none of the runs is kept.
 
     Args:
-        spec: What is to hold.
-        runs: With the names of their files.
+        spec: Specification to check.
+        runs: Runs with the names of their files.
         allow_partial: Whether a recording of which something is lost may pass.
 
     Raises:
-        CheckError: Where there are no runs, or tolerances have no reference.
-        LogError: Where the reference cannot be read.
-        ExpressionError: Where the kinds in a formula do not go together on any run.
+        CheckError: If there are no runs, or tolerances have no reference.
+        LogError: If the reference cannot be read.
+        ExpressionError: If the kinds in a formula do not go together on any run.
     """
     reference, trajectories = read_reference_run(spec), read_reference_trajectory(spec)
     count = 0
@@ -61,7 +61,7 @@ def check_runs(
 
 
 def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | None:
-    """Return the run that tolerances are taken from, None where there are none.
+    """Return the run that tolerances are taken from, None if there are none.
 
     Args:
         spec: Names it.
@@ -69,8 +69,8 @@ def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | No
             reference does not hold is chosen as usual. It must be whole in any case.
 
     Raises:
-        CheckError: Where tolerances have no reference.
-        LogError: Where it cannot be read.
+        CheckError: If tolerances have no reference.
+        LogError: If it cannot be read.
     """
     require_reference(spec)
     if not spec.tolerances or spec.reference is None:
@@ -90,8 +90,8 @@ def read_reference_trajectory(
         reads_files: Whether runs are called as their files, whose poses in space are read.
 
     Raises:
-        CheckError: Where errors have no reference.
-        LogError: Where it cannot be read.
+        CheckError: If errors have no reference.
+        LogError: If it cannot be read.
     """
     names = sorted(list_names(spec.checks) & TRAJECTORY_VALUES.keys())
     if not names:

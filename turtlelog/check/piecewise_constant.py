@@ -59,7 +59,7 @@ def make_steps(time_ns: Times, values: Values, *, start_ns: int, end_ns: int) ->
     Args:
         time_ns: Not decreasing [ns], shape (n,), the first not after start_ns.
         values: Shape (n,).
-        start_ns: Where the function begins [ns].
+        start_ns: Time at which the function begins [ns].
         end_ns: Steps after this are left out [ns]; the value there is held.
     """
     first = int(np.searchsorted(time_ns, start_ns, side="right")) - 1

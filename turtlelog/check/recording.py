@@ -54,7 +54,7 @@ class Watch(Protocol):
     """Is told of every recording that is used, and of every check."""
 
     def __call__(self, recording: "Recording", result: CheckResult | None, /) -> None:
-        """Take a result, or None where a recording was used."""
+        """Take a result, or None if a recording was used."""
 
 
 class UnknownMetricError(CheckError, AttributeError):
@@ -66,11 +66,11 @@ class Recording:
 
     Args:
         path: A recording, a bag or a log; FILE:TOPIC, as in `bag:/odom_kf`, names the poses of one.
-        name: What to call it in messages; its path where None.
+        name: Name in messages; None: its path.
         trust_law: Whether `driven_by()` may run the law that it names, where it is not built in.
-        watch: Is told of every check.
-        options: Fields of a `ReadChoice`: which topics of somebody else's file to read, its goal,
-            and whether it may have lost something (`allow_partial`).
+        watch: Object that is called with every check.
+        options: Fields of a `ReadChoice`: which topics of third-party files to read, its goal, and
+            whether it may have lost something (`allow_partial`).
     """
 
     def __init__(
@@ -96,8 +96,8 @@ class Recording:
         """Its columns.
 
         Raises:
-            PartialLogError: Where it has lost something and may not have.
-            LogError: Where it cannot be read.
+            PartialLogError: If it has lost something and may not have.
+            LogError: If it cannot be read.
         """
         run = self._run
         if self._watch is not None:
@@ -119,7 +119,7 @@ class Recording:
         That of a loop which the run's law does not declare has no value, and says so.
 
         Raises:
-            CheckError: Where there is no such metric; with those nearest to it.
+            CheckError: If there is no such metric; with those nearest to it.
         """
         if find_metric_kind(name) is None:
             known = dict.fromkeys([*list_metrics(self.run.declaration), *list_ids_like(name)])
@@ -130,7 +130,7 @@ class Recording:
         """Return the metrics of a loop of the run's law (`rotate`), of `final` or `run`.
 
         Raises:
-            CheckError: Where its law declares no such loop; with those that it does.
+            CheckError: If its law declares no such loop; with those that it does.
         """
         ids = list_metrics(self.run.declaration)
         parts = tuple(dict.fromkeys(known.rpartition(".")[0] for known in ids))
@@ -146,13 +146,13 @@ class Recording:
         """Return whether a formula over signals, metrics and parameters holds.
 
         Args:
-            formula: As in `always(abs(cross_track) <= 0.05)`.
-            phase: The stretch to look at; the whole run where None. Undecided where the run has no
+            formula: Expression, such as `always(abs(cross_track) <= 0.05)`.
+            phase: The segment to look at; the whole run where None. Undecided where the run has no
                 such phase.
 
         Raises:
-            ExpressionError: Where it does not parse or names what is not there.
-            CheckError: Where the name of a phase is misspelled.
+            ExpressionError: If it does not parse or names what is not there.
+            CheckError: If the name of a phase is misspelled.
         """
         parsed = parse_expression(formula, source="holds")
         if phase is not None:
@@ -170,12 +170,13 @@ class Recording:
         Args:
             reference: A recording, a run, a path to one or to metrics as `turtlelog metrics --json`
                 prints them, or the fixture `reference`.
-            tolerance: For every signal or metric; `Tolerances` or a tolerance file name those that
-                are judged. Where None, signals may be 1e-6 apart, and metrics worse by a millionth.
+            tolerance: Tolerance of every signal or metric; `Tolerances` or a tolerance file name
+                those that are judged. If None, signals may be 1e-6 apart, and metrics worse by a
+                millionth.
 
         Raises:
-            CheckError: Where there is no reference, or the tolerance does not fit it.
-            CompareError: Where the runs do not overlap.
+            CheckError: If there is no reference, or the tolerance does not fit it.
+            CompareError: If the runs do not overlap.
         """
         run = self.run
         if isinstance(reference, ReferenceFile) and reference.claims is not None:
@@ -189,11 +190,11 @@ class Recording:
         """Return what a law makes of the recorded poses.
 
         Args:
-            law: An instance, or a scenario with one. Where None that of the recording, which runs
-                if it is built in or `trust_law` is set.
+            law: An instance, or a scenario with one. None: that of the recording, which runs if it
+                is built in or `trust_law` is set.
 
         Raises:
-            CheckError: Where it is no law with its parameters.
+            CheckError: If it is no law with its parameters.
         """
         is_made = not isinstance(law, type | LawPart) and hasattr(law, "step")
         if not (law is None or isinstance(law, Scenario) or is_made):
@@ -291,7 +292,7 @@ class AxisValues:
 
     @property
     def total_delay_s(self) -> Estimate:
-        """Dead time and lag together [s]."""
+        """Dead time and time constant together [s]."""
         return self._require("total_delay_s", self._model.total_delay_s)
 
     def _require(self, name: str, found: Estimate | None) -> Estimate:
@@ -307,8 +308,8 @@ class SimulatedRuns:
     """Records simulations into a folder.
 
     Args:
-        folder: Where the recordings go.
-        watch: Is told of every check on them.
+        folder: Folder of the recordings.
+        watch: Object that is called with every check on them.
     """
 
     def __init__(self, folder: Path, watch: Watch | None = None) -> None:
@@ -335,9 +336,9 @@ class SimulatedRuns:
                 takes.
 
         Raises:
-            CheckError: Where the law is none that its module knows by a name.
-            ScenarioError: Where there is no such scenario, or a change is wrong.
-            SimulationError: Where the law fails or computes for longer.
+            CheckError: If the law is none that its module knows by a name.
+            ScenarioError: If there is no such scenario, or a change is wrong.
+            SimulationError: If the law fails or computes for longer.
         """
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(str(scenario or ("paper" if law is None else "textbook")))
@@ -412,13 +413,13 @@ class DrivenRecording:
 
         Args:
             recording: The same that is driven.
-            tolerance: Its `abs`, in each signal's unit; 0 where None.
+            tolerance: Its `abs`, in each signal's unit; 0 if None.
 
         Raises:
-            CheckError: Where it is another recording, or the tolerance is not of that kind.
-            ReplayError: Where the recording holds no samples.
-            ScenarioError: Where the law that it names is neither built in nor trusted.
-            SimulationError: Where the law fails.
+            CheckError: If it is another recording, or the tolerance is not of that kind.
+            ReplayError: If the recording holds no samples.
+            ScenarioError: If the law that it names is neither built in nor trusted.
+            SimulationError: If the law fails.
         """
         tolerance = Tolerance() if tolerance is None else tolerance
         if tolerance.rel or tolerance.time_s:

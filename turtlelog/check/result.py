@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 
 class PartialLogError(CheckError, AssertionError):
-    """Of a recording something is lost, and nobody said that this is fine."""
+    """A recording is incomplete, and the caller did not allow that."""
 
 
 class Verdict(enum.StrEnum):
-    """What was found."""
+    """Result of a check."""
 
     PASS = "PASS"
     FAIL = "FAIL"
@@ -58,21 +58,23 @@ class CheckResult:
         file: The recording.
         check: Its name: of the table in the specification, or what a test asked for.
         verdict: PASS, FAIL or SKIPPED.
-        expected: What was to hold, as written.
-        value: What was found, in `unit`; None where there is no one number.
-        limit: What it was held to, in `unit`.
-        margin: Distance to the limit in `unit`, positive where it passes; None where there is none.
-        unit: Of the three; empty where they have none.
-        value_s: When the value is found [s]; None where it belongs to no moment.
-        decided_by: Of several comparisons in a formula that which value, limit and margin are of.
-        first_violation_s: When it was first violated [s]; None where it is not, or at no moment.
+        expected: Checked formula or tolerance, as written.
+        value: Measured value, in `unit`; None if there is no single number.
+        limit: Limit of the value, in `unit`.
+        margin: Distance to the limit in `unit`, positive where it passes; None if there is none.
+        unit: Unit of the three; empty if they have none.
+        value_s: Time at which the value is found [s]; None if it belongs to no moment.
+        decided_by: Comparison of the formula to which value, limit and margin belong, if it has
+            several.
+        first_violation_s: Time of the first violation [s]; None if there is none, or it has no
+            moment.
         reason: Why it fails or is skipped, where figures do not say it.
         names: Signals to look at around the violation.
         is_decided: Whether that is known; where not, the check fails, and `bool` of it raises.
         why: Why the run is another one than its reference, in lines; empty if that was not asked.
         reference: The run that it was held to; None without one.
-        judged: What was judged, for a closer look at the violation; None where that is no signal,
-            formula or metric.
+        judged: Signal, formula or metric that was judged; None if that is no signal, formula or
+            metric.
     """
 
     file: str
@@ -99,7 +101,7 @@ class CheckResult:
         """Whether it passes.
 
         Raises:
-            UndecidedError: Where nobody can tell, or nothing was judged.
+            UndecidedError: If nobody can tell, or nothing was judged.
         """
         if not self.is_decided or self.verdict is Verdict.SKIPPED:
             raise UndecidedError(f"{self.file}: {self.check}: undecided: {self.reason}")
@@ -119,7 +121,7 @@ class CheckOutcome:
     """Stands for True or False in an assert, and says why; where it is neither, `bool` raises.
 
     Attributes:
-        results: Of everything that was looked at.
+        results: Results of everything that was looked at.
     """
 
     results: tuple[CheckResult, ...]
@@ -128,7 +130,7 @@ class CheckOutcome:
         """Whether all results pass.
 
         Raises:
-            UndecidedError: Where some are undecided and no other one fails.
+            UndecidedError: If some are undecided and no other one fails.
         """
         failures = self.failures
         if not failures or failures[0].is_decided:
@@ -149,7 +151,7 @@ class CheckOutcome:
 
     @property
     def margin(self) -> float | None:
-        """The smallest margin; None where none has one."""
+        """The smallest margin; None if none has one."""
         margins = [result.margin for result in self.results if result.margin is not None]
         return min(margins, default=None)
 

@@ -57,18 +57,18 @@ def compute_robustness(
 ) -> Steps:
     """Return the margin of a formula at every moment of a trace.
 
-    Positive where it holds, negative where it does not, nan where that is unknown.
+    Positive where it holds, negative where it does not, nan if that is unknown.
 
     Args:
-        signals: By name: (time_ns, values) of a signal, or a constant, None for no value. Times
-            do not decrease; of values at one time the last one holds.
+        signals: Mapping from a name to (time_ns, values) of a signal, or to a constant; None for no
+            value. Times do not decrease; of values at one time the last one holds.
         expression: A formula, temporal or not.
         window_ns: First and last time [ns] of the trace; by default from the first moment at
             which every signal used has a value to the last time of any.
 
     Raises:
-        ExpressionError: Where a name is not there or the kinds do not go together.
-        CheckError: Where a signal is no signal, or has no value at the first time.
+        ExpressionError: If a name is not there or the kinds do not go together.
+        CheckError: If a signal is no signal, or has no value at the first time.
     """
     trace = FormulaTrace.open(signals, expression, window_ns=window_ns)
     return FormulaWalk(expression, trace).root.margins
@@ -76,7 +76,7 @@ def compute_robustness(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CriticalPart:
-    """Where a margin comes from, however deep it stands.
+    """Origin of a margin, however deep it stands.
 
     Attributes:
         node: A comparison of two sides, or what is true or false by itself.
@@ -148,7 +148,7 @@ class FormulaWalk:
         return self.root.find_critical(self._start_ns)
 
     def find_violation(self) -> int | None:
-        """Return the first time at which the formula is violated [ns], None where it holds."""
+        """Return the first time at which the formula is violated [ns], None if it holds."""
         return find_violation(self.root)
 
 
@@ -185,7 +185,7 @@ class PartReader:
             sign: -1 where the part counts against the formula: below `not`, left of `implies`.
 
         Raises:
-            CheckError: Where its parts have too many values together.
+            CheckError: If its parts have too many values together.
         """
         part = self._make(node, sign)
         self._left -= len(part.margins.values)

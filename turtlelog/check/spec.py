@@ -36,14 +36,14 @@ class Check:
     """One thing that is to hold.
 
     Attributes:
-        name: Of its table.
+        name: Name of its table.
         kind: `expect`: over metrics and parameters; `holds`: over signals and time, too.
-        formula: What is to hold.
-        phase: The stretch that `holds` looks at: `pause`, or a phase of the run's law, the pause
+        formula: Formula to check.
+        phase: The segment that `holds` looks at: `pause`, or a phase of the run's law, the pause
             after it included; None for the whole run.
         when: Otherwise the check is skipped; None: it never is.
         reason: Why so much and no more.
-        is_observed: Whether the bound was read off a good run and nobody has thought about it yet.
+        is_observed: Whether the bound was read off a good run and is not yet confirmed.
     """
 
     name: str
@@ -61,14 +61,14 @@ class Check:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tolerances:
-    """Which signals and metrics are judged, and how.
+    """Tolerances of the signals and metrics that are judged.
 
     Attributes:
-        signals: By the name of the signal, or of a law's state.
-        metrics: By the id of the metric; of a loop as of any law.
+        signals: Tolerances by the name of the signal, or of a law's state.
+        metrics: Tolerances by the id of the metric; those of a loop apply to any law.
 
     Raises:
-        CompareError: Where no law has such a signal or metric, or its tolerance does not fit it.
+        CompareError: If no law has such a signal or metric, or its tolerance does not fit it.
     """
 
     signals: Mapping[str, Tolerance] = field(default_factory=dict)
@@ -98,15 +98,15 @@ USUAL_TRAJECTORY: Final = TrajectorySettings(deltas=(Delta(value=1.0, unit="m"),
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spec:
-    """What recordings are held to.
+    """A specification that recordings are checked against.
 
     Attributes:
         checks: In the order of the file.
-        tolerances: How far signals and metrics may be from the reference's.
-        reference: The recording that tolerances are taken from; None where there are none.
-        alignment: How runs and reference are brought together.
-        trajectory: How errors of trajectories are measured beside the reference.
-        read: Which topics, frames and goal are read of third-party files, also of the reference.
+        tolerances: Allowed differences of signals and metrics from the reference.
+        reference: The recording that tolerances are taken from; None if there are none.
+        alignment: Alignment of runs and reference.
+        trajectory: Settings of the errors of trajectories beside the reference.
+        read: Topics, frames and goal to read from third-party files, also from the reference.
         source: The file, for messages.
     """
 

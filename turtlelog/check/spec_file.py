@@ -65,9 +65,9 @@ def load_spec(path: str | Path, *, reference: str | Path | None = None) -> Spec:
         reference: Takes the place of the file's own.
 
     Raises:
-        CheckError: Where a key or value is wrong or nothing is to be checked.
-        CompareError: Where the file cannot be read, or a tolerance is wrong.
-        ExpressionError: Where a formula does not parse, or names what is not there.
+        CheckError: If a key or value is wrong or nothing is to be checked.
+        CompareError: If the file cannot be read, or a tolerance is wrong.
+        ExpressionError: If a formula does not parse, or names what is not there.
     """
     tables = read_tables(path)
     named = _read_text(tables, "reference", str(path))
@@ -109,7 +109,7 @@ def require_reference(spec: Spec) -> Spec:
     """Refuse tolerances that nothing is compared with.
 
     Raises:
-        CheckError: Where there are tolerances and no reference.
+        CheckError: If there are tolerances and no reference.
     """
     if spec.tolerances and spec.reference is None:
         raise CheckError(
@@ -123,8 +123,8 @@ def load_tolerances(path: str | Path) -> Tolerances:
     """Return the tolerances in a specification file; its other tables are left out.
 
     Raises:
-        CompareError: Where the file cannot be read, is no TOML, a key or value is wrong, or nothing
-            is to be judged.
+        CompareError: If the file cannot be read, is no TOML, a key or value is wrong, or nothing is
+            to be judged.
     """
     tables = read_tables(path)
     own: dict[str, Any] = {key: tables[key] for key in _KINDS if key in tables}
@@ -138,8 +138,8 @@ def read_tables(path: str | Path) -> dict[str, Any]:
     """Return the tables of a specification file, its format checked and left out.
 
     Raises:
-        CompareError: Where the file cannot be read, is no TOML, is of another format or holds a
-            table of another name.
+        CompareError: If the file cannot be read, is no TOML, is of another format or holds a table
+            of another name.
     """
     return _require_known(_read_toml(path), source=str(path))
 

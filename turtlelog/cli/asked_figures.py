@@ -47,7 +47,7 @@ class AskedOptions:
         """Refuse options of figures that are not asked for.
 
         Raises:
-            UsageError: Where one has no figure, or a figure lacks its option.
+            UsageError: If one has no figure, or a figure lacks its option.
         """
         if self.metric is not None and not {*names} & {*_OF_METRICS}:
             expected = "--only attribution, gains, luck or strips"
@@ -70,7 +70,7 @@ class AskedOptions:
         return found
 
     def list_metrics(self) -> list[str] | None:
-        """Return the metrics that are asked for; None where none are."""
+        """Return the metrics that are asked for; None if none are."""
         return None if self.metric is None else split_names(self.metric, "--metric")
 
 

@@ -38,14 +38,14 @@ class ResultAnswer:
         file: The recording.
         check: Name of the check.
         verdict: PASS, FAIL or SKIPPED.
-        expected: What was expected.
-        value: What was found.
-        limit: What bounds it.
-        margin: How far the value is from the limit; negative beyond it.
-        unit: Of these three.
-        value_s: When the value occurs [s].
+        expected: Expected formula or tolerance.
+        value: Measured value.
+        limit: Limit of the value.
+        margin: Distance of the value to the limit; negative beyond it.
+        unit: Unit of these three.
+        value_s: Time of the value [s].
         decided_by: The part of the formula that decides.
-        first_violation_s: When the check is first violated [s].
+        first_violation_s: Time of the first violation [s].
         reason: Why a check fails or is skipped.
         decided: Whether there was enough to judge.
         why: Why the run differs from its reference, in lines; empty without a reference.
@@ -110,8 +110,8 @@ def print_results(
 
     Args:
         spec: Says why a bound is what it is.
-        results: Of all files, in their order; of many they are counted as they come.
-        files: How many there are.
+        results: Results of all files, in their order; of many they are counted as they come.
+        files: Number of files.
         kind: As `FormatOptions` chooses; a file of values has rows and nothing else.
         shows_all: Print what passes, too.
     """
@@ -158,8 +158,8 @@ def format_results(
     """Return the verdict, then what fails.
 
     Args:
-        results: Of all files, in their order.
-        files: How many there are.
+        results: Results of all files, in their order.
+        files: Number of files.
         spec: Says why a bound is what it is; None: nothing is said of bounds.
         shows_all: Return what passes, too.
     """
@@ -297,12 +297,12 @@ class CountedResults:
     """Results counted one by one: memory does not grow with them.
 
     Attributes:
-        verdicts: How many there are of each.
+        verdicts: Number of each verdict.
         of_checks: Likewise, by check.
         nearest: The one of each check that is nearest to its limit, or the furthest beyond it.
         failures: The first that fail.
-        valueless: How many failed for lack of a value.
-        failing: How many fail in each of the first files in which any does.
+        valueless: Number of checks that failed for lack of a value.
+        failing: Number of failed checks in each of the first files that fail.
         failing_files: In how many files any does.
         file: The first.
     """
@@ -493,7 +493,7 @@ def _is_told_by_row(result: "CheckResult", meant: Mapping[str, str]) -> bool:
 
 
 def _explain(result: "CheckResult", meant: Mapping[str, str]) -> str:
-    """Return why a result is what it is, empty where it simply passes; `meant` is why of bounds."""
+    """Return why a result is what it is, empty if it simply passes; `meant` is why of bounds."""
     why = f" ({meant[result.check]})" if meant.get(result.check) else ""
     if result.reason:
         return result.reason + (why if result.verdict == "FAIL" and result.is_decided else "")

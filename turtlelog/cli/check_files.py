@@ -298,7 +298,7 @@ def _write_report(
 
 
 def _join_command(spec: "Spec", words: Sequence[str]) -> str:
-    """Return the command that checks again; empty where no file holds the checks."""
+    """Return the command that checks again; empty if no file holds the checks."""
     is_file = not str(spec.source).startswith("--")
     return shlex.join(["turtlelog", "check", str(spec.source), *words]) if is_file else ""
 

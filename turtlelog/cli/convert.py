@@ -78,8 +78,8 @@ class ConvertAnswer:
     """What was written.
 
     Attributes:
-        file: As it was given.
-        name: Of the run.
+        file: Name of the file as given.
+        name: Name of the run.
         written: Files.
         absent: Columns that the source lacks.
         notes: Remarks.

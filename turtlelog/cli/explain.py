@@ -164,7 +164,7 @@ def _draw(
 def _measure_luck(
     run: "Run", found: "Identification", attribution: "Attribution", jobs: int | None
 ) -> "Luck | None":
-    """Return the value from other starts; None where there is none to show, as the text says."""
+    """Return the value from other starts; None if there is none to show, as the text says."""
     with show_progress("simulated", 100.0, "%") as progress:
         work = tl.explain.Work(jobs=jobs, report=progress.count)
         try:

@@ -65,10 +65,11 @@ class FindingAnswer:
         key: Its key, as in a scenario.
         value: None if it is not identified.
         certainty: The confidence.
-        evidence: What shows the value, or why it is not identified.
+        evidence: Evidence of the value, or the reason why it is not identified.
         interval: Its bounds, if it has any.
         candidates: All values that fit, if several do.
-        assumed: What the re-simulation uses if the value is not identified and does not show.
+        assumed: Value that the re-simulation uses if it is not identified and has no visible
+            effect.
     """
 
     key: str
@@ -85,16 +86,16 @@ class ExplainAnswer:
     """What made a run what it is.
 
     Attributes:
-        file: As it was given.
-        name: Of the run.
-        metric: What is explained, as the log has it.
+        file: Name of the file as given.
+        name: Name of the run.
+        metric: Explained metric, with the value of the log.
         identified: The settings of the run, each with its confidence and evidence.
-        resimulation: How the scenario, simulated again, compares with the log; None without one.
-        tried: By key of the loop's settings, the values that were tried.
-        attribution: The value divided among its causes; None where no scenario fits the log.
-        in_words: What each cause that contributes does in this run.
-        notes: What else is worth a sentence.
-        motion: What poses and commands show where there are no samples; None where there are.
+        resimulation: Comparison of the re-simulated scenario with the log; None without one.
+        tried: Values that were tried, by key of the loop's settings.
+        attribution: The value divided among its causes; None if no scenario fits the log.
+        in_words: Action of each contributing cause in this run, in words.
+        notes: Further notes, in sentences.
+        motion: Facts about poses and commands without samples; None with samples.
     """
 
     file: str
@@ -324,7 +325,7 @@ def _name_unknown(names: list[str]) -> str:
 
 
 def format_causes(found: "Attribution") -> str:
-    """Return a table of what changes the value; empty where nothing does."""
+    """Return a table of what changes the value; empty if nothing does."""
     from turtlelog.explain.attribution import THIS_SEED, THIS_SEED_MEANS
 
     unit, parts = found.unit, found.changing

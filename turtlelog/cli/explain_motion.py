@@ -30,7 +30,7 @@ _SILENCE: Final = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RateAnswer:
-    """How often rows come, the range of nine tenths of the periods, and the longest silence."""
+    """Rate of rows, the range of nine tenths of the periods, and the longest silence."""
 
     rows: int
     period_s: float | None = None
@@ -52,7 +52,7 @@ class ValueAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeapAnswer:
-    """Where poses jump [m, rad]."""
+    """A jump of the poses [m, rad]."""
 
     at_s: float
     moved: float
@@ -62,7 +62,7 @@ class LeapAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SilenceAnswer:
-    """Where poses are missing."""
+    """A gap in the poses."""
 
     start_s: float
     end_s: float
@@ -70,7 +70,7 @@ class SilenceAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TicksAnswer:
-    """How many commands act after so many ticks."""
+    """Number of commands that act after a number of ticks."""
 
     ticks: int
     commands: int
@@ -78,7 +78,7 @@ class TicksAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DelaysAnswer:
-    """How late commands act."""
+    """Delays with which commands act."""
 
     ticks: list[TicksAnswer]
     low_s: float
@@ -88,20 +88,20 @@ class DelaysAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionAnswer:
-    """What poses and commands show where there are no samples; times count as in a replay.
+    """Facts about poses and commands without samples; times count as in a replay.
 
     Attributes:
-        kind: What was recorded.
-        run_duration_s: How long [s].
-        poses: How often they come.
-        commands: Likewise.
+        kind: Kind of the recorded robot.
+        run_duration_s: Duration of the run [s].
+        poses: Rate of the poses.
+        commands: Rate of the commands.
         largest_commands: The largest of each.
         outliers: Values that are none of the motion's.
-        jumps: Where poses jump.
-        gaps: Where poses are missing.
-        command_delays: How late commands act; None where that is not known.
-        replay: The commands driven through the plant; None where there is no model.
-        needs: What an explanation needs.
+        jumps: Jumps of the poses.
+        gaps: Gaps in the poses.
+        command_delays: Delays with which commands act; None if that is not known.
+        replay: The commands driven through the plant; None if there is no model.
+        needs: Data that an explanation needs.
     """
 
     kind: str

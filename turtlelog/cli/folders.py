@@ -79,7 +79,7 @@ def tabulate(
         output: The table.
         table: What it holds.
         work: Where files are read.
-        file_s: As in `tabulate_recordings`.
+        file_s: See `tabulate_recordings`.
     """
     from turtlelog.cli.targets import require_new_target
 

@@ -121,7 +121,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisAnswer:
-    """One axis; fields as in `AxisModel`, None where nothing is known."""
+    """One axis; fields as in `AxisModel`, None if nothing is known."""
 
     axis: str
     status: str

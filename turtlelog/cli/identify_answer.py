@@ -47,7 +47,7 @@ def format_robot(
     """Return how late the robot follows its commands, its values, and how far to trust them.
 
     Args:
-        model: Of the robot.
+        model: Model of the robot.
         files: That it was identified from.
         robot: The scenario that is written.
         scenario: Where to.

@@ -46,25 +46,25 @@ class InfoAnswer:
     """What is in a file.
 
     Attributes:
-        file: As it was given.
-        summary: What the file is, in one sentence.
-        ending: How its run ended at its goal; None if that is not known.
-        format_version: Of the recording; None if turtlelog did not write it.
-        source: Where the data are from.
-        name: Of the run.
+        file: Name of the file as given.
+        summary: Description of the file, in one sentence.
+        ending: End of its run at its goal, in words; None if that is not known.
+        format_version: Format version of the recording; None if turtlelog did not write it.
+        source: Origin of the data.
+        name: Name of the run.
         complete: Whether the file was finished.
         stop_reason: Why the run ended; None if it is not recorded.
         duration_s: First to last message of any topic [s].
         run_duration_s: The metric `run.duration` [s]; None if the poses were not read.
         scenario: The tables of the whole scenario; None if it is not known.
-        parameters: What is known of the scenario, by dotted key.
+        parameters: Known values of the scenario, by dotted key.
         topics: Topics with their types and numbers of messages.
         absent: Columns that the file lacks.
-        missing: What it lacks, each with what that would unlock.
-        clock: What times its poses; None if there is one clock, or the poses were not read.
+        missing: Missing data, each with what it would make possible.
+        clock: Clock that times its poses; None if there is one clock, or the poses were not read.
         not_understood: Topics whose messages cannot become columns, each with the reason.
         notes: Remarks by name.
-        run: What its poses and commands are; None if they were not read.
+        run: Poses and commands of the file; None if they were not read.
         robots: Those of a bag of several; --robot NAME chooses one.
     """
 

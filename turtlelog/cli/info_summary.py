@@ -68,13 +68,13 @@ _TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadRun:
-    """What the run of a file tells that its topics do not.
+    """Summary of the run in a file.
 
     Attributes:
-        kind: Whose poses these are.
+        kind: Kind of robot that the poses belong to.
         duration_s: The metric `run.duration` [s].
         poses: Topic, rate and number of the poses; the rate if it is steady; empty without any.
-        commands: Likewise; empty if there are none.
+        commands: Topic of the commands; empty if there are none.
         samples: Number of samples of a controller.
     """
 
@@ -111,10 +111,10 @@ class Summary:
 
     Attributes:
         text: One sentence without a full stop.
-        ending: How its run ended at its goal; None where that is not known.
-        run: Of the run in the file; None where it was not read.
-        missing: What it lacks, each with what that would unlock.
-        clock: What times its poses, as in JSON; None where there is one clock, or nobody looked.
+        ending: End of its run at its goal, in words; None if that is not known.
+        run: Summary of the run in the file; None if it was not read.
+        missing: Missing data, each with what it would make possible.
+        clock: Clock that times its poses, as in JSON; None if there is one clock, or nobody looked.
         notes: On its poses, by name.
     """
 
@@ -198,7 +198,7 @@ def _find_ending(path: Path, info: "RecordingInfo", *, is_asked: bool) -> str | 
 
 
 def _find_large(path: Path, info: "RecordingInfo") -> str:
-    """Return why a file is too large to be read unasked, empty where it is not."""
+    """Return why a file is too large to be read unasked, empty if it is not."""
     if not info.topics:
         return ""  # tables and logs are read as a whole in any case
     path, _ = tl.log.split_topic(path)
@@ -416,14 +416,14 @@ def _describe_commands(run: "Run") -> str:
 
 
 def _name_topic(run: "Run", note: str) -> str:
-    """Return a topic, and of transforms their frames; empty where there is none."""
+    """Return a topic, and of transforms their frames; empty if there is none."""
     name, _, rest = run.notes.get(note, "").partition(" (")
     frames = rest.partition("): ")[2]
     return f"{name} ({frames})" if frames else name
 
 
 def _describe_rate(time_ns: "NDArray[Any]") -> str:
-    """Return how often messages come, empty where that is not steady."""
+    """Return how often messages come, empty if that is not steady."""
     import numpy as np
 
     if len(time_ns) < _FEWEST_RATED:

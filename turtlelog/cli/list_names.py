@@ -28,7 +28,7 @@ _PRESETS: Final = {
     "plant-ramp": "the turn rate's unit ramp, without limits: the heading is t^2 / 2, sampled",
 }
 _NOTES: Final[Mapping[str, str]] = {
-    "metrics": "Of the law sequential-p. Another law has loops of other names:"
+    "metrics": "These metrics belong to the law sequential-p. Other laws have loops of other names:"
     " `turtlelog metrics FILE --all` shows the metrics of a recording.",
     "signals": "And the states of laws of your own, by their names.",
     "causes": "effect: of the implementation; design: a design parameter.",

@@ -60,10 +60,10 @@ class ViewOptions:
 
 
 def find_table(files: Sequence[Path], view: ViewOptions) -> Path | None:
-    """Return the table of a sweep among the files; None where there are recordings.
+    """Return the table of a sweep among the files; None if there are recordings.
 
     Raises:
-        UsageError: Where it has company, or options of tables have none.
+        UsageError: If it has company, or options of tables have none.
     """
     tables = [path for path in files if path.suffix.lower() == ".parquet" and _is_table(path)]
     if not tables and not view.is_given:

@@ -43,7 +43,7 @@ class BestRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BorderAnswer:
-    """Where stability ends along a gain, beside the limit of theory."""
+    """Border of stability along a gain, beside the limit of theory."""
 
     at: list[Any] | None
     last_stable: float | None
@@ -54,7 +54,7 @@ class BorderAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeySensitivity:
-    """How far a key alone moves a metric."""
+    """Range of a metric along one key alone."""
 
     keys: list[str]
     least: float | None
@@ -68,7 +68,7 @@ class KeySensitivity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensitivityAnswer:
-    """How far each key moves a metric from its value in the middle."""
+    """Ranges of a metric along each key, from its value in the middle."""
 
     held: Mapping[str, Any] | str | None
     value: float | None
@@ -116,16 +116,16 @@ class MapAnswer:
 
     Attributes:
         file: The table.
-        rows: How many it has.
-        failed: How many of them failed.
-        shown: How many are shown.
+        rows: Number of rows.
+        failed: Number of those that failed.
+        shown: Number of rows that are shown.
         axes: Keys that vary in what is shown.
         held: Values of the other keys.
         seeds: Over how many seeds values are means.
         metrics: Those that are shown.
         theory: Limits of the gains.
         notes: Remarks.
-        output: What was drawn; None where nothing was.
+        output: File that was drawn; None if nothing was.
     """
 
     file: str

@@ -58,7 +58,7 @@ class MeasureOptions:
     Attributes:
         metric: Ids or patterns of metrics. Example: rotate.overshoot,final.*. List: turtlelog list
             metrics.
-        band: Half-width of the settling band, as a share of the step [1]. Default: 0.02.
+        band: Half-width of the settling band, as a fraction of the step [1]. Default: 0.02.
         initial: Start of the step [rad or m]: NUMBER or LOOP=NUMBER. Default: the first value.
         final: End of the step [rad or m]: reference, last, NUMBER, or LOOP=VALUE. Default:
             reference.
@@ -77,7 +77,7 @@ class MeasureOptions:
     dead_time: Whole | None = None
 
     def list_patterns(self) -> list[str] | None:
-        """Return the ids and patterns that are asked for, None where none are."""
+        """Return the ids and patterns that are asked for, None if none are."""
         return None if self.metric is None else split_names(self.metric, "--metric")
 
     def build_settings(self) -> "MeasureSettings":
@@ -101,8 +101,8 @@ class MeasuredFile:
     """The answer for one file, as JSON has it.
 
     Attributes:
-        file: As it was given.
-        name: Of the run.
+        file: Name of the file as given.
+        name: Name of the run.
         metrics: Those that were asked for, or all.
     """
 
@@ -129,9 +129,9 @@ def metrics(
 ) -> int:
     """Measure recordings: where each ends, and how its loops answer.
 
-    Of one run the loops stand side by side; of several each run has a row, in order of the gains.
+    One run has its loops side by side. Several runs have a row each, in order of the gains.
     A cell without a value shows a status, and the reason is below the table. With --all or --metric
-    metrics have their ids, and up to six runs stand side by side. JSON and CSV have every metric,
+    metrics have their ids, and up to six runs are side by side. JSON and CSV have every metric,
     file by file in the order given. A file that cannot be read is reported on stderr; the others
     are measured, and the exit code is 2.
 

@@ -104,7 +104,7 @@ class TopicOptions:
     Attributes:
         pose_topic: Poses; FILE:TOPIC says the same for one file. Otherwise types and names decide,
             and a line on stderr says what is read.
-        robot: Of several robots in a bag (/robot1/odom, /robot2/odom) the one of this name.
+        robot: Name of one of several robots in a bag (/robot1/odom, /robot2/odom: robot1, robot2).
         command_topic: Commands: Twist, TwistStamped, or Ackermann's with --wheelbase.
         path_topic: The path to be followed: nav_msgs/Path.
         pose_frame: The robot's frame, of poses from transforms (/tf).
@@ -140,7 +140,7 @@ class TopicOptions:
         """Return what is asked for as a choice.
 
         Raises:
-            UsageError: Where a value is of no use.
+            UsageError: If a value is of no use.
         """
         return tl.log.ReadChoice(
             pose_topic=self.pose_topic,
@@ -174,7 +174,7 @@ class ReadingOptions(TopicOptions):
         """Return what is asked for as a choice.
 
         Raises:
-            UsageError: Where a value is of no use.
+            UsageError: If a value is of no use.
         """
         choice = super(ReadingOptions, self).build_choice()
         return choice if self.goal is None else replace(choice, goal=_parse_aim(self.goal))
@@ -232,7 +232,7 @@ def read_runs(
     """Return the runs of recordings, bags, other recorders' files and the paper's logs.
 
     Args:
-        paths: Of the files.
+        paths: Paths of the files.
         topics: What of them is read.
         allow_no_poses: Whether a bag of commands alone is read.
     """
@@ -295,8 +295,8 @@ class WorkOptions:
         """Yield a number of processes, or the cluster.
 
         Raises:
-            UsageError: Where both are asked for, or a number that is none.
-            ProcessError: Where the cluster is of no use.
+            UsageError: If both are asked for, or a number that is none.
+            ProcessError: If the cluster is of no use.
         """
         if self.scheduler is None:
             yield count_jobs(self.jobs, files, file_s=file_s)
@@ -374,7 +374,7 @@ def require_there(paths: Sequence[Path]) -> None:
     """Refuse files that are not there, before anything is loaded that draws them.
 
     Raises:
-        UsageError: Where one is neither a file nor a preset.
+        UsageError: If one is neither a file nor a preset.
     """
     for path in paths:
         file, _ = tl.log.split_topic(path)

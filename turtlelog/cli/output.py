@@ -60,7 +60,7 @@ class FormatOptions:
         """Return the one that is asked for: `txt`, `md`, `csv`, `tex` or `json`.
 
         Raises:
-            UsageError: Where there are several.
+            UsageError: If there are several.
         """
         asked = {
             "--markdown": self.markdown,
@@ -234,7 +234,7 @@ def print_note(text: str) -> None:
 
 
 def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
-    """Print what was read of somebody else's file, and what one must know of one that lost some."""
+    """Print what was read of third-party files, and what one must know of one that lost some."""
     # What concerns other files than this stands in a recording that was converted from one.
     told = _OF_SOURCE if "chosen" in notes else ()
     for name in ("preset", *told, "recovered", "partial"):

@@ -59,13 +59,13 @@ class PageOptions:
 
         Args:
             formats: In which they are written.
-            names: Of the figures; None for the usual ones.
+            names: Names of the figures; None for the usual ones.
             usual: Where they will stand if that is not asked for.
 
         Raises:
-            UsageError: Where an option has nothing to act on: no format has a resolution, a slide
-                no text, or no figure a time axis.
-            ShowError: Where a value is out of range.
+            UsageError: If an option has nothing to act on: no format has a resolution, a slide no
+                text, or no figure a time axis.
+            ShowError: If a value is out of range.
         """
         if self.text_width is not None and self.kind == "slide":
             raise UsageError("--text-width: needs --for column or page, not slide")

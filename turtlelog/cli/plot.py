@@ -213,11 +213,11 @@ class PlotAnswer:
     """What was drawn.
 
     Attributes:
-        files: Of what, as they were given.
-        ending: How the runs ended, in words; None without runs.
+        files: Names of the files, as given.
+        ending: Ends of the runs, in words; None without runs.
         figures: The figures.
         tables: Files of tables.
-        left_out: What was not drawn, and why.
+        left_out: Figures that were not drawn, and why.
         movie: The movie; None without one.
     """
 

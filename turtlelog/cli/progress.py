@@ -30,8 +30,8 @@ class Progress:
 
         Args:
             label: What is being done.
-            total: How much there is to do; None where that is not known.
-            unit: Of both.
+            total: How much there is to do; None if that is not known.
+            unit: Unit of both.
             has_rate: Whether to say how fast it goes, and how long the rest takes at that rate.
         """
         self.done = 0.0
@@ -97,7 +97,7 @@ class Rate:
         self._first: tuple[float, float] | None = None
 
     def describe(self, done: float, total: float) -> str:
-        """Return the rate and the time left, empty where nothing was done yet."""
+        """Return the rate and the time left, empty if nothing was done yet."""
         now = time.monotonic()
         if self._first is None:
             self._first = now, done

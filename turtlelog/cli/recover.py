@@ -38,15 +38,15 @@ class RecoverAnswer:
     """What was recovered of a damaged recording.
 
     Attributes:
-        file: As it was given.
+        file: Name of the file as given.
         complete: Whether nothing was lost.
         recovered: Messages by topic.
         unchecked: Those of them that no checksum covers, by topic.
-        missing: Lost messages by topic; None where nothing counts them.
+        missing: Lost messages by topic; None if nothing counts them.
         from_s: Log time of the first message [s].
         to_s: Log time of the last message [s].
         lost: Bytes that were lost.
-        output: What was written.
+        output: File that was written.
     """
 
     file: str

@@ -24,7 +24,7 @@ _ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DifferenceAnswer:
-    """Where a replay first differs; the time counts from the first sample [s]."""
+    """First difference of a replay; the time counts from the first sample [s]."""
 
     signal: str
     time_s: float
@@ -80,15 +80,15 @@ class ReplayAnswer:
     """What every replay answers.
 
     Attributes:
-        file: As it was given.
-        name: Of the run.
+        file: Name of the file as given.
+        name: Name of the run.
         mode: What was driven: loop, law or plant.
-        samples: How many were compared.
+        samples: Number of compared samples.
         max_abs_error: The largest differences of the pose.
-        first_difference: Where the replay first differs; None where it does not.
+        first_difference: Where the replay first differs; None if it does not.
         stretches: Segments of a replay through the plant.
         jumps: Where the robot was put elsewhere.
-        gaps: Where poses are missing.
+        gaps: Gaps in the poses.
         verdict: That of --expect-equal; None without it.
         results: Those of --expect-equal; None without it.
     """
@@ -120,7 +120,7 @@ class SegmentAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoundingAnswer:
-    """What 32 bits of a pose may grow to [m, rad]."""
+    """Largest error from the 32-bit rounding of poses [m, rad]."""
 
     position: float
     heading: float
@@ -137,7 +137,7 @@ class PoseAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JumpAnswer:
-    """Where the robot was put elsewhere."""
+    """A jump of the robot to another place."""
 
     at_s: float
     kind: str
@@ -147,7 +147,7 @@ class JumpAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapAnswer:
-    """Where poses are missing."""
+    """A gap in the poses."""
 
     start_s: float
     end_s: float

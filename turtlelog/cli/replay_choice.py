@@ -91,7 +91,7 @@ def require_sound(
 def choose_scenario(
     run: "Run", options: ReplayOptions, changes: ScenarioOptions | None, kind: str | None
 ) -> "Scenario | None":
-    """Return the scenario to replay, None where it is to be the recording's own as it is."""
+    """Return the scenario to replay, None if it is to be the recording's own as it is."""
     if options.law is not None:
         _require_keys_of_law(changes)
     if changes is None and kind is None and options.scenario is None:

@@ -25,16 +25,16 @@ class CommandReplayAnswer:
     """Where recorded commands lead a plant.
 
     Attributes:
-        file: As it was given.
-        name: Of the run.
+        file: Name of the file as given.
+        name: Name of the run.
         mode: commands.
-        plant: What was driven: turtlesim, or lagged, a robot model.
-        commands: How many were recorded.
-        taken: How many the plant took.
+        plant: Plant that was driven: turtlesim, or lagged, a robot model.
+        commands: Number of recorded commands.
+        taken: Number of commands that the plant took.
         duration_s: Time that the plant was driven [s].
         path_length_m: Length of its path [m].
         end: Its last pose [m, rad].
-        wall_s: When it ran into a wall of its world, from the first command [s]; None: never.
+        wall_s: Time at which it met a wall of its world, from the first command [s]; None: never.
         output: The recording that was written; None without one.
     """
 

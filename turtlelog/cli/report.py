@@ -124,12 +124,12 @@ class ReportAnswer:
     """The report.
 
     Attributes:
-        ending: How the runs ended, in words.
+        ending: Ends of the runs, in words.
         output: The file.
         bytes: Its size.
         runs: The runs.
         explained: Name of the run that is explained; None without one.
-        verdict: Of all checks; None without a specification.
+        verdict: Verdict of all checks; None without a specification.
     """
 
     ending: str
@@ -146,8 +146,8 @@ def build_check_lines(
     """Return results as a report shows them.
 
     Args:
-        results: Of checks.
-        names: Of runs by their files.
+        results: Results of checks.
+        names: Names of runs by their files.
         runs: By their files: those that could be read.
     """
     from turtlelog.check.violation import find_violated_signal

@@ -20,7 +20,7 @@ class RunAnswer:
     """How a simulated run ended.
 
     Attributes:
-        name: Of the run.
+        name: Name of the run.
         file: The recording that was written; None without one.
         rrd: The Rerun recording that was written; None without one.
         samples: Number of samples.

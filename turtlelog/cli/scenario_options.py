@@ -61,7 +61,7 @@ class LawOptions(ScenarioOptions):
         """Return the kind of law that --law or --set names.
 
         Raises:
-            UsageError: Where they name two, or one beside --commands, which are a law themselves.
+            UsageError: If they name two, or one beside --commands, which are a law themselves.
         """
         changes = tl.scenario.parse_assignments(self.assignments or (), source="--set")
         kind = changes.get("law.kind")
@@ -104,7 +104,7 @@ _RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
 
 
 def find_scenario_file(name: str | None) -> Path | None:
-    """Return the scenario file that a word names, None where it names something else."""
+    """Return the scenario file that a word names, None if it names something else."""
     if name is None or name in tl.PRESETS or is_recording(make_path(name)):
         return None
     path = make_path(name)

@@ -68,8 +68,8 @@ class PlanOptions:
         """Return the rows that are asked for.
 
         Raises:
-            UsageError: Where options do not go together.
-            SweepError: Where there is nothing to vary, or a value cannot be read.
+            UsageError: If options do not go together.
+            SweepError: If there is nothing to vary, or a value cannot be read.
         """
         return tl.sweep.build_plan(self.grid or (), self.zip_ or (), self._choose_sampling())
 
@@ -102,7 +102,7 @@ class SweepTableOptions:
     record_where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
 
     def list_patterns(self) -> list[str] | None:
-        """Return the metrics that are asked for, None where none are."""
+        """Return the metrics that are asked for, None if none are."""
         return None if self.metric is None else split_names(self.metric, "--metric")
 
     def build_records(self, work: WorkOptions) -> "RowRecords | None":
@@ -239,11 +239,11 @@ class SweepAnswer:
 
     Attributes:
         output: The table.
-        rows: How many there are.
-        failed: How many of them failed.
-        samples: Of all runs together.
-        recorded: How many runs were recorded.
-        elapsed_s: How long it took [s].
+        rows: Number of rows.
+        failed: Number of those that failed.
+        samples: Samples of all runs together.
+        recorded: Number of recorded runs.
+        elapsed_s: Time that the command took [s].
     """
 
     output: str

@@ -25,8 +25,8 @@ def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: s
     A file that is there is fine: it is replaced when the new one is complete.
 
     Raises:
-        UsageError: Where the file is refused.
-        LibraryError: Where what writes such files is not installed.
+        UsageError: If the file is refused.
+        LibraryError: If what writes such files is not installed.
     """
     if target is None:
         return
@@ -44,8 +44,8 @@ def require_pictures(
     """Refuse pictures of a robot that could not be written, or of more than one that is drawn.
 
     Raises:
-        UsageError: Where one is refused.
-        LibraryError: Where what writes it is not installed.
+        UsageError: If one is refused.
+        LibraryError: If what writes it is not installed.
     """
     for name, target in (("--plot", plot), ("--rrd", rrd)):
         if target is not None and len(drawn) > 1:
@@ -119,7 +119,7 @@ def _require_place(target: Path) -> None:
     """Refuse what the folder does not take, found out with a file that is gone at once."""
     folder = target.absolute().parent
     if not folder.is_dir():
-        raise UsageError("there is no such folder to write to")
+        raise UsageError("there is no such folder to write to; create it first")
     probe = folder / f".turtlelog-{os.urandom(6).hex()}.part"
     # Permissions alone do not tell: the disk may be read-only, or the name too long for it.
     probe.touch(exist_ok=False)

@@ -97,9 +97,9 @@ def format_file(
     """Return the answer for each loop of a scenario or a recording.
 
     Args:
-        name: Of the scenario or the run.
+        name: Name of the scenario or the run.
         word: As it was given.
-        answers: Of each loop.
+        answers: Answers of each loop.
         groups: Gains, for loops that are alike together.
         wishes: What they shall give.
         shows_all: Show published rules, and where values come from.

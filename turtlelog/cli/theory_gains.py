@@ -35,7 +35,7 @@ class WishOptions:
         """Return what is wanted.
 
         Raises:
-            UsageError: Where a number is out of its range.
+            UsageError: If a number is out of its range.
         """
         percent, degrees = self.overshoot, self.phase_margin
         if percent is not None and not 0.0 <= percent < 100.0:
@@ -57,7 +57,7 @@ class Wishes:
     """What is wanted, None: nothing.
 
     Attributes:
-        overshoot_percent: Of the step [%].
+        overshoot_percent: Overshoot of the step [%].
         phase_margin_rad: In rad.
     """
 
@@ -249,7 +249,7 @@ _RULE_NAMES: Final = {"simc": "SIMC", "ziegler-nichols": "Ziegler-Nichols"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecommendedGains:
-    """Gains of a rule as JSON has them; None where the reason says why."""
+    """Gains of a rule as JSON has them; None if the reason says why."""
 
     rule: str
     controller: str

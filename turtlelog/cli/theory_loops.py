@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopAnswer:
-    """What theory says of one loop.
+    """Theory's answer for one loop.
 
     Attributes:
-        title: Above its column.
-        found: None where nothing is known.
-        model: Of a declared loop, which says where values come from.
+        title: Title above its column.
+        found: Values that were found; None if nothing is known.
+        model: Model of a declared loop, which says where values come from.
     """
 
     title: str
@@ -43,7 +43,7 @@ def answer_models(models: "Sequence[LoopModel]") -> list[LoopAnswer]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PidAnswer:
-    """A sampled loop as JSON has it; None where there is no such number."""
+    """A sampled loop as JSON has it; None if there is no such number."""
 
     kp: float
     ki: float
@@ -103,11 +103,11 @@ class DeclaredLoopAnswer:
 
     Attributes:
         loop: Its name.
-        signal: What it controls.
-        command: By what.
+        signal: Controlled signal.
+        command: Command by which the loop acts.
         status: `ok`, or `unknown` if its gains or its plant are not known.
         reason: Why it is unknown.
-        sources: Where the values come from.
+        sources: Sources of the values.
         left_out: Settings that theory's linear loop leaves out.
         most_dead_time_s: The dead time that queues may let it grow to [s].
         sampled: The sampled loop; None if it is unknown.
@@ -172,7 +172,7 @@ def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> l
     """Return which loops are unknown, what is left out, and where values come from.
 
     Args:
-        answers: Of declared loops.
+        answers: Answers of declared loops.
         shows_all: Say where the values of known loops come from.
     """
     notes = []

@@ -31,7 +31,7 @@ def build_poles(poles: "NDArray[np.complex128]") -> list[PlanePole]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainAnswer:
-    """The ideal and the sampled loop at one gain; None where there is no such number."""
+    """The ideal and the sampled loop at one gain; None if there is no such number."""
 
     kp: float
     tau_s: float

@@ -172,8 +172,8 @@ def tune(
 ) -> int:
     """Look for the values of a scenario's keys that are best, and say how far they can be trusted.
 
-    Candidates are simulated, many at a time. Of two the better one fulfils the constraints; where
-    both do, the objective decides. A candidate without a value of a metric, such as the settling
+    Candidates are simulated, many at a time. The better of two candidates fulfils the constraints;
+    if both do, the objective decides. A candidate without a value of a metric, such as the settling
     time of a run that does not settle, is refused.
 
     Then each key is moved alone until the objective is a tenth worse or a constraint breaks. With

@@ -24,8 +24,8 @@ class Answer:
         keys: That varied.
         goal: What they were tuned for.
         tuned: What the search came to.
-        around: How far each key can go; None where no candidate fulfils the constraints.
-        spread: What variants came to; None where none were simulated.
+        around: Range of each key with good values; None if no candidate fulfils the constraints.
+        spread: Results of the variants; None if none were simulated.
     """
 
     scenario: "Scenario"
@@ -64,7 +64,7 @@ class ConstraintAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RangeAnswer:
-    """How far a key alone can go, and what ends it."""
+    """Range of one key alone, and what ends it."""
 
     key: str
     low: float
@@ -93,21 +93,21 @@ class TuneAnswer:
 
     Attributes:
         best: Values by key.
-        objective: What they bring; None where no run has a value.
-        minimise: What was to be small; None if something was to be large.
-        maximise: What was to be large; None if something was to be small.
-        unit: Of the objective.
+        objective: Value of the objective; None if no run has a value.
+        minimise: Objective to minimise; None if something was to be large.
+        maximise: Objective to maximise; None if something was to be small.
+        unit: Unit of the objective.
         is_feasible: Whether all constraints hold.
         constraints: Each of them.
-        evaluations: How many candidates were simulated.
-        failed: How many of them failed.
+        evaluations: Number of simulated candidates.
+        failed: Number of those that failed.
         failure: Why the first failed.
-        feasible: How many candidates fulfil the constraints.
+        feasible: Number of candidates that fulfil the constraints.
         at_bounds: Keys whose best value is at a bound.
         is_flat: Whether all candidates have one value.
-        neighbourhood: How far each key can go.
-        slack: How much worse the objective may become there.
-        spread: Of variants; None where none were simulated.
+        neighbourhood: Range of each key with good values.
+        slack: Allowed worsening of the objective in this range.
+        spread: Spread of variants; None if none were simulated.
     """
 
     best: Mapping[str, float]

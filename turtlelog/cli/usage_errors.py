@@ -60,7 +60,7 @@ def describe_usage_error(err: CycloptsError) -> str:
 
 
 def find_split_pair(tokens: Sequence[str]) -> str | None:
-    """Return what is wrong where a goal is two words, as in `--goal 8 3`; None where none is."""
+    """Return what is wrong where a goal is two words, as in `--goal 8 3`; None if none is."""
     found = re.search(r"(?:^|\n)--goal\n([-+.\de]+)\n([-+.\de]+)(?:\n|$)", "\n".join(tokens))
     if found is None:
         return None

@@ -32,7 +32,7 @@ def list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ..
     """Return the files that decide what a run does: the scenario's, and that of the law.
 
     Raises:
-        UsageError: Where no such file is named, or one is missing.
+        UsageError: If no such file is named, or one is missing.
     """
     place = (kind or "").rpartition(":")[0]
     law_file = Path(place) if place.endswith(".py") else None
@@ -128,7 +128,7 @@ def _wait_for_save(files: Sequence[Path], seen: _Texts, is_over: Callable[[], bo
 
 
 def _read_texts(files: Sequence[Path]) -> _Texts:
-    """Return time and content of each file, None where it cannot be read.
+    """Return time and content of each file, None if it cannot be read.
 
     The time shows a save that changes nothing; the content shows a second save within one tick of
     the file system's clock, which may be two seconds long.

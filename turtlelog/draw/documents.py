@@ -30,7 +30,7 @@ def document_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Ma
     """Return the documents of one run by title: metrics, and what is known of its scenario.
 
     Args:
-        run: What is described.
+        run: Run to describe.
         metrics: Its metrics, where it has been measured already.
     """
     metrics = measure_run(run) if metrics is None else metrics

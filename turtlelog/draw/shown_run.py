@@ -17,12 +17,12 @@ def show_run(run: Run, *, width: int = 960, height: int = 640) -> "Viewer | Figu
     Either one shows itself as the last line of a cell.
 
     Args:
-        run: What to show.
-        width: Of the widget [pixels].
-        height: Of the widget [pixels].
+        run: Run to show.
+        width: Width of the widget [pixels].
+        height: Height of the widget [pixels].
 
     Raises:
-        ShowError: Where width or height is below 1, or the environment switches Rerun off.
+        ShowError: If width or height is below 1, or the environment switches Rerun off.
     """
     for name, value in (("width", width), ("height", height)):
         if value < 1:

@@ -59,8 +59,8 @@ class _Column:
 def format_text(table: Table, width: int | None = None) -> str:
     """Return a table for a terminal: aligned columns, units in the second line, notes below.
 
-    Where it is wider than `width` names are broken into lines; where that is not enough, the
-    columns stand in several blocks, each with the columns of text that the rows begin with.
+    If it is wider than `width` names are broken into lines; where that is not enough, the columns
+    stand in several blocks, each with the columns of text that the rows begin with.
     """
     columns = [_build_column(table, index) for index in range(len(table.columns))]
     blocks = [columns] if width is None else _fit(columns, width)
@@ -90,7 +90,7 @@ def format_markdown(table: Table) -> str:
 
 
 def format_csv(table: Table) -> str:
-    """Return a table as CSV with full precision, units in the head; empty where no value is."""
+    """Return a table as CSV with full precision, units in the head; empty if no value is."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([guard_cell(_join_title(column)) for column in table.columns])
@@ -139,13 +139,13 @@ def format_table(table: Table, kind: str = "txt", *, width: int | None = None) -
     """Return a table as `txt`, `md` (Markdown), `csv` or `tex` (LaTeX).
 
     Args:
-        table: What to format.
+        table: Table to format.
         kind: The format.
         width: Room for `txt` [characters]: names are broken into lines, and columns put below each
             other in blocks, where it is too wide; None: as wide as it needs.
 
     Raises:
-        ShowError: Where there is no such format.
+        ShowError: If there is no such format.
     """
     if kind not in _FORMATS:
         raise ShowError(f"format: expected one of {', '.join(_FORMATS)}, found {kind!r}")

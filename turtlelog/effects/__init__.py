@@ -1,4 +1,4 @@
-"""What lies between control law and plant, one effect a file.
+"""Effects between control law and plant, one file each.
 
 The order of the list is that in which effects act at one place, in which their keys stand in a
 scenario file, and in which `explain` lists them.

@@ -15,13 +15,15 @@ from turtlelog.run.loops import Cause
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AccelerationKeys:
-    """How fast commands change.
+    """Limits of how fast commands change.
 
     Attributes:
         acceleration_m_s2: Largest magnitude of the change of the speed per second [m/s^2].
-        turn_acceleration_rad_s2: Of the turn rate [rad/s^2].
+        turn_acceleration_rad_s2: Largest magnitude of the change of the turn rate per second
+            [rad/s^2].
         jerk_m_s3: Largest magnitude of the change of that acceleration per second [m/s^3].
-        turn_jerk_rad_s3: Of the turn acceleration [rad/s^3].
+        turn_jerk_rad_s3: Largest magnitude of the change of the turn acceleration per second
+            [rad/s^3].
     """
 
     acceleration_m_s2: Positive = absent(math.inf, may_be_infinite=True)
@@ -40,7 +42,7 @@ class Follower:
 
 @dataclass(slots=True)
 class Followers:
-    """From rest."""
+    """State at rest."""
 
     speed: Follower = field(default_factory=Follower)
     turn_rate: Follower = field(default_factory=Follower)
@@ -49,7 +51,7 @@ class Followers:
 def follow(
     settings: Any, state: Any, dt_s: float, value: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return the command so long after the last one [s]; `value` is within the limits."""
+    """Return the command a time after the last one [s]; `value` is within the limits."""
     limits = settings.limits
     largest, turn_largest = limits.acceleration_m_s2, limits.turn_acceleration_rad_s2
     speed, turn_rate = value

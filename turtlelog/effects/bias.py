@@ -1,4 +1,4 @@
-"""Poses are read beside where they are, by the same offset each."""
+"""Add a constant offset to the poses that are read."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,8 +12,8 @@ class BiasKeys:
     """Offset of the poses that are read.
 
     Attributes:
-        bias_position_m: Added to x and to y [m].
-        bias_heading_rad: Added to the heading [rad].
+        bias_position_m: Offset of x and of y [m].
+        bias_heading_rad: Offset of the heading [rad].
     """
 
     bias_position_m: Offset = absent(0.0)

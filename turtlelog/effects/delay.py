@@ -1,4 +1,4 @@
-"""Poses and commands take their time, the same for each."""
+"""Delay all poses and all commands by a constant time."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ class CommandDelayKeys:
 
     Attributes:
         transport_delay_ticks: Ticks between publication and arrival of a command.
-        transport_delay_s: Adds to the ticks between publication and arrival [s].
+        transport_delay_s: Time that is added to these ticks [s].
     """
 
     transport_delay_ticks: Ticks = 0
@@ -27,25 +27,25 @@ class PoseDelayKeys:
     """Delay of poses.
 
     Attributes:
-        delay_s: From a pose to its arrival at the controller [s].
+        delay_s: Time from a pose to its arrival at the controller [s].
     """
 
     delay_s: Time = absent(0.0)
 
 
 def delay_command(settings: Any, value: int) -> int:
-    """Return when a command arrives [ns]."""
+    """Return the time at which a command arrives [ns]."""
     delay_ns: int = settings.loop.transport_delay_ticks * settings.scene.period_ns
     return value + delay_ns + to_ns(settings.loop.transport_delay_s)
 
 
 def delay_pose(settings: Any, value: int) -> int:
-    """Return when a pose arrives [ns]."""
+    """Return the time at which a pose arrives [ns]."""
     return value + to_ns(settings.sensing.delay_s)
 
 
 def _judge(scenario: Any) -> Iterator[Complaint]:
-    """What takes longer than the run would have no effect but that nothing happens."""
+    """Yield notes on delays that are longer than the run, in which nothing would happen."""
     most_s, loop = scenario.max_duration_s, scenario.loop
     ticks_s = loop.transport_delay_ticks * scenario.plant.facts.period_s
     delays = {

@@ -1,4 +1,4 @@
-"""Something pushes the plant, after its lag."""
+"""Disturbances and noise of the plant's rates, added after its time constant."""
 
 import math
 from collections.abc import Iterator
@@ -29,13 +29,13 @@ _END_OF_TIME_S = 9e9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisturbanceKeys:
-    """What is added to the rates of the plant.
+    """Disturbances and noise that are added to the rates of the plant.
 
     Attributes:
-        speed_m_s: Push along the heading [m/s].
-        turn_rate_rad_s: Push of the turn rate, counter-clockwise [rad/s].
-        from_s: The pushes and the noise begin [s].
-        to_s: They end [s]; inf: with the run.
+        speed_m_s: Disturbance along the heading [m/s].
+        turn_rate_rad_s: Disturbance of the turn rate, counter-clockwise [rad/s].
+        from_s: Time at which disturbance and noise begin [s].
+        to_s: Time at which they end [s]; inf: with the run.
         noise_speed: White noise of the speed [m/s times the root of a second]: after a time t the
             way has a standard deviation of the noise times the root of t.
         noise_turn_rate: White noise of the turn rate [rad/s times the root of a second].
@@ -67,7 +67,7 @@ def find_push(
 
 
 def find_next_push(settings: Any, time_ns: int, value: int) -> int:
-    """Return when the push begins or ends next [ns]."""
+    """Return the time at which the disturbance next begins or ends [ns]."""
     push = settings.disturbance
     from_ns, end_ns = to_ns(push.from_s), _find_end_ns(push.to_s)
     if time_ns < from_ns:

@@ -1,4 +1,4 @@
-"""Some poses never arrive."""
+"""Lose poses at random."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +12,7 @@ class DropoutKeys:
     """Loss of poses.
 
     Attributes:
-        dropout_probability: That a pose does not arrive.
+        dropout_probability: Probability that a pose does not arrive.
     """
 
     dropout_probability: Probability = absent(0.0)

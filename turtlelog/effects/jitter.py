@@ -1,4 +1,4 @@
-"""Each pose and each command takes a time of its own; none overtakes another."""
+"""Delay each pose and each command by a random time; none overtakes another."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ class CommandJitterKeys:
     """Jitter of commands.
 
     Attributes:
-        jitter_s: Added to the transport of each command: from 0 to this, uniform [s]. No command
+        jitter_s: Largest additional transport time of a command, uniform from 0 [s]. No command
             overtakes another.
     """
 
@@ -27,21 +27,21 @@ class PoseJitterKeys:
     """Jitter of poses.
 
     Attributes:
-        jitter_s: Added to the delay: from 0 to this, uniform [s]. No pose overtakes another.
+        jitter_s: Largest additional delay of a pose, uniform from 0 [s]. No pose overtakes another.
     """
 
     jitter_s: Time = absent(0.0)
 
 
 def jitter_command(settings: Any, drawn: Any, value: int) -> int:
-    """Return when a command arrives [ns]."""
+    """Return the time at which a command arrives [ns]."""
     if settings.loop.jitter_s == 0.0:
         return value
     return value + nearest_int(settings.loop.jitter_s * 1e9 * drawn.part)
 
 
 def jitter_pose(settings: Any, drawn: Any, value: int) -> int:
-    """Return when a pose arrives [ns]."""
+    """Return the time at which a pose arrives [ns]."""
     if settings.sensing.jitter_s == 0.0:
         return value
     return value + nearest_int(settings.sensing.jitter_s * 1e9 * drawn.part)

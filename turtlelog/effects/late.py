@@ -1,4 +1,4 @@
-"""Some commands are late, and hold up those behind them."""
+"""Delay some commands at random, and the commands behind them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ class LateKeys:
     """Late commands.
 
     Attributes:
-        late_probability: That a command is late.
-        late_s: By how much [s].
+        late_probability: Probability that a command is late.
+        late_s: Additional delay of a late command [s].
     """
 
     late_probability: Probability = absent(0.0)
@@ -24,7 +24,7 @@ class LateKeys:
 
 
 def hold_up(settings: Any, drawn: Any, value: int) -> int:
-    """Return when a command arrives [ns]."""
+    """Return the time at which a command arrives [ns]."""
     probability = settings.loop.late_probability
     if probability != 0.0 and drawn.chance < probability:
         return value + to_ns(settings.loop.late_s)

@@ -1,4 +1,4 @@
-"""Some commands never arrive."""
+"""Lose commands at random."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +12,7 @@ class LossKeys:
     """Loss of commands.
 
     Attributes:
-        loss_probability: That a published command does not arrive.
+        loss_probability: Probability that a published command does not arrive.
     """
 
     loss_probability: Probability = absent(0.0)

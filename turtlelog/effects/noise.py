@@ -1,4 +1,4 @@
-"""Poses are read with noise."""
+"""Add noise to the poses that are read."""
 
 from dataclasses import dataclass
 from typing import Any

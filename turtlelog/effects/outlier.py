@@ -1,4 +1,4 @@
-"""Some poses are read far from where they are."""
+"""Replace some sensed poses by outliers."""
 
 import math
 from collections.abc import Iterator
@@ -14,9 +14,9 @@ class OutlierKeys:
     """Outliers among the poses that are read.
 
     Attributes:
-        outlier_probability: That a pose is an outlier.
-        outlier_m: How far away an outlier lies, in any direction [m].
-        outlier_rad: By how much its heading is off, to either side [rad].
+        outlier_probability: Probability that a pose is an outlier.
+        outlier_m: Distance of an outlier from the pose, in any direction [m].
+        outlier_rad: Error of its heading, to either side [rad].
     """
 
     outlier_probability: Probability = absent(0.0)

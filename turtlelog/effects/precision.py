@@ -1,4 +1,4 @@
-"""Poses are published in 32 bits; the loop reads this key itself."""
+"""Publish poses in 32 bits; the loop reads this key itself."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -12,7 +12,7 @@ FLOAT64: Final = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PrecisionKeys:
-    """How exactly poses are published.
+    """Precision of published poses.
 
     Attributes:
         pose_precision: Precision of published poses.

@@ -1,4 +1,4 @@
-"""Poses are read rounded."""
+"""Round the poses that are read."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -12,10 +12,11 @@ NEWEST: Final = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QueueKeys:
-    """How many poses and commands wait.
+    """Depths and policy of the queues of poses and commands.
 
     Attributes:
-        start_backlog: Poses that wait when the controller starts; 1: none but the newest.
+        start_backlog: Initial queue: poses that wait when the controller starts; 1: only the
+            newest.
         pose_queue: Depth of the controller's pose queue.
         command_queue: Depth of the plant's command queue.
         queue_policy: `one-per-tick`: the plant takes one command per tick; `newest`: it takes the

@@ -1,4 +1,4 @@
-"""Some commands arrive twice."""
+"""Repeat commands at random."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,14 +12,14 @@ class RepeatKeys:
     """Duplicated commands.
 
     Attributes:
-        repeat_probability: That a command arrives twice.
+        repeat_probability: Probability that a command arrives twice.
     """
 
     repeat_probability: Probability = absent(0.0)
 
 
 def repeat_command(settings: Any, drawn: Any, value: int) -> int:
-    """Return how often a command arrives."""
+    """Return the number of times that a command arrives."""
     probability = settings.loop.repeat_probability
     if probability != 0.0 and drawn.chance < probability:
         return value + 1

@@ -1,4 +1,4 @@
-"""When the controller answers: every n-th pose, or by a timer; the loop reads these keys itself."""
+"""Answer every n-th pose, or by a timer; the loop reads these keys itself."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,10 +9,10 @@ from turtlelog.parts import Complaint, Count, Effect, Period, absent
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SamplingKeys:
-    """When the controller answers.
+    """Trigger and period of the controller.
 
     Attributes:
-        period_ticks: The controller answers every n-th pose.
+        period_ticks: Number n of the poses of which the controller answers every n-th.
         trigger: `pose`: the controller answers poses as they come; `timer`: it answers the newest
             pose every `period_s`.
         period_s: Period of the timer [s]; only where it triggers.

@@ -1,4 +1,4 @@
-"""Limits of speed and turn rate."""
+"""Clip commands to limits of speed and turn rate."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from turtlelog.run.loops import Cause
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SaturationKeys:
-    """Where the controller clips its commands; inf: nowhere.
+    """Limits at which the controller clips its commands; inf: no limit.
 
     Attributes:
         speed_m_s: Largest magnitude of the forward speed [m/s].

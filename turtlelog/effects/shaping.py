@@ -1,4 +1,4 @@
-"""What becomes of the wanted commands before the limits: low-pass filter, dead zone, rounding."""
+"""Shape the wanted commands before the limits: low-pass filter, dead zone, quantisation."""
 
 import math
 from collections.abc import Iterator
@@ -12,14 +12,14 @@ from turtlelog.run.loops import Cause
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapingKeys:
-    """What becomes of the wanted commands before the limits: the table `[shaping]`.
+    """Low-pass filter, dead zone and quantisation of commands: the table `[shaping]`.
 
-    In this order: a low-pass filter, the dead zone, rounding to the quantum.
+    They act in this order: the low-pass filter, the dead zone, rounding to the quantisation step.
 
     Attributes:
         low_pass_s: Time constant of a filter of first order on both commands [s]; 0: none.
-        dead_zone_speed_m_s: Speeds of a smaller magnitude become 0, others stay [m/s].
-        dead_zone_turn_rate_rad_s: Turn rates likewise [rad/s].
+        dead_zone_speed_m_s: Dead zone of the speed: smaller magnitudes become 0, others stay [m/s].
+        dead_zone_turn_rate_rad_s: Dead zone of the turn rate, likewise [rad/s].
         quantum_speed_m_s: Step to which the speed is rounded [m/s]; 0: none.
         quantum_turn_rate_rad_s: Step to which the turn rate is rounded [rad/s]; 0: none.
     """
@@ -40,7 +40,7 @@ class Filter:
 
 @dataclass(slots=True)
 class Filters:
-    """From rest."""
+    """State at rest."""
 
     speed: Filter = field(default_factory=Filter)
     turn_rate: Filter = field(default_factory=Filter)
@@ -49,7 +49,7 @@ class Filters:
 def shape(
     settings: Any, state: Any, dt_s: float, value: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return what is left of a wanted command so long after the last one [s]."""
+    """Return the shaped command a time after the last one [s]."""
     keys = settings.shaping
     speed, turn_rate = value
     if keys.low_pass_s != 0.0:
@@ -74,7 +74,7 @@ def low_pass(state: Any, time_constant_s: float, dt_s: float, wanted: float) -> 
 
 
 def _judge(scenario: Any) -> Iterator[Complaint]:
-    """Some command comes through."""
+    """Yield notes on shaping that lets no command through."""
     for name in ("speed_m_s", "turn_rate_rad_s"):
         limit = getattr(scenario.limits, name)
         for kind in ("dead_zone", "quantum"):

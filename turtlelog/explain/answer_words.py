@@ -229,7 +229,7 @@ def _sum_contributions(found: Attribution) -> float:
 
 
 def _write_together(found: Attribution) -> str:
-    """Return what arises only if several act; empty where that is little."""
+    """Return what arises only if several act; empty if that is little."""
     if not found.acting or _is_negligible(found):
         return ""
     largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]

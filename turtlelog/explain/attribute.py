@@ -81,16 +81,16 @@ def attribute_run(
     whose seed is not known, where the log's lies outside of the central 95 % over seeds.
 
     Args:
-        run: Whose value it is.
+        run: Run whose value is explained.
         metric: Its id; None for that which `choose_metric` finds.
         causes: Those that take part; otherwise every effect that is in the scenario.
-        identified: What `identify_run` found, where that is known already.
+        identified: Result of `identify_run`, if it is known already.
         trust_law: Run the law that the recording names, where it is not built in: its code.
-        work: How to simulate.
+        work: Settings of the simulation: processes and progress.
 
     Raises:
-        ExplainError: Where no scenario stands for the run, or as in `attribute_scenario`.
-        ScenarioError: Where the recorded law is neither built in nor trusted, or not there.
+        ExplainError: If no scenario reproduces the run, or as in `attribute_scenario`.
+        ScenarioError: If the recorded law is neither built in nor trusted, or not there.
     """
     metric = metric or choose_metric(run.declaration)
     require_causes(run, metric, causes)
@@ -123,15 +123,14 @@ def attribute_scenario(
 ) -> Attribution:
     """Attribute a value of a scenario to causes.
 
-    All 2^n sets of n causes are simulated, with each of 32 seeds where one that is in draws
-    random numbers. Of more than six, those six take part that change the value most, alone out or
-    alone in; the others stay as recorded.
+    All 2^n sets of n causes are simulated, with each of 32 seeds where one that is in draws random
+    numbers. If there are more than six causes, the six that change the value most take part, alone
+    out or alone in; the others stay as recorded.
 
     Raises:
-        ExplainError: Where a metric or cause is not known, a cause stands twice, or there
-            are none.
-        ScenarioError: Where the law cannot be loaded, or may not run.
-        SimulationError: Where the law fails without one of them.
+        ExplainError: If a metric or cause is not known, a cause stands twice, or there are none.
+        ScenarioError: If the law cannot be loaded, or may not run.
+        SimulationError: If the law fails without one of them.
     """
     scenario = resolve_scenario(scenario)
     declaration = declare_scenario(scenario)
@@ -200,7 +199,7 @@ def require_causes(run: Run, metric: str, causes: Sequence[str] | None) -> None:
     The causes of a law that is not built in are known when it runs.
 
     Raises:
-        ExplainError: Where they are not; with the names nearest to it.
+        ExplainError: If they are not; with the names nearest to it.
     """
     _require_metric(run.declaration, metric)
     _require_distinct(causes)
@@ -290,7 +289,7 @@ def _tell_what_has_no_value(
 
 
 def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
-    """Return why the re-simulation says nothing of the log; empty where it does."""
+    """Return why the re-simulation says nothing of the log; empty if it does."""
     logged, built, without = found.as_logged, found.resimulated, found.without_all
     if logged is None:
         return "the log has no value"

@@ -38,7 +38,7 @@ class Resolution:
 
     Attributes:
         size: In the metric's unit.
-        reason: What makes a change of this size, in one clause.
+        reason: Origin of a change of this size, in one clause.
     """
 
     size: float
@@ -115,20 +115,20 @@ def is_clear(value: float, standard_error: float | None) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contribution:
-    """What one cause contributes to a value, and what the value is without it alone.
+    """The contribution of one cause to a value, and the value without this cause alone.
 
     Attributes:
         cause: Its name.
-        contribution: Its Shapley share of resimulated - without_all, in the metric's unit; negative
-            where it makes the value smaller. None where it takes no part. With random effects the
+        contribution: Shapley value of the cause: its part of resimulated - without_all, in the
+            metric's unit; negative where it makes the value smaller. None if it takes no part. With
+            random effects the mean over seeds.
+        alone: The metric without this cause alone; None if it has no value. With random effects its
             mean over seeds.
-        alone: The metric without this cause alone; None where it has no value. With random effects
-            its mean over seeds.
-        ending: What differs in kind without it, in one clause: a phase that no longer ends, or why
-            there is no value. None where the run passes the same phases.
-        meaning: What taking it out means, in one clause.
-        standard_error: With random effects that of the contribution; where it takes no part, that
-            of the change without it. None otherwise.
+        ending: Difference in kind without the cause, in one clause: a phase that no longer ends, or
+            why there is no value. None if the run passes the same phases.
+        meaning: Meaning of the run without the cause, in one clause.
+        standard_error: Standard error of the contribution with random effects; of the change
+            without the cause if it takes no part. None otherwise.
     """
 
     cause: str
@@ -146,13 +146,13 @@ class Contribution:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Together:
-    """What several causes add only when all of them act.
+    """The part of a value that arises only if several causes act together.
 
     Attributes:
-        causes: At least two.
-        value: What they add beyond all that fewer of them add, in the metric's unit; it is divided
+        causes: Names of two causes or more.
+        value: Part that fewer of these causes do not add, in the metric's unit; it is divided
             equally among their contributions.
-        standard_error: With random effects; None otherwise.
+        standard_error: Standard error with random effects; None otherwise.
     """
 
     causes: tuple[str, ...]
@@ -166,7 +166,7 @@ class ValueSet:
 
     Attributes:
         causes: Those that are in; all others that take part are out.
-        reason: Why there is no value; None where there is.
+        reason: Why there is no value; None if there is.
     """
 
     causes: tuple[str, ...]
@@ -193,17 +193,17 @@ class StartRange:
     """A value over starts that one sample's turn spans.
 
     Attributes:
-        count: How many starts, at equal distances; the scenario's own is in the middle.
-        within_rad: How far the first and the last are turned from the scenario's own [rad].
+        count: Number of starts, at equal distances; the scenario's own is in the middle.
+        within_rad: Angle between the scenario's own heading and the first and last start [rad].
         low: The smallest value, in the metric's unit.
         high: The largest value.
-        without_value: How many starts have none.
+        without_value: Number of starts without a value.
         is_wide: Whether the value depends on single samples: whether both its range and that of
-            what the effects add exceed half of what they add to the scenario's own. Where they add
-            no more than the resolution to it, both exceed that, and half of the largest value.
-        parts: Where it is wide, the part of each cause that changes the value. Empty where they do
+            what the effects add exceed half of what they add to the scenario's own. If they add no
+            more than the resolution to it, both exceed that, and half of the largest value.
+        parts: Part of each cause that changes the value, if the range is wide. Empty where they do
             not all add to it at every start, or where it takes too many simulations.
-        without_all: Where it is wide, the smallest and largest value without all that act.
+        without_all: Smallest and largest value without all causes that act, if the range is wide.
     """
 
     count: int
@@ -224,9 +224,9 @@ class SeedRange:
         count: Seeds that were simulated.
         used: Those with which every combination of causes has a value: the contributions are
             theirs.
-        mean: Of the value with all effects, over those.
-        standard_error: Of that mean.
-        low: From here to `high` are the central 95 % of the values with all effects.
+        mean: Mean of the value with all effects, over those.
+        standard_error: Standard error of that mean.
+        low: Lower end of the central 95 % of the values with all effects.
         high: See `low`.
     """
 
@@ -245,35 +245,35 @@ class SeedRange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attribution:
-    """What caused a value.
+    """Causes of a value of a run, and their contributions.
 
     Attributes:
         metric: Its id.
         unit: Its unit.
-        as_logged: The log's own value; None where it has none, or where there is no log.
-        resimulated: The value re-simulated with all effects; None where it has no value.
-        without_all: Re-simulated, with all that take part out; None where it has no value. Where
-            what is left is random, the mean over seeds.
+        as_logged: The log's own value; None if it has none, or where there is no log.
+        resimulated: The value re-simulated with all effects; None if it has no value.
+        without_all: Re-simulated, with all that take part out; None if it has no value. If what is
+            left is random, the mean over seeds.
         causes: Those that take part: the value is divided among them.
-        contributions: Theirs, in their order; none where they are withheld. `math.fsum` of them is
+        contributions: Theirs, in their order; none if they are withheld. `math.fsum` of them is
             resimulated - without_all: see `compute_contributions`. With random effects they are
             means over seeds, and `this_seed` is what is missing.
-        others: What else is in the scenario, each taken out alone.
+        others: Other causes in the scenario, each removed alone.
         resolution: The largest change that is negligible.
-        withheld: Why there are no contributions, in one clause; None where there are.
-        together: What several causes add only together.
+        withheld: Why there are no contributions, in one clause; None if there are.
+        together: Parts that several causes add only together.
         without_value: The smallest sets of causes that leave the metric without a value.
         with_value: The smallest sets that give it one, where it has none without all.
-        starts: The value over starts within one sample's turn; None where the robot does not turn,
-            and with random effects.
+        starts: The value over starts within one sample's turn; None if the robot does not turn, and
+            with random effects.
         seeds: The value over seeds; None without random effects.
-        reason: Why it has no value, in the log or else re-simulated; None where it has.
-        doubts: What the contributions rest on that the log does not prove, in whole sentences.
+        reason: Why it has no value, in the log or else re-simulated; None if it has.
+        doubts: Assumptions of the contributions that the log does not prove, in sentences.
         left: Effects that were to take part and stay as recorded, being more than six.
         effects: Every effect that loop and law may have, whether it is in the scenario or not.
-        remarks: What could not be taken out, in whole sentences.
-        this_seed: What the run's own seed makes of it: resimulated less the mean over seeds; None
-            without random effects.
+        remarks: Causes that could not be removed, in sentences.
+        this_seed: Effect of the run's own seed: resimulated less the mean over seeds; None without
+            random effects.
         sentences: All this in words.
     """
 
@@ -332,7 +332,7 @@ class Attribution:
 
     @property
     def divided(self) -> float:
-        """What contributions and `without_all` add up to: with random effects the mean; or 0."""
+        """Sum of `without_all` and all contributions; with random effects the mean; or 0."""
         return (self.resimulated or 0.0) if self.seeds is None else self.seeds.mean
 
     def __repr__(self) -> str:

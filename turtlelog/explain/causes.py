@@ -63,8 +63,8 @@ def find_causes(scenario: Scenario) -> Mapping[str, Cause]:
     Without `sampling` where the clock cannot be made finer.
 
     Raises:
-        ScenarioError: Where the law cannot be loaded, or may not run.
-        ExplainError: Where two causes have one name.
+        ScenarioError: If the law cannot be loaded, or may not run.
+        ExplainError: If two causes have one name.
     """
     law = find_law(resolve_scenario(scenario).law.kind)
     is_offered = not describe_no_sampling(scenario)
@@ -93,8 +93,8 @@ def simulate_without(scenario: Scenario, names: Iterable[str]) -> Run:
     """Simulate a scenario without some of its causes.
 
     Raises:
-        ExplainError: Where the scenario has no cause of that name.
-        ScenarioError: Where the law cannot be loaded, or may not run.
+        ExplainError: If the scenario has no cause of that name.
+        ScenarioError: If the law cannot be loaded, or may not run.
     """
     names = [*names]
     scenario = resolve_scenario(scenario)
@@ -107,7 +107,7 @@ def find_cause(name: str, table: Mapping[str, Cause], scenario: Scenario) -> Cau
     """Return a cause of a scenario by its name.
 
     Raises:
-        ExplainError: Where the table has none of that name.
+        ExplainError: If the table has none of that name.
     """
     if name in table:
         return table[name]
@@ -117,7 +117,7 @@ def find_cause(name: str, table: Mapping[str, Cause], scenario: Scenario) -> Cau
 
 
 def describe_no_sampling(scenario: Scenario) -> str:
-    """Return why the clock cannot be made finer, in one clause; empty where it can."""
+    """Return why the clock cannot be made finer, in one clause; empty if it can."""
     if list_sample_counters(find_law(scenario.law.kind)) is None:
         return (
             f"sampling is not taken out, as the law {scenario.law.kind} does not say which of its"

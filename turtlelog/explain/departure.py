@@ -1,4 +1,4 @@
-"""Where two runs of the same settings depart, and what that tells of the cause."""
+"""First difference of two runs of the same settings, and what it shows of the cause."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -35,12 +35,12 @@ class Departure:
     """The earliest difference of two runs.
 
     Attributes:
-        part: What differs first: `start` (the first pose), `robot` (it moves otherwise after equal
-            commands), `sensor` (the pose as sensed), `controller` (it answers an equal pose
+        part: Part that differs first: `start` (the first pose), `robot` (it moves otherwise after
+            equal commands), `sensor` (the pose as sensed), `controller` (it answers an equal pose
             otherwise), `timing` (when a sample or command occurs) or `end` (one run is longer).
-        signal: Which signal differs.
-        unit: Of the values; empty for a name or a count.
-        time_s: When, from the first pose [s].
+        signal: Name of the signal that differs.
+        unit: Unit of the values; empty for a name or a count.
+        time_s: Time of the difference from the first pose [s].
         first: The value of the first run; None if it has none there.
         second: The value of the second run.
         samples: Samples before it, which are equal in both runs.

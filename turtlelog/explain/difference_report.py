@@ -277,7 +277,7 @@ def _name_set(case: "ValueSet", changes: "dict[str, Change]") -> str:
 
 
 def _write_together(found: "ExplainedDifference") -> str:
-    """Return what arises only if several changes act; empty where that is little."""
+    """Return what arises only if several changes act; empty if that is little."""
     if not found.contributions or is_negligible(found):
         return ""
     least = _NAMED * _sum(_list_divided(found))

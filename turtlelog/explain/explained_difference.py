@@ -20,16 +20,16 @@ class Side:
     """One of two runs.
 
     Attributes:
-        name: Of the run.
+        name: Name of the run.
         as_logged: The metric of the log; None if it has no value.
         resimulated: The metric, simulated again with the run's own seed; None likewise.
         reason: Why the metric has no value; empty if it has one.
-        basis: What stands for the run: `recorded`, the scenario that it holds, which reproduces
-            every sample; `identified`, one that is identified from its samples; `robot`, the model
-            of a robot that its recorded commands drive; None if nothing does.
-        note: How far the scenario that the run holds reproduces it, or why none stands for it.
-        is_exact: Whether the scenario that stands for the run reproduces every sample.
-        unknown: Keys that are not identified: the other run's values stand for them.
+        basis: Scenario that reproduces the run: `recorded`, the scenario that it holds, which
+            reproduces every sample; `identified`, one that is identified from its samples; `robot`,
+            the model of a robot that its recorded commands drive; None if nothing does.
+        note: Accuracy with which the recorded scenario reproduces the run, or why no scenario does.
+        is_exact: Whether that scenario reproduces every sample.
+        unknown: Keys that are not identified: the other run's values are used.
     """
 
     name: str
@@ -47,15 +47,15 @@ class Change:
     """A group of settings that differ, and what it contributes to the difference of the metric.
 
     Attributes:
-        name: Of the group: `gains`, `queue`, `goal`, or the key of a setting.
+        name: Name of the group: `gains`, `queue`, `goal`, or the key of a setting.
         keys: Keys of the settings in which the scenarios differ; `seed` for what the seeds make.
         first: Their values in the first run; None for a key that it does not have.
         second: Their values in the second run.
-        contribution: To the difference, in the metric's unit; None if it is withheld.
-        standard_error: Of the contribution, if it is a mean over seeds or sampled orders, or rests
-            on identified values.
-        low: Where its interval of 95 % begins; None if the contribution is exact.
-        high: Where it ends.
+        contribution: Contribution to the difference, in the metric's unit; None if it is withheld.
+        standard_error: Standard error of the contribution, if it is a mean over seeds or sampled
+            orders, or rests on identified values.
+        low: Lower end of its interval of 95 %; None if the contribution is exact.
+        high: Upper end of the interval.
         undone: The metric of the second run with this group alone as in the first; None if it has
             no value.
     """
@@ -73,7 +73,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EffectShift:
-    """What an effect contributes to the metric of each run, as `explain` finds it.
+    """The contribution of an effect to the metric of each run, as `explain` finds it.
 
     Attributes:
         cause: Name of the effect.
@@ -87,7 +87,7 @@ class EffectShift:
 
     @property
     def shift(self) -> float:
-        """By how much the contribution changes."""
+        """Change of the contribution."""
         return self.second - self.first
 
 
@@ -96,8 +96,8 @@ class DifferenceRange:
     """The difference over starts that one sample's turn spans.
 
     Attributes:
-        count: How many starts, at equal distances; the scenarios' own are in the middle.
-        within_rad: How far the first and the last are turned from the scenarios' own [rad].
+        count: Number of starts, at equal distances; the scenarios' own are in the middle.
+        within_rad: Angle between the scenarios' own heading and the first and last start [rad].
         difference: The smallest and the largest difference, in the metric's unit.
         first: The smallest and the largest metric of the first run.
         second: Those of the second run.
@@ -115,33 +115,34 @@ class DifferenceRange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplainedDifference:
-    """Why a metric differs between two runs.
+    """The difference of a metric between two runs, divided among what differs.
 
     Attributes:
         metric: Its id.
-        unit: Of all values.
+        unit: Unit of all values.
         first: The run that differences are taken from.
         second: The other run.
         difference: The metric of the second less that of the first, as simulated again, of robots
             as logged; None if one of them has no value.
-        contributions: Of each group of settings that differs, the largest first; they add up to
-            `difference`, of robots together with `unexplained`. Empty if they are withheld.
+        contributions: Contributions of each group of settings that differs, the largest first; they
+            add up to `difference`, of robots together with `unexplained`. Empty if they are
+            withheld.
         changes: Names and values of the settings that differ, without contributions, if these are
             withheld.
         idle: Keys that differ and change the metric in no combination.
-        unexplained: What the models of two robots leave of the difference, which the contributions
-            then lack; None if no robots are identified.
+        unexplained: Part of the difference that the models of two robots do not explain, and the
+            contributions lack; None if no robots are identified.
         withheld: Why there are no contributions, in one clause; None if there are.
-        together: What several groups add only if all of them are changed.
+        together: Parts that several groups add only if all of them are changed.
         without_value: The smallest sets of changes that leave the metric without a value.
         with_value: The smallest sets that give it a value, if the first run has none.
         resolution: The largest change that is negligible.
         starts: The difference over starts within one sample's turn; None with random effects.
-        seeds: Over how many seeds the contributions are means; 1 if nothing is random.
-        orders: How many orders of the changes were sampled; None if all of them count.
-        effects: How the contributions of `explain` differ, the largest shift first.
+        seeds: Number of seeds over which the contributions are means; 1 if nothing is random.
+        orders: Number of orders of the changes that were sampled; None if all of them count.
+        effects: Differences of the contributions of `explain`, the largest first.
         has_same_settings: Whether no setting differs that could change a run.
-        departure: Where the runs depart though they have the same settings; None if they do not.
+        departure: First difference of runs that have the same settings; None if they do not.
         sentences: All this in words.
     """
 

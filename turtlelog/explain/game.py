@@ -1,7 +1,7 @@
 """A value as a game: what some causes make, played without any set of them, over seeds.
 
-Where a cause that is in draws random numbers, one run says little of it: such a scenario is
-simulated with every one of `SEEDS`, and the same seeds with and without a cause.
+If a cause that is in draws random numbers, one run says little of it: such a scenario is simulated
+with every one of `SEEDS`, and the same seeds with and without a cause.
 """
 
 import time
@@ -57,7 +57,7 @@ _Play = tuple[frozenset[str], int | None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Work:
-    """How to simulate.
+    """Settings of the simulation.
 
     Attributes:
         jobs: Processes, at least 1; None: as many as cores where that is quicker. They import the
@@ -79,7 +79,7 @@ class Outcome:
     """What a simulation came to, or most of several with different seeds.
 
     Attributes:
-        value: Of the metric, None where it has none; of several their mean.
+        value: Value of the metric, None if it has none; of several their mean.
         reason: Why it has none, else empty.
         ended: Names of the phases that came to their end, in order.
         end_xy_m: The last pose [m]; None of several, and where the law failed.

@@ -82,7 +82,7 @@ class RecordedScenario:
     """The scenario that a run holds, tested.
 
     Attributes:
-        scenario: Ends where the log does; None where it does not reproduce every sample.
+        scenario: Ends where the log does; None if it does not reproduce every sample.
         run: Simulated again; None likewise.
         resimulation: How that compares with the log; None likewise.
         reach: How far it reproduces the log, or why it was not simulated, in one clause.
@@ -108,7 +108,7 @@ def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> Recor
     """Simulate the scenario that a run holds, and compare it with the log sample by sample.
 
     Raises:
-        ScenarioError: Where the law may not run, or cannot.
+        ScenarioError: If the law may not run, or cannot.
     """
     scenario = resolve_scenario(restore_scenario(run), trust_law=trust_law)
     rows = list_rows(trace)
@@ -148,7 +148,7 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
     """Return what a log tells of the loop around a law whose parameters are not identified.
 
     Args:
-        run: With samples.
+        run: Run with samples.
         reason: Why they are not, in one clause.
         trust_law: Whether the law that it names may run.
     """

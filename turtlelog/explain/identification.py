@@ -1,4 +1,4 @@
-"""What a log says of the scenario that made it."""
+"""The scenario of a run as identified from its log."""
 
 import enum
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from turtlelog.scenario import DEFAULT_LAW, Scenario
 
 
 class Certainty(enum.StrEnum):
-    """How sure a finding is."""
+    """Confidence in a finding."""
 
     EXACT = "exact"
     """It alone reproduces every row that it concerns, bit for bit or to the poses' rounding."""
@@ -28,8 +28,8 @@ class Certainty(enum.StrEnum):
     AMBIGUOUS = "ambiguous"
     """Several values fit alike; they are the candidates, and the value is the likeliest."""
     RECORDED = "as recorded"
-    """Of the recorded scenario, whose re-simulation reproduces every sample; the samples alone do
-    not tell it."""
+    """Value of the recorded scenario, whose re-simulation reproduces every sample; the samples
+    alone do not show it."""
     UNKNOWN = "unknown"
     """The log does not determine it."""
 
@@ -40,11 +40,11 @@ class Finding:
 
     Attributes:
         value: In the unit of its key; None exactly where `certainty` is UNKNOWN.
-        certainty: How sure it is.
+        certainty: Confidence in the value.
         evidence: One clause: by what it is known, or why it is not.
-        interval: From and to, where it is bounded: [low, high).
+        interval: Bounds [low, high) of a bounded value.
         candidates: All values that fit, where several do.
-        assumed: What a re-simulation uses where the value is unknown and does not show.
+        assumed: Value that a re-simulation uses if the value is unknown and has no visible effect.
     """
 
     value: Any = None
@@ -56,7 +56,7 @@ class Finding:
 
     @property
     def used(self) -> Any:
-        """What a re-simulation uses: the value, or else what is assumed."""
+        """Value that a re-simulation uses: the identified value, otherwise the assumed one."""
         return self.assumed if self.value is None else self.value
 
 
@@ -136,24 +136,23 @@ _NO_SAMPLES: Final = "the recording holds no samples: which pose a command answe
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identification:
-    """What a log says of the scenario that made it.
+    """The scenario of a run as identified from its log.
 
     Attributes:
-        name: Of the run.
-        findings: By key of the scenario (`law.kp_linear`), and beside it `dead_time.` and the name
-            of each loop, or else phase [ticks], `pause.seconds` [s], `pause.held_turn_rate_rad_s`,
-            `pause.turned_rad`, `pause.burst` (poses answered at once after it), `stop_reason`,
-            `lost_commands`.
-        resimulation: The identified scenario, simulated again and compared; None where there is
-            none.
-        scenario: The identified scenario, or the recorded one; None where too little is known for
-            one, or where the recorded one does not reproduce the run.
+        name: Name of the run.
+        findings: Findings by key of the scenario (`law.kp_linear`), and beside it `dead_time.` and
+            the name of each loop, or else phase [ticks], `pause.seconds` [s],
+            `pause.held_turn_rate_rad_s`, `pause.turned_rad`, `pause.burst` (poses answered at once
+            after it), `stop_reason`, `lost_commands`.
+        resimulation: The identified scenario, simulated again and compared; None if there is none.
+        scenario: The identified scenario, or the recorded one; None if too little is known for one,
+            or where the recorded one does not reproduce the run.
         is_recorded: Whether it is the recorded scenario, which reproduces every sample.
-        law: Kind of the law, as recorded, else that whose parameters are identified; empty where
-            the run names none, and has other loops.
-        notes: What else is worth a sentence.
-        tried: By key of the loop's settings, the values that were tried; what is exact or fitted is
-            so among these.
+        law: Kind of the law, as recorded, else that whose parameters are identified; empty if the
+            run names none, and has other loops.
+        notes: Further notes, in sentences.
+        tried: Values that were tried, by key of the loop's settings; what is exact or fitted is so
+            among these.
     """
 
     name: str
@@ -167,14 +166,14 @@ class Identification:
 
     @property
     def tells_law(self) -> bool:
-        """Whether the law is one whose parameters its commands tell."""
+        """Whether the law is one whose parameters its commands show."""
         return self.law == DEFAULT_LAW
 
     def build_scenario(self) -> Scenario:
         """Return the identified scenario; what does not show has the value that was assumed.
 
         Raises:
-            ExplainError: Where too little is known.
+            ExplainError: If too little is known.
         """
         if self.scenario is None:
             reason = "; ".join(self.notes) or "too little is known"

@@ -78,18 +78,18 @@ _UNEXPLAINED: Final = (
 def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     """Identify the scenario of a run from its samples alone: pose read, command published, time.
 
-    Of the run's own parameters only the law's name and the plant are read: of another law than
-    sequential-p, or around another plant than turtlesim, no parameter is claimed. Gains, limits and
+    Only the law's name and the plant are read from the run's own parameters. For another law than
+    sequential-p, or another plant than turtlesim, no parameter is claimed. Gains, limits and
     tolerances come from the commands; the queues and the pause from the dead times and the time
     stamps, and from simulating every setting that agrees with them: those that reproduce all
-    samples are what fits. Where none does, the plant is driven with the log's commands, and what
-    fits within the noise is told as that.
-    A run without samples tells next to nothing, and the findings say why. Of one that is too long
-    to be simulated again the beginning is looked at; no scenario stands for it.
+    samples are what fits. If none does, the plant is driven with the log's commands, and what fits
+    within the noise is marked as such. A run without samples gives almost no findings, and the
+    findings say why. If a run is too long to be simulated again, its beginning is used; no scenario
+    reproduces it.
 
-    Where the run holds its whole scenario, that one is a hypothesis, and its re-simulation the
-    test: of another law it stands for the run if it reproduces every sample, of sequential-p if
-    what was identified does not, or if it holds effects that no identification looks for.
+    If the run holds its whole scenario, that one is a hypothesis, and its re-simulation the test:
+    for another law it is accepted if it reproduces every sample, of sequential-p if what was
+    identified does not, or if it holds effects that no identification looks for.
 
     Args:
         run: Any.
@@ -97,7 +97,7 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
             it the scenario of such a run is not tested.
 
     Raises:
-        ScenarioError: Where a law that is trusted cannot be loaded, or a parameter is wrong.
+        ScenarioError: If a law that is trusted cannot be loaded, or a parameter is wrong.
     """
     if not len(run.samples):
         return identify_plant(run)
@@ -138,7 +138,7 @@ def _identify_recorded(run: Run) -> Identification | None:
     """Return what is known of a run whose scenario holds what no identification looks for.
 
     An effect may show nothing in this run, or what another setting shows: where the recorded
-    scenario reproduces every sample, its settings stand. None where it does not, or holds no such
+    scenario reproduces every sample, its settings stand. None if it does not, or holds no such
     thing.
     """
     unseen = list_unseen(run)

@@ -44,9 +44,9 @@ class LuckCurve:
 
     Attributes:
         without: The causes that are taken out; empty with all effects.
-        values: Of the metric, in its unit, shape (n,); NaN where it has none.
-        reasons: Why it has none, n of them; empty where it has.
-        ends_xy_m: The last pose in the world frame [m], shape (n, 2); NaN where the law failed.
+        values: Values of the metric, in its unit, shape (n,); NaN if it has none.
+        reasons: Why it has none, n of them; empty if it has.
+        ends_xy_m: The last pose in the world frame [m], shape (n, 2); NaN if the law failed.
     """
 
     without: tuple[str, ...]
@@ -57,19 +57,19 @@ class LuckCurve:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Luck:
-    """What a value of a run would have been with other luck.
+    """Values that a metric of a run would have had with other starts or seeds.
 
     Attributes:
         metric: Its id.
         unit: Its unit.
-        varied: What is varied: start headings, or of a run with random effects the seed.
-        starts_rad: How far each start is turned from the recorded one [rad], shape (n,); of seeds
-            empty.
+        varied: Varied quantity: start headings, or the seed of a run with random effects.
+        starts_rad: Angle between each start and the recorded one [rad], shape (n,); empty for
+            seeds.
         seeds: The seeds; of starts empty.
         causes: Those that take part, in the order of the attribution.
-        curves: With all effects; without each cause alone that changes anything; and last, where
-            these are several, without all of them.
-        recorded: The value of the run itself; None where it has none.
+        curves: Curves with all effects; without each cause alone that changes anything; and last,
+            where these are several, without all of them.
+        recorded: The value of the run itself; None if it has none.
         recorded_end_xy_m: Its last pose in the world frame [m].
         goal_xy_m: Its goal [m]; None without one.
         dependence: `wide` where the value depends on single samples, or on the seed: where it
@@ -110,17 +110,17 @@ def measure_luck(
     """Measure what a value of a run would have been from other starts, or with other seeds.
 
     Args:
-        run: Whose value it is.
+        run: Run whose value is explained.
         metric: Its id; None for that which `choose_metric` finds.
-        identified: What `identify_run` found, where that is known already.
-        found: What `attribute_run` found of this metric, where that is known already.
+        identified: Result of `identify_run`, if it is known already.
+        found: Result of `attribute_run` for this metric, if it is known already.
         trust_law: Run the law that the recording names, where it is not built in: its code.
-        work: How to simulate.
+        work: Settings of the simulation: processes and progress.
 
     Raises:
-        ExplainError: Where no scenario stands for the run, where its re-simulation is not what the
-            log has, where no start differs as the robot does not turn, or where none has a value.
-        ScenarioError: Where the recorded law is neither built in nor trusted, or not there.
+        ExplainError: If no scenario reproduces the run, where its re-simulation is not what the log
+            has, where no start differs as the robot does not turn, or if none has a value.
+        ScenarioError: If the recorded law is neither built in nor trusted, or not there.
     """
     work = work or Work()
     if found is None:

@@ -26,7 +26,7 @@ class Periods:
         low_ns: Nine of ten lie between this [ns],
         high_ns: and this [ns].
         longest_ns: The longest [ns].
-        longest_at_ns: When that began [ns].
+        longest_at_ns: Begin of the longest period [ns].
     """
 
     usual_ns: float
@@ -42,9 +42,9 @@ class Largest:
 
     Attributes:
         signal: `speed`, `lateral_speed` or `turn_rate`.
-        unit: Of it.
-        value: With its sign.
-        time_ns: When it was published first [ns].
+        unit: Unit of it.
+        value: Signed value of the command.
+        time_ns: Time of its first publication [ns].
     """
 
     signal: str
@@ -55,10 +55,10 @@ class Largest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Delays:
-    """How long after its publication a pose of turtlesim's shows a command.
+    """Delays from the publication of commands to the poses of turtlesim that show them.
 
     Attributes:
-        counts: By ticks of dead time, how many commands: 0 is the first pose after the command.
+        counts: Number of commands by ticks of dead time: 0 is the first pose after the command.
         low_ns: The shortest time from a command to the pose that shows it [ns].
         median_ns: The usual one [ns].
         high_ns: The longest [ns].
@@ -72,20 +72,20 @@ class Delays:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionFacts:
-    """What poses and commands tell without the samples of a controller.
+    """Facts about poses and commands, without the samples of a controller.
 
     Attributes:
-        name: Of the run.
-        kind: Whose poses these are.
-        poses: Times from one to the next; None of fewer than two.
-        commands: Likewise.
+        name: Name of the run.
+        kind: Kind of robot that the poses belong to.
+        poses: Times from one pose to the next; None for fewer than two.
+        commands: Times from one command to the next; None for fewer than two.
         largest: Commands of the largest magnitude on each axis that is used.
         outliers: Measured rates that their neighbours contradict.
         jumps: Steps that a robot cannot have driven; of turtlesim the replay has them.
-        gaps: Stretches without poses; likewise.
+        gaps: Segments without poses; likewise.
         replay: The commands through turtlesim's plant; None of another robot.
-        refused: Why turtlesim's plant could not be replayed; empty where it was, or is another.
-        delays: Of turtlesim; None where no pose shows a command.
+        refused: Why turtlesim's plant could not be replayed; empty if it was, or is another.
+        delays: Delays of turtlesim; None if no pose shows a command.
     """
 
     name: str
@@ -102,7 +102,7 @@ class MotionFacts:
 
 
 def read_motion_facts(run: Run) -> MotionFacts:
-    """Return what the poses and commands of a run tell, with or without samples."""
+    """Return what the poses and commands of a run show, with or without samples."""
     is_turtlesim = find_plant(run).name != LAGGED and moves_as_turtlesim(run)
     replay, refused = None, ""
     if is_turtlesim:

@@ -34,12 +34,12 @@ Row = tuple[Any, ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Resimulation:
-    """How the identified scenario, simulated again, compares with the log.
+    """Comparison of the re-simulated scenario with the log.
 
     Attributes:
         samples: Samples compared, by their order in each phase.
-        max_abs_error: Of the poses that they read.
-        max_command_error: Of what they published [m/s or rad/s].
+        max_abs_error: Largest difference of the poses that they read.
+        max_command_error: Largest difference of the published commands [m/s or rad/s].
         is_exact: Whether there are as many samples in each phase, all without a difference.
     """
 
@@ -103,7 +103,7 @@ def read_depths(scenario: Scenario) -> Depths:
 
 
 def list_rows(trace: Trace) -> list[Row | None]:
-    """Return what a re-simulation must reproduce of each sample; None where one is lost."""
+    """Return what a re-simulation must reproduce of each sample; None if one is lost."""
     samples = trace.run.samples
     columns = [
         trace.xy_m[:, 0],
@@ -273,8 +273,8 @@ def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
 def read_pause(scenario: Scenario) -> tuple[float | None, int]:
     """Return the turn rate that the plant held when the law's pause ended, and the burst then.
 
-    The rate is None where commands were still queued. The burst counts poses answered at once; 0
-    where there is no pause.
+    The rate is None if commands were still queued. The burst counts poses answered at once; 0 where
+    there is no pause.
     """
     is_blocked, sent = False, 0.0
     for tick in iterate_ticks(scenario):

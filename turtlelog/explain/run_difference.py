@@ -72,7 +72,7 @@ _NO_SAMPLES: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Depth:
-    """How much is simulated.
+    """Amount of simulation.
 
     Attributes:
         most_exact: Groups of settings up to which all combinations are simulated; of more,
@@ -109,8 +109,8 @@ def explain_difference(
         metric: Its id. Default: the final position error, or without a goal the error of the last
             loop.
         trust_law: Run the laws that the recordings name, if they are not built in: their code.
-        depth: How much is simulated. Default: everything.
-        work: How to simulate.
+        depth: Amount of simulation. Default: everything.
+        work: Settings of the simulation: processes and progress.
 
     Raises:
         ExplainError: If the metric is none of both runs.

@@ -22,12 +22,12 @@ def simulate_what_ifs(
     """Simulate the run without each cause that acts, and without all of them.
 
     Those are the ones that change the value, or decide whether there is one; where there is none
-    with and without any, every one that takes part. None where re-simulation and log disagree: they
+    with and without any, every one that takes part. None if re-simulation and log disagree: they
     would say nothing of the log.
 
     Args:
-        identified: What stands for the run.
-        found: What its value was divided among.
+        identified: Scenario that reproduces the run.
+        found: Causes among which its value was divided.
         report: Called with the simulations that are done, and how many there are.
 
     Returns:
@@ -35,9 +35,9 @@ def simulate_what_ifs(
         attribution; where there are several, the last is the run without all.
 
     Raises:
-        ExplainError: Where no scenario stands for the run.
-        ScenarioError: Where its law cannot be loaded, or may not run.
-        SimulationError: Where the law fails without one of them.
+        ExplainError: If no scenario reproduces the run.
+        ScenarioError: If its law cannot be loaded, or may not run.
+        SimulationError: If the law fails without one of them.
     """
     if found.withheld and not found.without_value:
         return {}

@@ -46,15 +46,15 @@ def evaluate_expression(expression: Expression, values: Values) -> Any:
 
     Args:
         expression: Without `always`, `eventually` and `until`.
-        values: By name: numbers, truths, texts, None, or arrays of one shape, nan standing for no
-            value.
+        values: Values by name: numbers, truths, texts, None, or arrays of one shape, nan standing
+            for no value.
 
     Returns:
         A float, bool, str or None. With arrays, an array: of float with nan, of bool, or of object
         with None, where a truth or text is unknown.
 
     Raises:
-        ExpressionError: Where a name is not there or the kinds do not go together, with the column.
+        ExpressionError: If a name is not there or the kinds do not go together, with the column.
     """
     return evaluate_node(expression, expression.root, values).unpack()
 

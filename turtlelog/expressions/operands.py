@@ -45,7 +45,7 @@ _UFUNCS: Final = MappingProxyType(
 
 
 class Kind(enum.Enum):
-    """What an operand is; UNKNOWN fits everywhere."""
+    """Kind of an operand; UNKNOWN fits everywhere."""
 
     NUMBER = "number"
     TEXT = "text"
@@ -58,7 +58,7 @@ class Operand:
     """A value within an expression.
 
     Attributes:
-        kind: What it is.
+        kind: Kind of the value.
         data: float64 with nan for unknown; of a text, strings; of UNKNOWN, nan.
     """
 
@@ -79,7 +79,7 @@ def make_operand(value: Value) -> Operand:
     """Return a user's value as an operand.
 
     Raises:
-        TypeError: Where it is neither number, truth, text nor an array of them.
+        TypeError: If it is neither number, truth, text nor an array of them.
     """
     import numpy as np
 
@@ -96,7 +96,7 @@ def make_operand(value: Value) -> Operand:
 
 
 def compute_operator(operator: str, left: Operand, right: Operand) -> Operand:
-    """Return two numbers joined by + - * / or **; nan where that has no value."""
+    """Return two numbers joined by + - * / or **; nan if that has no value."""
     import numpy as np
 
     ufunc = {
@@ -123,7 +123,7 @@ def describe_arguments(function: str) -> str:
 
 
 def compute_function(function: str, arguments: Sequence[Operand]) -> Operand:
-    """Return a function of numbers; nan where it has no value."""
+    """Return a function of numbers; nan if it has no value."""
     import numpy as np
 
     ufunc = getattr(np, _UFUNCS.get(function, function))

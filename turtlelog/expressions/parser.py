@@ -54,10 +54,10 @@ def parse_expression(text: str, *, source: str = "expression") -> Expression:
 
     Args:
         text: In the language of docs/expressions.md.
-        source: Where it was written, for messages: an option, or a file and key.
+        source: Origin of the text for messages: an option, or a file and key.
 
     Raises:
-        ExpressionError: Where it does not parse, with the column.
+        ExpressionError: If it does not parse, with the column.
     """
     return Expression(text=text, source=source, root=_Parser(text, source).parse())
 

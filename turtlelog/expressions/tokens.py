@@ -49,7 +49,7 @@ def split_tokens(text: str, *, source: str) -> list[Token]:
     """Return the tokens of a text, the last of kind `end`.
 
     Raises:
-        ExpressionError: Where a character has no meaning.
+        ExpressionError: If a character has no meaning.
     """
     if len(text) > LONGEST_TEXT:
         problem = f"expected at most {LONGEST_TEXT:,} characters, found {len(text):,}"

@@ -18,7 +18,7 @@ class Node:
     """Part of an expression.
 
     Attributes:
-        column: Where it stands, or its operator, counted from 1. Not compared.
+        column: Column of the node or its operator, counted from 1. Not compared.
     """
 
     column: int = field(default=1, compare=False)
@@ -98,9 +98,9 @@ class Comparison(Node):
     """A chain as in mathematics: `a < b <= c` is `a < b and b <= c`.
 
     Attributes:
-        operators: At least one.
+        operators: One operator or more.
         operands: One more than operators.
-        columns: Of the operators. Not compared.
+        columns: Columns of the operators. Not compared.
     """
 
     operators: tuple[ComparisonOperator, ...]
@@ -132,7 +132,7 @@ class Temporal(Node):
         operator: `always` or `eventually`.
         start_s: First end of the window after the moment [s], finite, not negative.
         end_s: Second end [s], may be inf.
-        operand: What is to hold.
+        operand: Formula to evaluate.
     """
 
     operator: TemporalOperator
@@ -164,8 +164,8 @@ class Expression:
     """A parsed expression.
 
     Attributes:
-        text: As it was written.
-        source: Where it was written, for messages: an option, or a file and key.
+        text: Text of the expression.
+        source: Origin of the text for messages: an option, or a file and key.
         root: The whole tree.
         names: Signals, metrics and parameters in order of first use.
     """

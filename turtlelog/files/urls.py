@@ -56,7 +56,7 @@ def set_max_download(most: int) -> None:
 
 
 def parse_size(text: str) -> int | None:
-    """Return a number of bytes, as in 500MB, 4GiB or 4G; None where a text is no such number."""
+    """Return a number of bytes, as in 500MB, 4GiB or 4G; None if a text is no such number."""
     found = re.fullmatch(r"(\d+(?:\.\d+)?) *([kKMGT]?i?)B?", text)
     prefix = "" if found is None else found[2].replace("K", "k").replace("ki", "Ki")
     if found is None or prefix not in _SIZES:
@@ -71,7 +71,7 @@ def format_size(count: int) -> str:
 
 
 class RemoteNote(UserWarning):
-    """How a file was read, where that took more than was needed."""
+    """A note on a file that took more requests than needed."""
 
 
 def is_url(text: str) -> bool:
@@ -161,10 +161,10 @@ class RemotePath(_LocalPath):
 
     @property
     def file(self) -> "RemoteFile":
-        """How it is fetched; kept, so that what was read of its ends is not fetched twice.
+        """File object that fetches the data; kept, so that the ends are not fetched twice.
 
         Raises:
-            RemoteError: Where it is not there or cannot be reached.
+            RemoteError: If it is not there or cannot be reached.
         """
         if self._failure is not None:
             raise self._failure
@@ -182,7 +182,7 @@ class RemotePath(_LocalPath):
         """Put a complete local file there, in place of what is.
 
         Raises:
-            RemoteError: Where that is not allowed, or fails.
+            RemoteError: If that is not allowed, or fails.
         """
         from turtlelog.files.requests import put_file
 
@@ -276,7 +276,7 @@ def is_there(path: Path) -> bool:
     """Return whether a file is there; behind a URL, whether an object is.
 
     Raises:
-        RemoteError: Where that cannot be told, or the bucket is not there.
+        RemoteError: If that cannot be told, or the bucket is not there.
     """
     if not isinstance(path, RemotePath):
         return path.exists()
@@ -289,7 +289,7 @@ def has_files(folder: Path) -> bool:
     """Return whether there is anything in a folder; below a URL, any object.
 
     Raises:
-        RemoteError: Where nothing can be written there, or that cannot be told.
+        RemoteError: If nothing can be written there, or that cannot be told.
     """
     if not isinstance(folder, RemotePath):
         return folder.is_dir() and any(folder.iterdir())

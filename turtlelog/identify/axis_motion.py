@@ -23,7 +23,7 @@ AXES: Final[tuple[Axis, ...]] = ("speed", "turn_rate")
 UNITS: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "m/s", "turn_rate": "rad/s"})
 
 NAMES: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "speed", "turn_rate": "turn rate"})
-"""What the axes are called in sentences."""
+"""Names of the axes in sentences."""
 
 LARGEST_DEAD_TIME_S: Final = 1.5
 """The largest dead time that is looked for [s]: ten times that of a usual robot. A larger one is of
@@ -52,11 +52,11 @@ class AxisMotion:
     """The steps of one axis of a run that commands can explain.
 
     Attributes:
-        time_s: Of the poses that the steps lie between [s], shape (m,).
+        time_s: Time of the poses that the steps lie between [s], shape (m,).
         first: Row of the pose that each step begins at, shape (n,); it ends at the next.
         moved: How far each step went [m] or [rad], shape (n,).
-        commands: Of this axis, with a 0 where the robot stops by itself.
-        stops: Where it does.
+        commands: Commands of this axis, with a 0 if the robot stops by itself.
+        stops: Place where it stops.
     """
 
     time_s: Values

@@ -20,11 +20,11 @@ class AxisTraces:
     """Rates of an axis over time, each the mean over some steps between poses.
 
     Attributes:
-        axis: Which.
+        axis: Axis.
         time_s: Middle of these steps [s], shape (n,).
-        commanded: What the commands ask for meanwhile [m/s] or [rad/s], without any delay.
-        measured: How fast the robot was.
-        modelled: How fast the model is.
+        commanded: Commanded rate meanwhile [m/s] or [rad/s], without any delay.
+        measured: Measured rate.
+        modelled: Rate of the model.
     """
 
     axis: Axis
@@ -43,7 +43,7 @@ def trace_axis(model: AxisModel, run: Run) -> AxisTraces:
     """Return what was commanded, measured and modelled of an axis.
 
     Raises:
-        IdentifyError: Where the model does not know the axis.
+        IdentifyError: If the model does not know the axis.
     """
     time_s, moved, _ = measure_steps(run.poses, model.axis)
     modelled, _ = predict_axis(model, run, time_s)
@@ -60,11 +60,11 @@ def join_rates(
     Steps are joined up to a tenth of a second: the noise of poses hides the rate of shorter ones.
 
     Args:
-        axis: Which.
+        axis: Axis.
         motion: Whose commands are shown.
-        time_s: Of the poses [s], shape (n + 1,).
-        moved: Of the robot [m] or [rad], shape (n,).
-        modelled: Of its model, likewise.
+        time_s: Time of the poses [s], shape (n + 1,).
+        moved: Distance or turn of the robot in each step [m] or [rad], shape (n,).
+        modelled: Distance or turn of its model, likewise.
     """
     rows = np.flatnonzero(np.diff(np.floor(time_s / _JOINED_S), prepend=-np.inf))
     rows = rows if len(rows) > 1 else np.array([0, len(time_s) - 1])
@@ -87,7 +87,7 @@ def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Va
     """Return the way or turn from the first of some times on, and the rate, as a model has them.
 
     Raises:
-        IdentifyError: Where the model does not know the axis.
+        IdentifyError: If the model does not know the axis.
     """
     return predict_response(model, read_axis_motion(run, model.axis).commands, time_s)
 
@@ -98,7 +98,7 @@ def predict_response(
     """Return the same of given commands.
 
     Raises:
-        IdentifyError: Where the model does not know the axis.
+        IdentifyError: If the model does not know the axis.
     """
     gain, dead_time_s, lag_s = model.gain, model.dead_time_s, model.lag_s
     if gain is None or dead_time_s is None or lag_s is None:

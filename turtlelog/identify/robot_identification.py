@@ -52,15 +52,15 @@ part of each run; more would tell what no robot keeps for so long."""
 
 
 def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
-    """Return gain, dead time and lag of each axis of a robot, with intervals of 95 %.
+    """Return gain, dead time and time constant of each axis of a robot, with intervals of 95 %.
 
     The steps between poses are compared with the response to the commands, which hold until the
     next one, in closed form; no pose is resampled. Several runs of one robot are fitted together,
-    and what differs between them is told in the notes. Of turtlesim each pose tells the command
-    that its tick took, and nothing is fitted.
+    and the notes name what differs between them. Each pose of turtlesim shows the command that its
+    tick took, and nothing is fitted.
 
     Raises:
-        IdentifyError: Where there is no run.
+        IdentifyError: If there is no run.
     """
     runs = [runs] if isinstance(runs, Run) else [*runs]
     if not runs:
@@ -138,8 +138,8 @@ def _has_one_size(runs: Sequence[Run], model: AxisModel) -> bool:
 
 def _note_one_size(model: AxisModel) -> str:
     return (
-        f"All commands of the {NAMES[model.axis]} have one size: whether its gain holds for"
-        " smaller ones, and where its speed ends, the log does not show."
+        f"All commands of the {NAMES[model.axis]} have one size. The log does not show whether"
+        f" the gain holds for smaller ones, nor the largest {NAMES[model.axis]}."
     )
 
 

@@ -19,9 +19,9 @@ class Estimate:
 
     Attributes:
         value: The likeliest.
-        low: Where the interval begins.
-        high: Where it ends.
-        unit: Of all three.
+        low: Lower end of the interval.
+        high: Upper end of the interval.
+        unit: Unit of all three.
     """
 
     value: float
@@ -51,12 +51,12 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TickDelays:
-    """How late turtlesim took commands: from a command's time to the pose that shows it.
+    """Delays of turtlesim: from a command's time to the pose that shows it.
 
     Attributes:
-        shown: How many commands a pose shows: of those that were taken, the ones that changed what
-            the plant held.
-        commands: How many there are.
+        shown: Number of commands that a pose shows: of those that were taken, the ones that changed
+            what the plant held.
+        commands: Number of all commands.
         least_s: The smallest delay [s].
         median_s: The median [s].
         largest_s: The largest [s].
@@ -76,39 +76,39 @@ class AxisModel:
     Attributes:
         axis: `speed` or `turn_rate`.
         status: Whether its values are known.
-        reason: Why they are not, in a sentence; empty where they are.
-        advice: What to drive so that they are; empty likewise.
+        reason: Why they are not, in a sentence; empty if they are.
+        advice: Test drive that would identify them; empty likewise.
         model: `second_order`: rate = gain exp(-dead_time s) / (product s^2 + lag s + 1).
         gain: Rate per command in the end [1].
-        dead_time_s: From the command until the rate begins to follow [s].
+        dead_time_s: Time from a command until the rate begins to follow [s].
         lag_s: Time constant with which it follows; of second order the sum of both [s].
-        total_delay_s: Dead time and lag together, which is better known than either [s].
+        total_delay_s: Dead time and time constant together, which is better known than either [s].
         lag_product_s2: Product of both time constants of second order [s^2].
         rate_limit: Largest change of the rate [m/s^2] or [rad/s^2], where the motion shows one.
-        limit_acts: Where it acts: before the lag, which then follows a ramp, or within its loop, so
-            that the rate itself is a ramp; empty where there is none.
+        limit_acts: Place of the limit: before the low-pass, which then follows a ramp, or within
+            its loop, so that the rate itself is a ramp; empty if there is none.
         bound: Largest rate [m/s] or [rad/s], where commands go beyond it.
-        bound_acts: What ends there: the command, which the lag then follows, or the rate, which
-            until then follows larger commands; empty where there is none.
+        bound_acts: Quantity that ends there: the command, which the low-pass then follows, or the
+            rate, which until then follows larger commands; empty if there is none.
         deadband: Command up to which nothing moves [m/s] or [rad/s], where the motion shows one.
         reverse_gain: Gain of commands below 0, where it is another [1].
-        friction: What every command lacks of its magnitude [m/s] or [rad/s], where the motion shows
-            it; the gain is that of the rest.
+        friction: Part of the magnitude of every command that has no effect [m/s] or [rad/s], if the
+            motion shows it; the gain is that of the rest.
         explained: Share of the variance of the steps between poses that the model explains.
-        whiteness: Of what it leaves: the mean square of its changes by twice its mean square, 1
-            for noise, near 0 for a curve; the noise of poses is taken out.
+        whiteness: Mean square of the changes of the residuals by twice their mean square, 1 for
+            noise, near 0 for a curve; the noise of poses is taken out.
         outliers: Steps that do not count: further off than noise can be.
-        correlation_delay_s: The delay at which commands and motion correlate best, and the range
-            of those that the correlation does not tell from it [s]: a second opinion, which knows
-            of no lag.
-        correlation_reason: Why the correlation names no delay; empty where it does.
+        correlation_delay_s: The delay at which commands and motion correlate best, and the range of
+            those that the correlation cannot distinguish from it [s]: a second opinion, without a
+            time constant.
+        correlation_reason: Why the correlation names no delay; empty if it does.
         steps: Steps between poses that were used.
         steps_in_all: Steps between poses in which commands act.
-        changes: How often the command changes.
-        doubts: What its intervals cover beside noise, in sentences: structures that the log does
-            not tell apart, and parts of the motion that differ.
-        silent_stops_s: How long after the last command the rate is down to half where the robot
-            stops by itself because no command comes [s].
+        changes: Number of changes of the command.
+        doubts: Reasons other than noise for wider intervals, in sentences: structures that the log
+            cannot distinguish, and parts of the motion that differ.
+        silent_stops_s: Time after the last command at which the rate is down to half, if the robot
+            stops by itself without commands [s].
     """
 
     axis: Axis
@@ -145,7 +145,8 @@ class AxisModel:
         Limits and a deadband are not linear and left out.
 
         Args:
-            pade_order: Of the rational function that stands for the dead time; 0: no dead time.
+            pade_order: Pade order of the rational function that approximates the dead time; 0: no
+                dead time.
 
         Raises:
             IdentifyError: The axis is not known.
@@ -174,7 +175,7 @@ class AxisModel:
 
     @property
     def structure(self) -> Structure:
-        """Which further parameters it has."""
+        """Names of its further parameters."""
         order: Order = "second_order" if self.model == "second_order" else "first_order"
         if self.limit_acts:
             order = "limited_before" if self.limit_acts == "before_lag" else "limited_within"
@@ -188,7 +189,7 @@ class AxisModel:
 
     @property
     def extras(self) -> list[float]:
-        """Values of these further parameters, as shares of its gain."""
+        """Values of these further parameters, as fractions of its gain."""
         gain = math.nan if self.gain is None else self.gain.value
         values = {
             "product": self.lag_product_s2,
@@ -202,7 +203,7 @@ class AxisModel:
 
     @property
     def is_known(self) -> bool:
-        """Whether gain, dead time and lag have values."""
+        """Whether gain, dead time and time constant have values."""
         return self.status == "ok"
 
     @property
@@ -225,8 +226,8 @@ class RobotEvent:
     Attributes:
         file: Name of the run.
         axis: `speed` or `turn_rate`.
-        time_s: Of the pose after it [s].
-        size: By how much the step is off [m] or [rad].
+        time_s: Time of the pose after it [s].
+        size: Error of the step [m] or [rad].
     """
 
     file: str
@@ -251,12 +252,13 @@ class RobotModel:
 
     Attributes:
         files: Names of the runs.
-        clock: What times the poses of the first; None where there is but one clock.
+        clock: Clock that times the poses of the first run; None if there is but one clock.
         speed: Along the heading.
         turn_rate: Counter-clockwise.
-        tick_delays: Of turtlesim, whose poses tell which tick took which command; None of others.
-        events: Where the motion jumps, in order.
-        notes: What else there is to know, in sentences.
+        tick_delays: Tick delays of turtlesim, whose poses show which tick took which command; None
+            of others.
+        events: Jumps of the motion, in order.
+        notes: Further notes, in sentences.
     """
 
     files: tuple[str, ...]
@@ -274,7 +276,7 @@ class RobotModel:
 
     @property
     def brackets(self) -> str:
-        """What the values in brackets are, in words."""
+        """Meaning of the values in brackets, in words."""
         return "intervals of 95 %" if self.tick_delays is None else "the least and the largest"
 
     def __repr__(self) -> str:

@@ -79,8 +79,8 @@ class RobotScenario:
     """A robot as a scenario.
 
     Attributes:
-        scenario: With the plant `lagged`.
-        notes: Where its numbers come from, and what is not known, in sentences.
+        scenario: Scenario with the plant `lagged`.
+        notes: Sources of its numbers, and unknown values, in sentences.
     """
 
     scenario: Scenario
@@ -88,7 +88,7 @@ class RobotScenario:
 
     @property
     def text(self) -> str:
-        """As a scenario file, with the notes as comments."""
+        """The scenario as a file, with the notes as comments."""
         heads = (f"The robot of {self.scenario.name}, as identified from its log.", *self.notes)
         lines = [line for note in heads for line in _wrap(escape_controls(note))]
         return "".join(f"# {line}\n" for line in lines) + "\n" + format_scenario(self.scenario)
@@ -122,11 +122,11 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
     An axis that is never commanded is taken to follow at once, and a note says so.
 
     Args:
-        model: Of the robot.
+        model: Model of the robot.
         runs: That it was identified from; the start and a goal are those of the first.
 
     Raises:
-        IdentifyError: Where an axis that is commanded is not known, no axis is, or the robot is
+        IdentifyError: If an axis that is commanded is not known, no axis is, or the robot is
             turtlesim.
     """
     runs = [runs] if isinstance(runs, Run) else [*runs]
@@ -276,7 +276,7 @@ def _list_periods(runs: Sequence[Run]) -> Part:
 
 
 def _find_period(times_ns: Sequence[Any], *, regular: bool = False) -> float | None:
-    """Return the period of some messages [s]; None where they keep none."""
+    """Return the period of some messages [s]; None if they keep none."""
     apart_s = np.concatenate([np.diff(time_ns) / 1e9 for time_ns in times_ns])
     if len(apart_s) < (_FEWEST if regular else 1):
         return None

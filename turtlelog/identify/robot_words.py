@@ -14,8 +14,8 @@ def write_headline(axes: Iterable[AxisModel], name: str) -> str:
     """Return with what gain and how late each axis follows its commands.
 
     Args:
-        axes: Of the robot.
-        name: What it was identified from.
+        axes: Axes of the robot.
+        name: Name of the run from which it was identified.
     """
     axes = [*axes]
     said = [

@@ -1,4 +1,4 @@
-"""Control laws, one per file: the thing under test.
+"""Control laws, one per file.
 
 The names stand in `__init__.pyi` and load on first use.
 """

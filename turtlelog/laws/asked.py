@@ -1,4 +1,4 @@
-"""A law that is a part, asked pose by pose like one that is a class: for tests, and to build on."""
+"""Run a law that is a part pose by pose, as a law that is a class."""
 
 import math
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class _Settings:
 
 @dataclass(slots=True)
 class _Row:
-    """What a step enters."""
+    """Values that a step enters."""
 
     phase: int = 0
     blocks_ticks: int = 0
@@ -60,7 +60,7 @@ class AskedLaw:
     """A law with its parameters; of each part there is a class of its own.
 
     Attributes:
-        parameters: What it was made with.
+        parameters: Parameters of the law.
     """
 
     Parameters: ClassVar[type[Any]]
@@ -82,7 +82,7 @@ class AskedLaw:
         """Begin a run.
 
         Raises:
-            LawError: Where it needs a goal or a path, and there is none.
+            LawError: If it needs a goal or a path, and there is none.
         """
         del start
         declaration = self._part.declare(self.parameters, goal, path)
@@ -130,13 +130,13 @@ class AskedLaw:
 
 
 def _read_error(value: float) -> float | None:
-    """Return what a step entered, None where it left it out."""
+    """Return what a step entered, None if it left it out."""
     return None if math.isnan(value) else value
 
 
 @cache
 def build_class(part: LawPart) -> type[AskedLaw]:
-    """Return a part as a class, which tells of itself what a law that is a class tells."""
+    """Return a part as a class, which declares what a law that is a class declares."""
     members = {
         "__doc__": part.meaning,
         "__module__": part.step.__module__,

@@ -1,4 +1,4 @@
-"""What a control law is: it reads a pose, answers with a decision, and knows nothing else."""
+"""The interface of control laws: a law reads a pose and answers with a decision."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -29,19 +29,19 @@ TOLERANCE: Final = Cause(
     },
     meaning=f"tolerances of {_NO_TOLERANCE:g}",
 )
-"""Of a law that ends within these two parameters of its goal."""
+"""Names of the two parameters within which a law ends at its goal."""
 
 # msgspec structs instead of dataclasses: the loop makes several per sample, and a frozen
 # dataclass costs ten times as much to build.
 
 
 class Pose(msgspec.Struct, frozen=True, gc=False):
-    """Where the turtle is.
+    """Pose of the turtle.
 
     Attributes:
-        x_m: World frame [m].
-        y_m: World frame [m].
-        heading_rad: Counter-clockwise from +x [rad].
+        x_m: Position along x, world frame [m].
+        y_m: Position along y, world frame [m].
+        heading_rad: Heading, counter-clockwise from +x [rad].
     """
 
     x_m: float
@@ -50,12 +50,12 @@ class Pose(msgspec.Struct, frozen=True, gc=False):
 
 
 class Goal(msgspec.Struct, frozen=True, gc=False):
-    """Where it should be.
+    """Goal pose of the turtle.
 
     Attributes:
-        x_m: World frame [m].
-        y_m: World frame [m].
-        heading_rad: Counter-clockwise from +x [rad], None where any will do.
+        x_m: Position along x, world frame [m].
+        y_m: Position along y, world frame [m].
+        heading_rad: Heading, counter-clockwise from +x [rad], None if any will do.
     """
 
     x_m: float
@@ -73,18 +73,18 @@ class Decision(msgspec.Struct, frozen=True, gc=False, kw_only=True):
         turn_rate_rad_s: Wanted turn rate, before clipping, counter-clockwise [rad/s].
         phase: Phase in which the command was computed; None for the first that is declared.
         bearing_rad: Goal bearing [rad]; None for that from the present position.
-        heading_error_rad: What the heading should be minus the heading [rad]; None for the bearing
-            from the present position minus the heading, wrapped.
+        heading_error_rad: Reference heading minus heading [rad]; None for the bearing from the
+            present position minus the heading, wrapped.
         error_x_m: Goal minus position, world frame [m]; None for just that.
         error_y_m: Goal minus position, world frame [m]; None for just that.
-        world_v_x_m_s: Gain times error before projection [m/s]; NaN where there is no such thing.
+        world_v_x_m_s: Gain times error before projection [m/s]; NaN if there is no such thing.
         world_v_y_m_s: Gain times error before projection [m/s]; likewise.
         states: The law's own numbers, in the order in which it declares them.
-        reference: The pose that the robot should have now, of a law whose reference is `recorded`.
-        blocks_ticks: Ticks that the law blocks for before its command goes out.
+        reference: Reference pose, for a law whose reference is `recorded`.
+        blocks_ticks: Ticks for which the law blocks before its command is published.
         ends_phase: Whether the next sample is of another phase. A law that blocks says so here, so
-            that a live recording tells of the pause while it lasts.
-        stop_reason: Why this is the last sample, in one word; None while it is not.
+            that a live recording shows the pause while it lasts.
+        stop_reason: Reason why this is the last sample, in one word; None if it is not.
     """
 
     speed_m_s: float
@@ -136,8 +136,8 @@ class Law(Protocol):
 
         Args:
             start: The first pose that the controller reads.
-            goal: None where the law declares that it uses none.
-            path: What the scenario's table `[path]` describes; None where it has none.
+            goal: Goal of the run; None if the law declares that it uses none.
+            path: Path of the scenario's table `[path]`; None if it has none.
         """
         ...
 
@@ -163,20 +163,21 @@ class LawPart:
     - `table`: as `build_table` made it; `pieces`: of the path, for the functions of `path_pieces`.
 
     Attributes:
-        name: Its `kind` in a scenario.
-        meaning: What it does, in one line.
-        Parameters: A frozen dataclass: its keys, as of a law that is a class.
-        step: The law itself.
-        declare: Returns its loops, phases and states; of parameters, goal and path.
+        name: Value of `kind` in a scenario.
+        meaning: Description in one line.
+        Parameters: A frozen dataclass of its keys, as for a law that is a class.
+        step: Function that answers one pose.
+        declare: Function of parameters, goal and path that returns its loops, phases and states.
         State: A dataclass with slots and defaults. The states that it declares are fields of it.
-        stops: Why it ends a run, in words: `row.stop` is the place in this list, from 1.
-        causes: What it adds to the ideal loop; `explain` takes each out.
-        counts_samples: Its parameters that count samples.
-        list_unused: Returns tables and keys of a scenario that it does not use with parameters.
-        prepare: Returns the numbers that `step` reads, an object of `Numbers`; of parameters. By
-            default the parameters themselves.
+        stops: Reasons why it ends a run, in words: `row.stop` is the place in this list, from 1.
+        causes: Causes that it adds to the ideal loop; `explain` removes each.
+        counts_samples: Names of its parameters that count samples.
+        list_unused: Function of the parameters that returns tables and keys of a scenario that it
+            does not use.
+        prepare: Function of the parameters that returns the numbers that `step` reads, an object of
+            `Numbers`. By default the parameters themselves.
         Numbers: A dataclass with slots and defaults; None: `Parameters`.
-        build_table: Returns rows of numbers, all of one length; of parameters.
+        build_table: Function of the parameters that returns rows of numbers, all of one length.
         needs_path: Whether it runs only on a path.
     """
 

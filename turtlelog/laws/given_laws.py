@@ -31,7 +31,7 @@ def name_given_law(law: Any) -> str:
         law: A class, a function of `(time_ns, pose, goal)`, a `LawPart`, or an object with `step`.
 
     Raises:
-        LawError: Where it is none of these.
+        LawError: If it is none of these.
     """
     if isinstance(law, LawPart) and LAWS.get(law.name) is law:
         return law.name
@@ -55,7 +55,7 @@ def find_given_law(kind: str) -> Any:
     """Return a law of this session.
 
     Raises:
-        LawError: Where it is that of another one.
+        LawError: If it is that of another one.
     """
     if kind not in _GIVEN:
         raise LawError(
@@ -68,7 +68,7 @@ def find_given_law(kind: str) -> Any:
 
 
 def read_law_source(kind: str) -> str | None:
-    """Return the text of a law of this session; None where nobody knows it, or it is another's."""
+    """Return the text of a law of this session; None if it is unknown, or it is another law's."""
     if kind not in _GIVEN:
         return None
     law = _GIVEN[kind]

@@ -25,7 +25,7 @@ class KanayamaParameters:
         ky: Gain of the error to the left [1/m^2], > 0.
         ktheta: Gain of the heading error [1/m], > 0. ktheta^2 = 4 ky damps small errors critically.
         speed_m_s: Speed along a path that has none [m/s], > 0.
-        end_tolerance_m: A path without a speed ends this far before its end [m], > 0.
+        end_tolerance_m: Distance before the end at which a path without a speed ends [m], > 0.
     """
 
     kx: Annotated[float, Meta(gt=0, le=1e6)] = 10.0

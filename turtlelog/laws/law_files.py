@@ -71,8 +71,9 @@ class _LawFolder:
     """A folder of laws: a package of a name that no other has.
 
     Attributes:
-        name: Of the package, which begins the names of the modules in the folder.
-        builtins: Of these modules: Python's, with an import that looks into the folder first.
+        name: Name of the package, which begins the names of the modules in the folder.
+        builtins: Builtins of these modules: Python's, with an import that looks into the folder
+            first.
         elsewhere: Names that were not in the folder.
     """
 
@@ -89,7 +90,7 @@ class _LawFolder:
         sys.modules[name] = self._package = package
 
     def find_spec(self, name: str, path: Sequence[str]) -> ModuleSpec | None:
-        """Return where a module of the package is, below the folders of its parent."""
+        """Return the place of a module of the package, below the folders of its parent."""
         specs = (FileFinder(one, *self._loaders).find_spec(name) for one in path)
         return next((spec for spec in specs if spec is not None), None)
 

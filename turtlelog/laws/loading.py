@@ -1,4 +1,4 @@
-"""From the `kind` of a scenario's law to its class."""
+"""Load the class of a law by the `kind` of the scenario."""
 
 import dataclasses
 import importlib
@@ -23,7 +23,7 @@ from turtlelog.run.paths import Path as TrackedPath
 _PROTOCOL: Final = "docs/own-law.md describes what a law is"
 
 _SCENARIO_KEY: Final = re.compile(r"(?!law\b)[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*")
-"""A table, or a key in it; what a law does with its own parameters is its own affair."""
+"""A table, or a key in it; parameters of the law itself are left to the law."""
 
 _FILES: Final = (
     "sequential_p",
@@ -47,7 +47,7 @@ def find_law(kind: str) -> AnyLaw:
     Name is a class, or a `LawPart`.
 
     Raises:
-        LawError: Where there is no such law, or the class is not one.
+        LawError: If there is no such law, or the class is not one.
     """
     if kind in LAWS:
         return LAWS[kind]
@@ -79,22 +79,22 @@ def _find_session_law(kind: str) -> Any:
 
 
 def name_law(law: AnyLaw) -> str:
-    """Return what errors call a law."""
+    """Return the name of a law in errors."""
     return law.name if isinstance(law, LawPart) else law.__name__
 
 
 def find_module(law: AnyLaw) -> str:
-    """Return the name of the module in which a law stands."""
+    """Return the name of the module that defines a law."""
     return law.step.__module__ if isinstance(law, LawPart) else law.__module__
 
 
 def declare_law(
     law: AnyLaw, parameters: object, goal: Goal | None, path: TrackedPath | None = None
 ) -> Declaration:
-    """Return what a law declares of itself; a law that declares nothing has one phase and no loop.
+    """Return the declaration of a law; a law that declares nothing has one phase and no loop.
 
     Raises:
-        LawError: Where it fails, returns something else, or has a loop or state of such a name.
+        LawError: If it fails, returns something else, or has a loop or state of such a name.
     """
     declare = getattr(law, "declare", None)
     if declare is None:
@@ -132,10 +132,10 @@ def _require_nameable(declared: Declaration, place: str) -> None:
 
 
 def list_causes(law: AnyLaw) -> tuple[Cause, ...]:
-    """Return what a law adds to the ideal loop.
+    """Return the causes that a law adds to the ideal loop.
 
     Raises:
-        LawError: Where it names something else.
+        LawError: If it names something else.
     """
     causes = getattr(law, "causes", ())
     if isinstance(causes, tuple) and all(isinstance(one, Cause) for one in causes):
@@ -145,10 +145,10 @@ def list_causes(law: AnyLaw) -> tuple[Cause, ...]:
 
 
 def list_sample_counters(law: AnyLaw) -> tuple[str, ...] | None:
-    """Return the parameters of a law that count samples; None where it does not tell.
+    """Return the parameters of a law that count samples; None if it does not say.
 
     Raises:
-        LawError: Where it names something that is no parameter.
+        LawError: If it names something that is no parameter.
     """
     counters = getattr(law, "counts_samples", None)
     if counters is None:
@@ -161,10 +161,10 @@ def list_sample_counters(law: AnyLaw) -> tuple[str, ...] | None:
 
 
 def list_unused_keys(law: AnyLaw, parameters: object) -> tuple[str, ...]:
-    """Return the tables and keys of a scenario that a law does not use; () where it does not tell.
+    """Return the tables and keys of a scenario that a law does not use; () if it does not say.
 
     Raises:
-        LawError: Where it fails, or names something that is neither.
+        LawError: If it fails, or names something that is neither.
     """
     ask = getattr(law, "list_unused", None)
     if ask is None:
@@ -203,7 +203,7 @@ def require_law_name(kind: str) -> None:
     """Refuse what can name no law. Loads nothing.
 
     Raises:
-        LawError: Where it is neither built in nor `place:Class`.
+        LawError: If it is neither built in nor `place:Class`.
     """
     place, colon, name = kind.rpartition(":")
     if kind not in LAWS and not (colon and place and name):

@@ -1,4 +1,4 @@
-"""Commands over time, whatever the robot does: an excitation, or a sequence as it was recorded."""
+"""Command a signal over time, without feedback: an excitation, or a recorded sequence."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -23,8 +23,9 @@ END_OF_SIGNAL: Final = "end_of_signal"
 _END_OF_SIGNAL: Final = 1
 
 MOST_ROWS: Final = 2500
-"""Of a sequence. Its three lists stand in the scenario's text, at most 82 bytes a row: 200 KiB of
-the 256 KiB that a recording's scenario may have. At a row each tick of 16 ms it lasts 40 s."""
+"""Largest number of rows of a sequence. Its three lists are part of the scenario's text, at most 82
+bytes a row: 200 KiB of the 256 KiB that a recording's scenario may have. At a row each tick of 16
+ms it lasts 40 s."""
 
 LARGEST: Final = 1e6
 """Magnitude of amplitudes and commands [in their units] and of times [s]: as long as a run may be,
@@ -69,19 +70,21 @@ class OpenLoopParameters:
             length), or `sequence`: the rows of `time_s`, `speed_m_s` and `turn_rate_rad_s`.
         axis: `turn_rate`, `speed` or `both`, with the same amplitude in rad/s and m/s. On `both` a
             PRBS drives the speed half a period later, where the two hardly correlate.
-        amplitude: Of a step, and of a PRBS, which is plus or minus that, the height [rad/s or m/s];
-            of an impulse the area [rad or m], of a ramp the slope [rad/s^2 or m/s^2].
-        start_s: When the signal begins; before that the command is 0 [s].
-        duration_s: The run ends so long after `start_s`, with the command 0 [s].
-        width_s: The impulse is a pulse of this width and the height amplitude / width [s]. It has
+        amplitude: Amplitude of a step, and of a PRBS, which is plus or minus that, the height
+            [rad/s or m/s]; of an impulse the area [rad or m], of a ramp the slope [rad/s^2 or
+            m/s^2].
+        start_s: Time at which the signal begins; before that the command is 0 [s].
+        duration_s: Time after `start_s` at which the run ends, with the command 0 [s].
+        width_s: Width of the pulse that is the impulse, of the height amplitude / width [s]. It has
             its area where the controller's period is as long.
         bit_s: Time for which a PRBS holds each bit [s].
         order: Bits of the shift register of a PRBS, whose period is 2^order - 1 bits.
-        register: Its state at the beginning, 1 to 2^order - 1: it shifts the sequence in time.
-        time_s: When each row of a sequence begins, rising, from 0 or later [s]. A row holds until
-            the next; with the last one the run ends.
-        speed_m_s: Of each row of a sequence; none: 0 [m/s].
-        turn_rate_rad_s: Of each row of a sequence; none: 0 [rad/s].
+        register: State of the shift register at the beginning, 1 to 2^order - 1: it shifts the
+            sequence in time.
+        time_s: Time at which each row of a sequence begins, rising, from 0 or later [s]. A row
+            holds until the next; with the last one the run ends.
+        speed_m_s: Speed of each row of a sequence; none: 0 [m/s].
+        turn_rate_rad_s: Turn rate of each row of a sequence; none: 0 [rad/s].
     """
 
     signal: Literal["impulse", "step", "ramp", "prbs", "sequence"] = "step"
@@ -117,7 +120,7 @@ class OpenLoopParameters:
 
     @property
     def begins_s(self) -> float:
-        """When the signal begins; before that the command is 0 [s]."""
+        """Time at which the signal begins; before that the command is 0 [s]."""
         values = self.complete()
         begins_s: float = values["time_s"][0] if "time_s" in values else values["start_s"]
         return begins_s
@@ -169,21 +172,21 @@ _SIGNALS: Final = ("sequence", "impulse", "step", "ramp", "prbs")
 
 @dataclass(slots=True, kw_only=True)
 class CommandSignal:
-    """What an open loop sends, in the nanoseconds in which the clocks count.
+    """Signal of an open loop, with times in nanoseconds.
 
     Attributes:
         kind: `SEQUENCE`, `IMPULSE`, `STEP`, `RAMP` or `PRBS`.
-        rows: Of a sequence, or bits of a PRBS: rows of the table.
+        rows: Rows of a sequence, or bits of a PRBS: rows of the table.
         moves_speed: Whether it drives the speed.
         moves_turn: Whether it drives the turn rate.
         shift: Bits by which the speed of a PRBS is later.
         excite_phase: Number of the phase in which it acts.
-        amplitude: As the key; 0 of a sequence.
-        height: Of an impulse.
-        start_ns: When it begins; 0 of a sequence.
-        duration_ns: How long it lasts from then on; 0 of a sequence.
-        width_ns: Of an impulse.
-        bit_ns: Of a PRBS.
+        amplitude: Amplitude of the scenario; 0 for a sequence.
+        height: Height of an impulse.
+        start_ns: Time at which it begins [ns]; 0 for a sequence.
+        duration_ns: Duration from then on [ns]; 0 for a sequence.
+        width_ns: Duration of an impulse [ns].
+        bit_ns: Duration of a bit of a PRBS [ns].
     """
 
     kind: int = STEP
@@ -202,7 +205,7 @@ class CommandSignal:
 
 @dataclass(slots=True)
 class OpenLoopState:
-    """When it began: time of the first sample [ns], -1 before it."""
+    """State of an open loop: time of the first sample [ns], -1 before it."""
 
     first_ns: int = -1
 
@@ -244,7 +247,7 @@ def build_table(parameters: OpenLoopParameters) -> Sequence[Row]:
 
 
 def step(settings: Any, state: Any, table: Any, row: Any, time_ns: int) -> tuple[float, float]:
-    """Answer one pose by what its time asks for."""
+    """Answer one pose with the command for its time."""
     signal = settings.law
     if state.first_ns < 0:
         state.first_ns = time_ns

@@ -1,7 +1,7 @@
-"""What laws that track a path have in common: their loops, and where the robot should be.
+"""Common parts of laws that track a path: loops and reference pose.
 
-Where the path has a speed, the reference leaves its beginning with the first sample and moves at
-that speed; the run ends when it reaches the end. Otherwise the reference is the point of the path
+If the path has a speed, the reference leaves its beginning with the first sample and moves at that
+speed; the run ends when it reaches the end. Otherwise the reference is the point of the path
 nearest to the robot, and the run ends within a tolerance of the end.
 """
 
@@ -26,12 +26,12 @@ behind it [m], 0 where no time belongs to it; arc length of the point nearest to
 
 @dataclass(slots=True)
 class TrackingState:
-    """Where a law stands that tracks a path.
+    """State of a law that tracks a path.
 
     Attributes:
         first_ns: Time of the first sample [ns]; -1 before it.
         arc_m: Arc length of the point nearest to the robot [m], NaN until it came to the path.
-        begin_m: Where it came to the path [m], NaN likewise.
+        begin_m: Arc length at which it came to the path [m], NaN likewise.
     """
 
     first_ns: int = -1
@@ -43,7 +43,7 @@ def declare(name: str, along_gain: str, path: Path | None) -> Declaration:
     """Return the loops along and across the path, which act at the same time.
 
     Raises:
-        LawError: Where there is no path.
+        LawError: If there is no path.
     """
     if path is None:
         raise LawError(f"{name}: expected a path to track, found no table [path]")

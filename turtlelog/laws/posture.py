@@ -52,7 +52,7 @@ DECLARATION: Final = Declaration(
     states=("lyapunov",),
     state_units={"lyapunov": "1"},  # squared metres and squared radians, added as numbers
 )
-"""What the posture law declares, whatever its parameters."""
+"""Declaration of the posture law, for all parameters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,9 +72,9 @@ class PostureParameters:
         gamma: Gain of the distance [1/s].
         k: Gain of the angle between heading and goal [1/s].
         h: Weight of the angle between the way to the goal and the goal's heading.
-        position_tolerance_m: The position is reached when neither error coordinate is larger [m].
-        heading_tolerance_rad: The heading is reached when its error is not larger [rad].
-        timeout_s: The run ends this long after the first sample [s]; inf: never.
+        position_tolerance_m: Largest error of a coordinate at which the position is reached [m].
+        heading_tolerance_rad: Largest heading error at which the heading is reached [rad].
+        timeout_s: Time after the first sample at which the run ends [s]; inf: never.
     """
 
     gamma: Gain = 1.0
@@ -87,13 +87,13 @@ class PostureParameters:
 
 @dataclass(slots=True)
 class PostureState:
-    """Where the law stands.
+    """State of the law.
 
     Attributes:
-        phase: -1 before the first sample.
+        phase: Number of the phase; -1 before the first sample.
         first_ns: Time of the first sample [ns].
-        arrival_rad: Heading to arrive with: the goal's, or else the bearing from the start [rad].
-        lyapunov: What decreases.
+        arrival_rad: Heading at arrival: the goal's, otherwise the bearing from the start [rad].
+        lyapunov: Lyapunov function, which decreases.
     """
 
     phase: int = -1

@@ -23,9 +23,9 @@ class PurePursuitParameters:
     Attributes:
         lookahead_m: Distance from the robot to the point of the path that it steers for [m], > 0.
         speed_m_s: Speed along a path that has none [m/s], > 0.
-        kp_along: Where the path has a speed: gain of the error along the path, whose product is
-            added to that speed [1/s], >= 0.
-        end_tolerance_m: A path without a speed ends this far before its end [m], > 0.
+        kp_along: Gain of the error along the path [1/s], >= 0. The product is added to the speed of
+            the path, if it has one.
+        end_tolerance_m: Distance before the end at which a path without a speed ends [m], > 0.
     """
 
     lookahead_m: Annotated[float, Meta(gt=0, le=1e6)] = 0.3

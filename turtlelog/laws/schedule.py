@@ -25,8 +25,8 @@ class GainSchedule:
     Between entries a gain is linear; before the first and beyond the last it is held.
 
     Attributes:
-        over: What the gains depend on: the `distance` from the pose to the goal [m], or the
-            magnitude of the `heading_error` [rad].
+        over: Variable of the gains: the `distance` from the pose to the goal [m], or the magnitude
+            of the `heading_error` [rad].
         at: Distances or heading errors of the entries, rising, >= 0 [m or rad].
         kp_angular: Gain of the heading loops at each entry, > 0 [1/s].
         kp_linear: Gain of the position loop at each entry, > 0 [1/s].

@@ -69,16 +69,16 @@ class SequentialNumbers:
 
 @dataclass(slots=True)
 class Terms:
-    """Gains, integral and derivative of one loop, as what they add to its command.
+    """Gains, integral and derivative of one loop, and their contributions to its command.
 
     Attributes:
         kp: Proportional gain, which a schedule changes; so ki and kd.
         has_terms: Whether there is an integral or a derivative: + 0.0 would make 0.0 of -0.0.
         has_integral: Whether there is an integral.
-        integral: What it adds to the command of this sample.
-        derivative: Likewise.
-        error_rate: How the integral goes on from here.
-        excess: By how much the command was clipped, where the integral tracks that.
+        integral: Contribution of the integral to the command of this sample.
+        derivative: Contribution of the derivative to the command of this sample.
+        error_rate: Rate at which the integral continues.
+        excess: Excess of the command over its limit, if the integral tracks it.
         last_ns: Time of the last sample [ns].
     """
 
@@ -96,7 +96,7 @@ class Terms:
 
 @dataclass(slots=True)
 class SequentialState:
-    """Where the law stands; those of its numbers that it records come last."""
+    """State of the law; the numbers that it records come last."""
 
     phase: int = -1
     begun: int = -1
@@ -290,7 +290,7 @@ def _find_stop(law: Any, state: Any, time_ns: int, speed: float, error_m: float)
 
 
 def _advance_terms(law: Any, state: Any, terms: Any, time_ns: int, moved: float) -> None:
-    """Begin integral and derivative with a phase, or go on to a sample.
+    """Begin integral and derivative with a phase, or continue them to a sample.
 
     Before it the measurement has moved. Samples of a burst share one time: nothing is integrated,
     and the derivative holds.
@@ -312,7 +312,7 @@ def _advance_terms(law: Any, state: Any, terms: Any, time_ns: int, moved: float)
 
 
 def _add_terms(law: Any, terms: Any, proportional: float, error: float, limit: float) -> float:
-    """Return the command, and keep how the integral goes on from here."""
+    """Return the command, and keep the rate of the integral."""
     command: float = proportional + terms.integral + terms.derivative
     if not terms.has_integral:
         return command

@@ -40,7 +40,7 @@ DECLARATION: Final = Declaration(
     # The pause stands second, as in recordings of format 1.
     phases={ROTATE: (ROTATE,), PAUSE: (), TRANSLATE: (TRANSLATE,)},
 )
-"""What the sequential law declares, with constant gains and without reorientation."""
+"""Declaration of the sequential law, with constant gains and without reorientation."""
 
 
 def declare_loops(
@@ -49,13 +49,14 @@ def declare_loops(
     """Return a sequential law's declaration, with what a schedule hides and `reorient` adds.
 
     Args:
-        base: With constant gains, and without reorientation.
-        goal: None: not known.
-        schedule: Of a loop with a scheduled gain no gain is declared, as no number is its gain.
+        base: Declaration with constant gains and without reorientation.
+        goal: Goal of the run; None: not known.
+        schedule: Table of gains over distance or heading error. A loop with a scheduled gain
+            declares no gain, as no number is its gain.
         reorient: Whether a third loop turns to the goal's heading, as the first to its bearing.
 
     Raises:
-        LawError: Where the law is to reorient, and the goal has no heading.
+        LawError: If the law is to reorient, and the goal has no heading.
     """
     if schedule is None and not reorient:
         return base  # What it says has been judged once.
@@ -108,7 +109,7 @@ _CAUSES: Final = (
 )
 
 _RULE: Final = {**ABSENT_BY_DEFAULT, **MAY_BE_INFINITE}
-"""Of a time in the rules that end a run; inf: that rule never does."""
+"""A time in the rules that end a run; inf: the rule never ends it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,17 +119,18 @@ class SequentialPParameters:
     Attributes:
         kp_angular: Gain of the heading loop [1/s].
         kp_linear: Gain of the position loop [1/s].
-        heading_tolerance_rad: Rotation ends when the heading error is no larger [rad].
-        position_tolerance_m: Translation ends when neither error coordinate is larger [m].
-        projection: What the world velocity is projected on: the goal `bearing`, as the paper's
-            program does, or the current `heading`, as its equation 16 says.
+        heading_tolerance_rad: Largest heading error at which the rotation ends [rad].
+        position_tolerance_m: Largest error of a coordinate at which the translation ends [m].
+        projection: Direction on which the world velocity is projected: the goal `bearing`, as the
+            paper's program does, or the current `heading`, as its equation 16 says.
         wrap_error: Whether the heading error is wrapped to [-pi, pi).
-        pause_ticks: Ticks that the controller sleeps for after rotating [16 ms each].
-        timeout_s: Translation ends this long after the first sample [s]; inf: never.
-        settled_within_m: Error coordinates below this count as settled [m].
-        settled_for_s: Translation ends when they have been settled for longer [s]; inf: never.
-        standstill_samples: Translation ends after more consecutive samples at a standstill.
-        standstill_below: A sample is at a standstill if its unclipped speed is below this [m/s].
+        pause_ticks: Ticks for which the controller sleeps after the rotation [16 ms each].
+        timeout_s: Time after the first sample at which the translation ends [s]; inf: never.
+        settled_within_m: Error of a coordinate below which it counts as settled [m].
+        settled_for_s: Time of settled coordinates after which the translation ends [s]; inf: never.
+        standstill_samples: Number of consecutive samples at a standstill after which the
+            translation ends.
+        standstill_below: Unclipped speed below which a sample is at a standstill [m/s].
         reorient: Whether a translation that does not end by the timeout is followed by a turn on
             the spot to the goal's heading, which it must have.
         schedule: Gains that change on the way and take the place of the constant ones; None: none.
@@ -158,7 +160,7 @@ def declare(parameters: Any, goal: Goal | None, path: Path | None) -> Declaratio
     """Return its loops, one after the other: two, or with `reorient` three.
 
     Raises:
-        LawError: Where it is to reorient, and the goal has no heading.
+        LawError: If it is to reorient, and the goal has no heading.
     """
     del path
     return declare_loops(DECLARATION, goal, parameters.schedule, reorient=parameters.reorient)
@@ -225,4 +227,4 @@ PART: Final = LawPart(
 )
 
 SequentialP: Final = PART
-"""As it is used in Python: `SequentialP(SequentialPParameters(...))` answers pose by pose."""
+"""The law as a Python class: `SequentialP(SequentialPParameters(...))` answers pose by pose."""

@@ -31,14 +31,14 @@ _STATES: Final[Mapping[str, str]] = MappingProxyType(
         "derivative_linear": "m/s",
     }
 )
-"""What the terms add to the commands, and in which unit."""
+"""States of the terms: what they add to the commands, with the unit."""
 
 NonNegative = Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SequentialPIDParameters(SequentialPParameters):
-    """Parameters of the sequential PID law: those of `sequential-p`, and of what it adds.
+    """Parameters of the sequential PID law, beside those of `sequential-p`.
 
     `clamping` is the default: limits clip most commands of these runs, so an integral that is left
     alone winds up, and of the two cures this one has no time constant to choose.
@@ -50,7 +50,7 @@ class SequentialPIDParameters(SequentialPParameters):
         kd_linear: Derivative gain of the position loop, on the measured speed [1]; 0: none.
         derivative_filter_s: Time constant of the derivative's first-order filter [s]; 0: a plain
             difference of two samples.
-        anti_windup: What the integral does while its command is clipped. `none`: it goes on.
+        anti_windup: Behaviour of the integral while its command is clipped. `none`: it goes on.
             `clamping`: it holds where the error would drive the command further beyond the limit.
             `back-calculation`: it tracks the clipped command.
         tracking_time_s: Time constant of `back-calculation` [s].
@@ -71,7 +71,7 @@ def declare(parameters: Any, goal: Goal | None, path: Path | None) -> Declaratio
     """Return the loops of `sequential-p` with the gains of this law, and its states.
 
     Raises:
-        LawError: Where it is to reorient, and the goal has no heading.
+        LawError: If it is to reorient, and the goal has no heading.
     """
     del path
     rotate, translate = DECLARATION.loops
@@ -111,4 +111,4 @@ PART: Final = LawPart(
 )
 
 SequentialPID: Final = PART
-"""As it is used in Python: `SequentialPID(SequentialPIDParameters(...))` answers pose by pose."""
+"""The law as a Python class: `SequentialPID(SequentialPIDParameters(...))` answers pose by pose."""

@@ -1,4 +1,4 @@
-"""Laws of few lines, completed: a function, or a class without parameters or `reset`."""
+"""Complete laws of few lines: a function, or a class without parameters or `reset`."""
 
 import inspect
 from collections.abc import Callable

@@ -38,8 +38,8 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
         path: A file, or a bag's folder; one that holds a recording of turtlelog's is read as that.
             FILE:TOPIC, as in `bag:/odom_kf`, reads the poses of that topic, and the run's name then
             ends in it.
-        options: Fields of a `ReadChoice`: which topics of somebody else's files to read, and
-            whether an unfinished recording may be read, with a `PartialRecordingWarning`.
+        options: Fields of a `ReadChoice`: which topics of third-party files to read, and whether an
+            unfinished recording may be read, with a `PartialRecordingWarning`.
 
     Raises:
         LogError: One line with the file and the place.
@@ -90,7 +90,7 @@ def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
     """Return a run with the goal that is asked for; one that holds samples had its own.
 
     Raises:
-        LogError: Where it had.
+        LogError: If it had.
     """
     if choice.goal is None:
         return run
@@ -103,7 +103,7 @@ def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
 
 
 def read_as_chosen(path: str | Path, choice: ReadChoice) -> "Run":
-    """Return the run in a file as `read_run` does, or of a preset; its notes tell what is lost."""
+    """Return the run in a file as `read_run` does, or of a preset; its notes name what is lost."""
     if not make_path(path).exists() and (run := _simulate_preset(str(path))) is not None:
         return run
     with warnings.catch_warnings():
@@ -137,9 +137,9 @@ def read_file_info(
     """Return what is in any file that `read_run` takes: a recording, a bag's folder, a paper's log.
 
     Args:
-        path: A log is read as a whole; of the others `read_info` and `read_bag_info` tell.
-        choice: What of it is meant, as for `read_run`: the columns of a table.
-        allow_partial: As in `read_info`.
+        path: A log is read as a whole; of the others `read_info` and `read_bag_info` describe.
+        choice: Selection as for `read_run`: the columns of a table.
+        allow_partial: See `read_info`.
 
     Raises:
         LogError: One line with the file and the place.

@@ -20,11 +20,10 @@ from turtlelog.log.error_boundary import name_file
 def replace_when_complete(path: str | Path) -> Iterator[Path]:
     """Yield a temporary name beside `path` to write to; it is renamed when the block ends well.
 
-    Where the block fails the temporary file is removed, and a file that was there stays. A file
-    that is replaced keeps its permissions, and its owner where the system allows it. A link stays,
-    and the file that it leads to is replaced or made. The temporary name ends in `.part`, so
-    nothing that looks for `*.mcap` finds it; a writer that guesses its format from the name must be
-    told.
+    If the block fails the temporary file is removed, and a file that was there stays. A file that
+    is replaced keeps its permissions, and its owner where the system allows it. A link stays, and
+    the file that it leads to is replaced or made. The temporary name ends in `.part`, so nothing
+    that looks for `*.mcap` finds it; a writer that guesses its format from the name must be told.
 
     Raises:
         LogError: In one line, where the place cannot be written, or holds a recording in progress.
@@ -120,7 +119,7 @@ def create_folder(path: str | Path) -> Iterator[Path]:
     remove. An empty one is taken.
 
     Raises:
-        LogError: Where there is something, or the place cannot be written, in one line.
+        LogError: If there is something, or the place cannot be written, in one line.
     """
     path = make_path(path)
     is_empty = path.is_dir() and not any(path.iterdir())

@@ -73,8 +73,8 @@ def write_columns(
     """Write topics as an MCAP file in order of log time; the same columns give the same bytes.
 
     Args:
-        topics: As `read_columns` returns them; a field left out is 0 or empty. Messages of one
-            time stand in the order of the topics.
+        topics: Topics as `read_columns` returns them; a field left out is 0 or empty. Messages of
+            one time stand in the order of the topics.
         path: The file, replaced when all is written.
         definitions: The `ros2msg` text of every message type that occurs; None: they are of the
             types of our own recordings.
@@ -82,7 +82,7 @@ def write_columns(
         attachments: Attached files by name.
 
     Raises:
-        LogError: Where the place cannot be written, or a column does not fit its type.
+        LogError: If the place cannot be written, or a column does not fit its type.
     """
     try:
         channels = list(_encode_topics(topics, SCHEMAS if definitions is None else definitions))

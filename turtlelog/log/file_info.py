@@ -38,9 +38,9 @@ class TopicInfo:
 
     Attributes:
         topic: Its name.
-        type: Of its messages, as its schema calls it.
+        type: Type of its messages, as its schema calls it.
         count: Number of messages.
-        reason: Why they cannot become columns; empty where they can.
+        reason: Why they cannot become columns; empty if they can.
     """
 
     topic: str
@@ -55,25 +55,25 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingInfo:
-    """What is in a file.
+    """Contents of a file.
 
     Attributes:
         file: Its path, as given.
-        format_version: Of the recording, None where turtlelog did not write it.
-        source: As in `Run`; `mcap`, `sqlite3` or, of messages of ROS 1, `ros1` where turtlelog did
-            not write it.
-        name: As in `Run`; otherwise the file's name.
+        format_version: Format version of the recording, None if turtlelog did not write it.
+        source: See `Run`; `mcap`, `sqlite3` or, for messages of ROS 1, `ros1` if turtlelog did not
+            write it.
+        name: See `Run`; otherwise the file's name.
         complete: Whether the file was finished; of one that was not, what a walk finds is listed.
-        stop_reason: As in `Run`.
-        duration_s: First to last message of any topic, of a table first to last row [s]; None where
+        stop_reason: See `Run`.
+        duration_s: First to last message of any topic, of a table first to last row [s]; None if
             there is no message. How long its run lasts is `Run.duration_s`, the metric
             `run.duration`.
-        span_ns: Least and greatest log time [ns], None where there is no message.
-        scenario: The tables of the whole scenario, None where it is not known.
-        parameters: What is known of the scenario, by dotted key.
-        topics: By name.
-        absent: As in `Run`; of somebody else's file what no topic in it holds.
-        notes: As in `Run`; of a recovered file `recovered`, of a damaged one `partial`.
+        span_ns: Least and greatest log time [ns], None if there is no message.
+        scenario: The tables of the whole scenario, None if it is not known.
+        parameters: Known values of the scenario, by dotted key.
+        topics: Topics by name.
+        absent: See `Run`; in third-party files, what no topic in it holds.
+        notes: See `Run`; of a recovered file `recovered`, of a damaged one `partial`.
         not_understood: Topics whose messages cannot become columns, each with the reason.
     """
 
@@ -108,7 +108,7 @@ class Survey:
         is_finished: Whether its writer came to its end, and it is not damaged.
         records: Its metadata and attachments, among others.
         counts: Messages by channel.
-        span_ns: Least and greatest log time, None where there is no message.
+        span_ns: Least and greatest log time, None if there is no message.
         damages: What could not be read, where the file was walked in spite of that.
     """
 
@@ -149,7 +149,7 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
             described in any case. The note `partial` says what is lost.
 
     Raises:
-        LogError: Where it cannot be read, is neither, or is damaged.
+        LogError: If it cannot be read, is neither, or is damaged.
     """
     with open_storage(path) as opened:
         is_sqlite = isinstance(opened, SqliteSource)
@@ -207,7 +207,7 @@ _PLACES: Final = {"poses": POSE, "commands": COMMAND, "samples": CONTROL, "goal_
 
 
 def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
-    """Return what somebody else's file does not hold, by the names of `Run`.
+    """Return what third-party files does not hold, by the names of `Run`.
 
     Its scenario and why it ended stand in turtlelog's own record alone. Which of its topics are
     poses and commands only reading tells; where no message can be understood, there are none.
@@ -269,8 +269,8 @@ def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
         allow_partial: Walk a damaged one too.
 
     Raises:
-        LogError: Where it is no MCAP.
-        DamageError: Where it is finished but damaged, as far as it is read.
+        LogError: If it is no MCAP.
+        DamageError: If it is finished but damaged, as far as it is read.
     """
     try:
         return _survey_source(stream)
@@ -313,7 +313,7 @@ def _survey_source(stream: BinaryIO) -> Survey:
 def _walk(
     stream: BinaryIO, survey: Survey, allowance: Allowance, damages: list[Loss] | None
 ) -> None:
-    """Add what a walk finds: of a stretch of records that makes no sense, nothing."""
+    """Add what a walk finds: of a segment of records that makes no sense, nothing."""
 
     def take(section: Section) -> None:
         byte, is_chunk = section.start, section.is_chunk

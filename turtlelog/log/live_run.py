@@ -59,7 +59,7 @@ class Pace:
     would have seen at the wrong time, and what the recording cannot show.
 
     Attributes:
-        late_ticks: How many came late.
+        late_ticks: Number of ticks that came late.
         greatest_lag_s: By how much the latest [s].
     """
 
@@ -102,20 +102,20 @@ def run_live(
     tick, a second one at once. The sinks are closed whatever happens.
 
     Args:
-        scenario: What to simulate.
+        scenario: Scenario to simulate.
         sinks: Who sees the ticks, in this order.
         realtime: Whether ticks wait for their time by the clock.
         clock: The clock that they wait for.
-        step_budget_s: How long the law may compute for one answer by the computer's own clock [s];
-            None: as long as it takes.
+        step_budget_s: Longest time for one answer of the law, by the computer's clock [s]; None: no
+            limit.
 
     Raises:
-        ScenarioError: Where the law cannot be loaded or may not run.
-        SimulationError: Where the law fails, with the run so far as `run`. The sinks have seen the
+        ScenarioError: If the law cannot be loaded or may not run.
+        SimulationError: If the law fails, with the run so far as `run`. The sinks have seen the
             tick in which it did, whose stop reason is `law_failed`, or `step_budget` where it
             computed for too long, and are closed.
-        KeyboardInterrupt: Where it was interrupted before the first sample.
-        LogError: Where a recorder can take no more.
+        KeyboardInterrupt: If it was interrupted before the first sample.
+        LogError: If a recorder can take no more.
     """
     scenario = resolve_scenario(scenario)
     pace = Pace(clock, scenario.plant.facts.period_s) if realtime else None

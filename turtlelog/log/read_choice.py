@@ -34,7 +34,7 @@ class ReadOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadChoice:
-    """What to read of somebody else's files, and whether recordings may be unfinished.
+    """Topics, frames and times to read from third-party files; permission of unfinished recordings.
 
     Attributes:
         pose_topic: Poses; None: what the types and names of the topics suggest, as for the others.
@@ -43,15 +43,15 @@ class ReadChoice:
         pose_frame: The robot's frame, of poses from transforms.
         world_frame: The frame in which poses from transforms are given.
         goal: x, y [m] and, where one is asked for, heading [rad]; None: as the file says.
-        time: What times poses.
-        robot: Of several robots in a bag the one whose topics or frames have this name, as
-            `robot2` of `/robot2/odom`.
+        time: Clock that times the poses.
+        robot: Name of one of several robots in a bag, such as `robot2` of `/robot2/odom`.
         wheel_joints: Names of the left and the right wheel in sensor_msgs/JointState, as in
             `wheel_left_joint,wheel_right_joint`: poses are the odometry of these wheels.
         wheels: Radius of the wheels, and the distance between them [m].
         wheelbase: Distance of the axles [m], which turns Ackermann commands into turn rates.
-        columns: Of a plain table, by what they hold (`t`, `x`, `y`, `heading` ...): the name of the
-            column, with its unit in brackets where the name does not tell (`yaw [deg]`).
+        columns: Columns of a plain table, by what they hold (`t`, `x`, `y`, `heading` ...): the
+            name of the column, with its unit in brackets where the name does not have it (`yaw
+            [deg]`).
         allow_partial: Read what an unfinished or damaged recording still holds.
         allow_no_poses: Read a bag of commands alone, as a run without poses.
     """
@@ -115,7 +115,7 @@ def parse_goal(goal: tuple[float, ...]) -> tuple[tuple[float, float], float | No
     """Return position [m] and heading [rad] of a goal that is asked for; None without a heading.
 
     Raises:
-        LogError: Where it is neither two nor three finite numbers.
+        LogError: If it is neither two nor three finite numbers.
     """
     if len(goal) not in {2, 3} or not all(map(math.isfinite, goal)):
         raise LogError(f"goal: expected x, y [m] and perhaps a heading [rad], found {goal!r:.60}")
@@ -127,7 +127,7 @@ def parse_joints(text: str) -> tuple[str, str]:
     """Return the names of the left and the right wheel.
 
     Raises:
-        LogError: Where there are not two.
+        LogError: If there are not two.
     """
     names = [name.strip() for name in text.split(",")]
     if len(names) != 2 or not all(names) or names[0] == names[1]:
@@ -139,7 +139,7 @@ def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
     """Return the radius of wheels and the distance between them [m].
 
     Raises:
-        LogError: Where there are not two lengths above 0.
+        LogError: If there are not two lengths above 0.
     """
     if len(values) != 2 or not all(map(is_length, values)):
         raise LogError(
@@ -153,7 +153,7 @@ def parse_wheelbase(value: float) -> float:
     """Return the distance of the axles [m].
 
     Raises:
-        LogError: Where it is no length above 0.
+        LogError: If it is no length above 0.
     """
     if not is_length(value):
         raise LogError(f"wheelbase: expected a length above 0 in m, found {value!r:.60}")

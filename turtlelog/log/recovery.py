@@ -33,7 +33,7 @@ from turtlelog.log.ros2.bag_folder import list_present_files, read_compression
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecoveryReport:
-    """What was recovered, and what was not.
+    """Recovered and lost parts of a recording.
 
     Attributes:
         file: The source, as given.
@@ -41,10 +41,10 @@ class RecoveryReport:
         recovered: Messages by topic.
         unchecked: Those of them that no checksum vouches for, by topic; a bit of them may have
             changed unnoticed.
-        missing: Messages by topic that the source's summary counts and that did not come; empty
-            too where it is lost, but the checksum of all data holds; None where nothing tells.
+        missing: Messages by topic that the source's summary counts and that did not come; empty too
+            where it is lost, but the checksum of all data holds; None if nothing shows it.
         from_s: Log time of the earliest message recovered [s].
-        to_s: Of the latest [s].
+        to_s: Log time of the latest [s].
         lost: In the order of the file.
     """
 
@@ -73,12 +73,12 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
     Args:
         source: The file, or the folder of a bag: a bag that was never closed has no
             `metadata.yaml`.
-        target: The MCAP file to write. Of a folder, a name that does not end in .mcap is a new
+        target: The MCAP file to write. For a folder, a name that does not end in .mcap is a new
             folder, for a bag of all its files.
 
     Raises:
-        LogError: Where the source cannot be read, or holds no message that can be recovered;
-            where the target is the source, or cannot be written.
+        LogError: If the source cannot be read, or holds no message that can be recovered; where the
+            target is the source, or cannot be written.
     """
     source, target = make_path(source), make_path(target)
     if source.is_dir() and target.suffix.lower() != ".mcap":
@@ -214,10 +214,10 @@ class _Copied:
     Attributes:
         rewriter: What took the records.
         lost: What could not be read.
-        data_end: Byte behind the end of the data, None where there is none.
+        data_end: Byte behind the end of the data, None if there is none.
         is_vouched: Whether the checksum of the whole data section holds.
-        mismatch: Where it does not; its place is that of the checksum.
-        summary: Where the summary is not sound; its place.
+        mismatch: Place of the checksum if it does not agree.
+        summary: Place of the summary if it is not sound.
     """
 
     rewriter: Rewriter

@@ -58,7 +58,7 @@ def read_trajectory(
     Args:
         path: A trajectory of TUM, KITTI or EuRoC, or anything that `read_run` takes; FILE:TOPIC for
             one topic of a bag.
-        choice: What is meant, as for `read_run`.
+        choice: Selection as for `read_run`.
         times: File with the time of each pose [s] for a KITTI trajectory, which has none.
 
     Raises:
@@ -164,7 +164,7 @@ def _read_times(path: Path, count: int) -> Times:
     """Return the times of poses, one a line [s] -> [ns].
 
     Raises:
-        LogError: Where they are not as many, or a line is no time.
+        LogError: If they are not as many, or a line is no time.
     """
     found: list[int] = []
     with name_file(path, expected="a file of times"), open_file(path) as stream:

@@ -1,4 +1,4 @@
-"""Where the poses of any robot break: stretches without poses, and steps that it cannot have made.
+"""Breaks in the poses of any robot: segments without poses, and steps that it cannot have made.
 
 Of turtlesim, whose poses hold what was applied, a replay through its plant tells more.
 """
@@ -53,10 +53,10 @@ _ROUNDING: Final = 1e-5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseGap:
-    """A stretch of time whose poses are missing: after start_ns, before end_ns.
+    """A segment of time whose poses are missing: after start_ns, before end_ns.
 
     Attributes:
-        row: Of the first pose after it.
+        row: Row of the first pose after it.
         start_ns: Time of the last pose before it [ns].
         end_ns: Time of the first pose after it [ns].
         usual_ns: Usual time between two poses [ns].
@@ -73,13 +73,13 @@ class PoseJump:
     """A step between two poses that the robot cannot have driven.
 
     Attributes:
-        row: Of the first pose after it.
-        time_ns: Of that pose [ns].
-        moved_m: Forward along the heading, backward negative [m]; east where headings are courses.
-        aside_m: To the left [m]; north where headings are courses.
+        row: Row of the first pose after it.
+        time_ns: Time of that pose [ns].
+        moved_m: Forward along the heading, backward negative [m]; east if headings are courses.
+        aside_m: Distance to the left [m]; north if headings are courses.
         turned_rad: Counter-clockwise [rad].
-        excess_m: How much further that is than the robot drove, as its neighbours say [m].
-        excess_rad: Likewise of the turn [rad].
+        excess_m: Distance beyond that which the robot drove by the neighbouring steps [m].
+        excess_rad: Turn beyond that of the neighbouring steps [rad].
     """
 
     row: int
@@ -92,7 +92,7 @@ class PoseJump:
 
 
 def find_gaps(run: Run) -> tuple[PoseGap, ...]:
-    """Return the stretches of time without poses, each longer than four usual steps."""
+    """Return the segments of time without poses, each longer than four usual steps."""
     time_ns = run.poses.time_ns
     step_ns = np.diff(time_ns)
     if not len(step_ns):

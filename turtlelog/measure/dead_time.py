@@ -38,7 +38,7 @@ _KNOWN: Final = 0.5
 """Share of the steps whose commands must be known to a dead time that explains them exactly."""
 
 _SCREENED: Final = 64
-"""Steps, over the whole stretch, that rule out most dead times at a tenth of the work."""
+"""Steps, over the whole segment, that rule out most dead times at a tenth of the work."""
 
 _FEW: Final = 8
 """Dead times that are looked at one by one: more are sooner looked at together."""
@@ -51,12 +51,12 @@ _EXPLAINS_BETTER: Final = "explains the motion better than"
 """In the reason of a dead time that is none, as the robot has a lag."""
 
 _FEWEST_STEPS: Final = 12
-"""The shortest stretch that counts as one of another dead time."""
+"""The shortest segment that counts as one of another dead time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeadTimeChange:
-    """Where the dead time changes within a loop's stretch.
+    """A change of the dead time within a loop's segment.
 
     Attributes:
         time_ns: Time of the pose from which on the later one holds [ns].
@@ -71,22 +71,23 @@ class DeadTimeChange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeadTime:
-    """How late the commands of a loop move the plant.
+    """Dead time of a loop: delay from the pose that was read to the motion that its command causes.
 
     Attributes:
-        ticks: d, where the command that answers pose i first moves the plant in the step from
-            pose i + d to pose i + d + 1; 0 is the least possible. At the end of the stretch.
-        residual: What the commands leave unexplained: root mean square [rad of a turn rate, m
-            of a speed], of single steps where exact, of the way where there is noise.
+        ticks: d, where the command that answers pose i first moves the plant in the step from pose
+            i + d to pose i + d + 1; 0 is the least possible. At the end of the segment.
+        residual: Motion that the commands leave unexplained: root mean square [rad of a turn rate,
+            m of a speed], of single steps where exact, of the way where there is noise.
         margin: Residual of the second-best dead time, divided by the best one's.
         rows: Steps compared.
         is_exact: Whether every one of them is explained to the rounding of the poses.
-        changes: Where it changed within the stretch, in order.
-        whiteness: Of what is left of the way where there is noise: the mean square of its changes
-            by twice its mean square, 1 for noise, near 0 for a curve. 1 where every step is
-            explained, or nothing but rounding is left.
-        least_ticks: The smallest dead time that explains the motion as well, with a lag beside it.
-            Noise hides which it is; `ticks` where the plant is known to have no lag.
+        changes: Changes of the dead time within the segment, in order.
+        whiteness: Mean square of the changes of the residuals by twice their mean square, with
+            noise: 1 for noise, near 0 for a curve. 1 where every step is explained, or nothing but
+            rounding is left.
+        least_ticks: The smallest dead time that explains the motion as well, with a time constant
+            beside it. Noise hides which it is; `ticks` where the plant is known to have no time
+            constant.
     """
 
     ticks: int
@@ -100,32 +101,32 @@ class DeadTime:
 
     @property
     def lag_slack(self) -> int:
-        """How many of the ticks may be a lag instead."""
+        """Number of ticks of the dead time that may be a time constant instead."""
         return 0 if self.least_ticks is None else self.ticks - self.least_ticks
 
 
 def find_dead_time(
     run: Run, loop: ControlLoop | str, *, is_short: bool = False
 ) -> DeadTime | Missing:
-    """Return the dead time of a loop's command, or why the log cannot tell it.
+    """Return the dead time of a loop's command, or why the log does not show it.
 
     Every dead time up to `LARGEST_TICKS` predicts what each step between two poses turns or moves.
     A log without noise agrees with one of them to the rounding of its poses; with noise, the one
     that leaves the smallest squares of the way is taken, if it is clearly better than the others.
-    The standstill before a loop's first command acts is no evidence: commands may have been lost.
-    Of a robot with a lag there is none: that looks like dead time. Of a lagged robot whose lag is 0
-    there is one where a whole number of its periods explains every step. Pushes that the scenario
-    tells are known; those that are random add up along the way, and only what explains every step
-    counts.
+    The standstill before a loop's first command acts is no evidence: commands may have been lost. A
+    robot with a time constant has none: a time constant looks like dead time. A robot model whose
+    time constant is 0 has one if a whole number of its periods explains every step. Disturbances
+    that the scenario contains are known; those that are random add up along the way, and only what
+    explains every step counts.
 
     Args:
-        run: With samples.
+        run: Run with samples.
         loop: One of its law, or the name of one.
         is_short: Leave out what compares it with the others where it alone explains every step:
             its `residual` and `margin` are nan then, and it is found ten times sooner.
 
     Raises:
-        MeasureError: Where the law declares no loop of that name.
+        MeasureError: If the law declares no loop of that name.
     """
     if not len(run.samples):
         return Missing(status=Status.ABSENT, reason="no samples of a controller were read")
@@ -136,7 +137,9 @@ def find_dead_time(
         return Missing(status=Status.NO_PHASE, reason=describe_no_phase(run, loop))
     lag_s = read_lag_s(run, loop)
     if lag_s > 0.0:
-        reason = f"it cannot be told from the robot's lag ({name_lag(loop)} = {lag_s:g})"
+        reason = (
+            f"it cannot be separated from the robot's time constant ({name_lag(loop)} = {lag_s:g})"
+        )
         return Missing(status=Status.UNDETERMINED, reason=reason)
     moves = np.abs(motion.moved) > motion.rounding
     if np.count_nonzero(moves) < 2:
@@ -166,7 +169,7 @@ def require_loop(declaration: Declaration, name: str) -> ControlLoop:
     """Return a loop by name.
 
     Raises:
-        MeasureError: Where the law declares none of that name.
+        MeasureError: If the law declares none of that name.
     """
     loop = declaration.find_loop(name)
     if loop is None:
@@ -176,7 +179,7 @@ def require_loop(declaration: Declaration, name: str) -> ControlLoop:
 
 
 def _find_only(motion: LoopMotion, first: int) -> DeadTime | None:
-    """Return the only dead time that explains every step; None where there is not one alone.
+    """Return the only dead time that explains every step; None if there is not one alone.
 
     Some steps rule out most dead times, and all steps are looked at for those that are left.
     """
@@ -251,7 +254,7 @@ def _describe_exact(
 
 
 def _split_exactly(fits: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first row and the dead time of each stretch, none where that does not explain all.
+    """Return the first row and the dead time of each segment, none where that does not explain all.
 
     From the end: the dead time that explains the most steps, then the same before those.
     """

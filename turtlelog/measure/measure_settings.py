@@ -1,4 +1,4 @@
-"""What can be chosen about measuring."""
+"""Settings of the metrics."""
 
 import math
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from turtlelog.errors import MeasureError
 from turtlelog.run.loops import Declaration
 
 SETTLING_BAND: Final = 0.02
-"""Half-width of the settling band, as a share of the step."""
+"""Half-width of the settling band, as a fraction of the step."""
 
 MOST_TICKS: Final = 1000
 """The largest dead time that the delayed ideal loop is computed for."""
@@ -23,19 +23,19 @@ Target = float | Literal["reference", "last"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasureSettings:
-    """What can be chosen about measuring. Values of a loop are in rad (heading) or m.
+    """Settings of the metrics. Values of a loop are in rad (heading) or m.
 
     Attributes:
-        band: Half-width of the settling band, as a share of the step, > 0.
-        initial: What the step of a loop starts from: None for the first value of its stretch, a
+        band: Half-width of the settling band, as a fraction of the step, > 0.
+        initial: Start value of the step of a loop: None for the first value of its segment, a
             number, or a number by loop (`{"translate": 0.0}`).
-        final: What it leads to: `reference` (as the law declares), `last` (where the stretch
+        final: Final value of the step: `reference` (as the law declares), `last` (where the segment
             ended), a number, or one of these by loop.
         reference_path_xy_m: The path that cross-track errors are taken from, as a line through
             points in the world frame [m], shape (n, 2), n >= 2; None for the line from start to
             goal.
-        goal_tolerance_m: How near the goal counts as there [m], > 0; None for `band` of the first
-            distance.
+        goal_tolerance_m: Distance from the goal within which the robot has arrived [m], > 0; None
+            for `band` of the first distance.
         dead_time_ticks: Dead time of the delayed ideal loop, in samples of its period, 0 to 1000;
             None for that found in the recording.
 

@@ -28,7 +28,7 @@ class Status(enum.StrEnum):
 
     OK = "ok"
     NOT_REACHED = "not_reached"
-    """What it asks for never happened within the recording."""
+    """The event that the metric measures is not in the recording."""
     NO_STEP = "no_step"
     """The phase begins at its reference: there is nothing to respond to."""
     NO_MOTION = "no_motion"
@@ -46,7 +46,7 @@ class Status(enum.StrEnum):
 
 
 class MetricWatch(Protocol):
-    """Who is told what a metric is compared with, as a recording is whose checks are reported."""
+    """Object that is called when a metric is compared: a recording whose checks are reported."""
 
     def compare(self, metric: "Metric", operator: str, other: object) -> bool:
         """Return what a comparison comes to."""
@@ -79,10 +79,10 @@ class Metric(Numeric):
         unit: `s`, `m`, `deg`, `%`, `1` or a product of units, as in `m^2 s`.
         status: Whether there is a value.
         reason: One clause where there is none, else empty.
-        at_s: When it is taken, from the first sample [s]: of a peak, the end of a rise, the largest
-            jump; None where it belongs to no moment.
-        watch: Who is told what it is compared with; None for most. With a watch `==` and `!=` of a
-            metric without a value raise too.
+        at_s: Time of the value from the first sample [s]: of a peak, the end of a rise, the largest
+            jump; None if it belongs to no moment.
+        watch: Object that learns what it is compared with; None for most. With a watch `==` and
+            `!=` of a metric without a value raise too.
     """
 
     id: str
@@ -113,7 +113,7 @@ class Metric(Numeric):
 
     @property
     def lack(self) -> str:
-        """Why it has no value: `no_phase (the run has no phase rotate)`; empty where it has."""
+        """Reason why it has no value: `no_phase (the run has no phase rotate)`; empty if it has."""
         return "" if self.value is not None else f"{self.status.value} ({self.reason})"
 
     def __call__(self, **settings: Any) -> "Metric":
@@ -282,7 +282,7 @@ def format_metrics_html(metrics: Iterable[Metric]) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Missing:
-    """Why a metric has no value."""
+    """Reason why a metric has no value."""
 
     status: Status
     reason: str
@@ -299,7 +299,7 @@ class Found:
 
     Attributes:
         value: In the metric's unit.
-        at_s: From the first sample [s]; None where it belongs to no moment.
+        at_s: From the first sample [s]; None if it belongs to no moment.
     """
 
     value: float

@@ -101,8 +101,7 @@ def _list_metrics(declarations: tuple[Declaration, ...]) -> Mapping[str, MetricK
 def list_essential_metrics(*of: Declaration | Run) -> tuple[str, ...]:
     """Return the ids of the metrics to look at first: of laws, or of what runs hold.
 
-    Of a run without samples, which no law is known of, those that its poses, commands and goal
-    give.
+    For a run without samples, whose law is not known, those that its poses, commands and goal give.
     """
     lawless = [run for run in of if isinstance(run, Run) and is_lawless(run)]
     if len(lawless) < len(of) or not of:
@@ -114,7 +113,7 @@ def list_essential_metrics(*of: Declaration | Run) -> tuple[str, ...]:
 
 
 def is_lawless(run: Run) -> bool:
-    """Return whether nothing is known of what controls a run: a bag of somebody else's."""
+    """Return whether nothing is known of what controls a run: a third-party bag."""
     return not len(run.samples) and not run.declaration.loops
 
 
@@ -161,7 +160,7 @@ def _list_loops(declarations: Iterable[Declaration]) -> list[ControlLoop]:
 def find_metric_kind(name: str) -> MetricKind | None:
     """Return what a metric is, whatever the law: of a loop as `METRICS` describes that of any.
 
-    None where the name can be no id of a metric.
+    None if the name can be no id of a metric.
     """
     if name in RUN_METRICS:
         return RUN_METRICS[name]
@@ -176,7 +175,7 @@ def choose_metrics(patterns: Collection[str], declaration: Declaration) -> tuple
     value and says so. A pattern that only other laws' loops match chooses nothing.
 
     Raises:
-        MeasureError: Where one names no metric; with those nearest to it.
+        MeasureError: If one names no metric; with those nearest to it.
     """
     return _choose((patterns,) if isinstance(patterns, str) else tuple(patterns), declaration)
 
@@ -198,7 +197,7 @@ def _choose(patterns: tuple[str, ...], declaration: Declaration) -> tuple[str, .
 
 
 def is_metric_pattern(pattern: str) -> bool:
-    """Return whether a name or pattern (`*.overshoot`) stands for metrics of some law."""
+    """Return whether a name or pattern (`*.overshoot`) matches metrics of some law."""
     try:
         choose_metrics([pattern], Declaration())
     except MeasureError:
@@ -237,12 +236,12 @@ def measure_run(
     """Return the metrics of a run by id, in the order of `list_metrics(run.declaration)`.
 
     Args:
-        run: What is measured; what it does not hold leaves a status in the metrics that need it.
+        run: Run to measure. Missing data gives the metrics that need it a status.
         settings: Otherwise the usual ones.
         only: Ids or patterns of them (`translate.*`); nothing else is computed.
 
     Raises:
-        MeasureError: Where `only` names no metric, or the settings a loop that is not declared.
+        MeasureError: If `only` names no metric, or the settings a loop that is not declared.
     """
     kinds = list_metrics(run.declaration)
     names = kinds if only is None else choose_metrics(only, run.declaration)

@@ -23,7 +23,7 @@ OPERATORS: Final[Mapping[str, Callable[[Any, Any], bool]]] = MappingProxyType(
 MIRRORED: Final = MappingProxyType(
     {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
 )
-"""What an operator becomes where its sides change places, or their signs."""
+"""Operators after their sides are exchanged or negated."""
 
 _OF_NUMPY: Final = MappingProxyType(
     {

@@ -58,10 +58,10 @@ class Outlier:
 
     Attributes:
         signal: Its name, one of `MEASURED`.
-        row: Of the poses.
-        time_ns: Of that row [ns].
+        row: Row of the poses.
+        time_ns: Time of that row [ns].
         value: In the signal's unit.
-        unit: Of the signal.
+        unit: Unit of the signal.
     """
 
     signal: str

@@ -34,7 +34,7 @@ def compute_path_length(xy_m: Values) -> float:
 def compute_straightness(xy_m: Values, length_m: float | None = None) -> float | None:
     """Return the length over the distance from first to last point [1]: 1 is a straight line.
 
-    None where both are the same point. `length_m`, where it has been computed already.
+    None if both are the same point. `length_m`, where it has been computed already.
     """
     distance_m = float(np.hypot(*(xy_m[-1] - xy_m[0])))
     if distance_m <= 0.0:
@@ -118,8 +118,8 @@ def trace_path(
     Args:
         path: What is tracked.
         xy_m: World frame [m], shape (n, 2).
-        arc_m: Near which arc length the first is; None where the robot still has to come to the
-            path [m].
+        arc_m: Near which arc length the first is; None if the robot still has to come to the path
+            [m].
         due_m: How far the reference is at each, where time belongs to the path [m], shape (n,).
 
     Returns:

@@ -31,8 +31,8 @@ Values = NDArray[np.float64]
 def read_reference(run: Run, loop: ControlLoop) -> float | Values | None:
     """Return the reference of a loop [rad or m]: a number where it is constant.
 
-    Otherwise one value per pose, shape (n,), that of a sample held until the next. None where the
-    run does not hold it.
+    Otherwise one value per pose, shape (n,), that of a sample held until the next. None if the run
+    does not hold it.
     """
     line, reference = run.goal_line, loop.reference
     if reference in {"path", "recorded"}:
@@ -153,7 +153,7 @@ def trace_poses(run: Run, path: Path) -> tuple[Values, Values]:
 def _find_first_arc(run: Run, path: Path) -> float | None:
     """Return the arc length of the first reference where the first sample is lost [m].
 
-    None where it is not: then the robot still has to come to the path.
+    None if it is not: then the robot still has to come to the path.
     """
     samples = run.samples
     if samples.reference_xy_m is None or not len(samples) or samples.sequence[0] == 0:
@@ -164,7 +164,7 @@ def _find_first_arc(run: Run, path: Path) -> float | None:
 
 
 _TRACES: Final[WeakKeyDictionary[Run, dict[str, tuple[Values, Values]]]] = WeakKeyDictionary()
-"""Where poses and references of a run are on its path, found row by row, while the run is kept."""
+"""Places of poses and references of a run on its path, found row by row, while the run is kept."""
 
 
 def _recall(

@@ -51,15 +51,15 @@ _ANY_WORDS: Final = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricKind:
-    """What a metric is.
+    """Definition of a metric.
 
     Attributes:
-        unit: Of its value.
-        compute: From a run, read once, to the value or the reason why there is none.
+        unit: Unit of its value.
+        compute: Function from a run, read once, to the value or the reason why there is none.
         meaning: One sentence.
-        better: `lower`, `higher`, or None where neither is better.
-        floor: Where lower is better, the value below which nothing is gained: an overshoot of
-            -2 % is no better than one of -1 %, for both are none. None: there is no such value.
+        better: `lower`, `higher`, or None if neither is better.
+        floor: Value below which nothing is gained, if lower is better: an overshoot of -2 % is no
+            better than one of -1 %, for both are none. None: there is no such value.
         grows: Whether it only grows while a run goes on, as counts, sums of magnitudes and the
             largest so far do: what comes later takes nothing away. Shares, means, percentiles, what
             is taken at the end, and what rests on a dead time that is estimated from all rows may
@@ -82,8 +82,8 @@ class MetricKind:
     def compute_loss(self, value: float, reference: float) -> float:
         """Return by how much a value is worse than a reference, in the metric's unit.
 
-        Negative where it is better, 0 where both are equal or under the floor. Of a metric that has
-        no better direction every change is a loss.
+        Negative where it is better, 0 where both are equal or under the floor. If the metric has no
+        better direction, every change is a loss.
         """
         if self.better is None:
             return abs(value - reference)

@@ -1,4 +1,4 @@
-"""How a loop of a law answers its reference, on the stretch of the run in which it acts."""
+"""How a loop of a law answers its reference, on the segment of the run in which it acts."""
 
 import math
 from dataclasses import dataclass
@@ -34,8 +34,8 @@ class CommandStretch:
         time_s: When each was published, from the first sample of the run [s], shape (m,); when its
             pose was answered, where the publication is not recorded.
         values: In rad/s or m/s, shape (m,).
-        wanted: Before clipping, shape (m,); None where not recorded.
-        limit: Magnitude at which they are clipped, None where not recorded.
+        wanted: Before clipping, shape (m,); None if not recorded.
+        limit: Magnitude at which they are clipped, None if not recorded.
         end_s: When the last one ceases to hold, from the first sample of the run [s].
         answered_ns: When the pose of each was answered [ns], shape (m,).
     """
@@ -49,7 +49,7 @@ class CommandStretch:
 
     @cached_property
     def is_saturated(self) -> NDArray[np.bool_] | None:
-        """Whether each command is at its limit, None where that is not recorded."""
+        """Whether each command is at its limit, None if that is not recorded."""
         return None if self.limit is None else np.abs(self.values) >= self.limit
 
     @cached_property
@@ -62,23 +62,23 @@ class CommandStretch:
 class Response:
     """How the controlled signal of a loop answers its reference.
 
-    Where the reference stands still, `values` are the signal itself. Where it moves they are the
+    If the reference stands still, `values` are the signal itself. If it moves they are the
     reference at the beginning minus the error, which is what the signal would be if the reference
     had stood still: they come to `reference` where the error comes to 0.
 
     Attributes:
         loop: Whose it is.
-        start_s: Start of its stretch, from the first sample of the run [s].
+        start_s: Start of its segment, from the first sample of the run [s].
         rows: Its poses among those of the run.
         pose_ns: Times of its poses [ns], shape (n,), n >= 2.
-        time_s: From the start of the stretch [s], shape (n,).
+        time_s: From the start of the segment [s], shape (n,).
         values: Heading without jumps [rad], or a way [m], shape (n,).
         initial: What the step starts from: the first value, or the setting `initial`.
         reference: What the step leads to: what the loop should reach, or the setting `final`.
-        band: Half-width of the settling band, as a share of the step.
+        band: Half-width of the settling band, as a fraction of the step.
         commands: Those of its samples.
         was_cut: Whether the run was cut before the loop had come to its end.
-        ended_itself: Whether the law ended the stretch because it was done: neither a cut nor the
+        ended_itself: Whether the law ended the segment because it was done: neither a cut nor the
             law's timeout did.
     """
 
@@ -117,7 +117,7 @@ class Response:
 
     @property
     def limit(self) -> float:
-        """Magnitude at which commands are clipped, NaN where that is not recorded."""
+        """Magnitude at which commands are clipped, NaN if that is not recorded."""
         return math.nan if self.commands.limit is None else self.commands.limit
 
     @property
@@ -150,9 +150,9 @@ class Response:
 def find_response(
     run: Run, loop: ControlLoop, signal: Signal | None, settings: MeasureSettings
 ) -> Response | Missing:
-    """Return the response of a loop on its first stretch, or why there is none.
+    """Return the response of a loop on its first segment, or why there is none.
 
-    `signal` is what the loop controls, None where the run does not hold it.
+    `signal` is what the loop controls, None if the run does not hold it.
     """
     if not len(run.samples):
         return Missing(status=Status.ABSENT, reason="no samples of a controller were read")
@@ -194,7 +194,7 @@ _NEAR: Final = 1.5
 def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
     """Return the row of the pose at which a loop begins: of one between two poses the earlier.
 
-    That is the one which a timer reads. Where poses are lost before the begin it is the later one.
+    That is the one which a timer reads. If poses are lost before the begin it is the later one.
     """
     after = int(np.searchsorted(time_ns, start_ns, side="left"))
     if after in {0, len(time_ns)} or time_ns[after] == start_ns:
@@ -216,7 +216,7 @@ def find_first_stretch(run: Run, loop: ControlLoop) -> list[PhaseSpan]:
 
 
 def find_loop_samples(run: Run, loop: ControlLoop) -> slice | None:
-    """Return the rows of the samples of a loop's first stretch, None where there is none."""
+    """Return the rows of the samples of a loop's first segment, None if there is none."""
     own = [run.phase_names.index(phase) for phase in run.declaration.list_phases(loop.name)]
     is_own = np.zeros(len(run.samples), np.bool_)
     for phase in own:

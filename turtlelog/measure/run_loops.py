@@ -20,8 +20,8 @@ def model_run_loops(
     """Return the loops of a run as theory knows them, one for each that its law declares.
 
     Gains and plant are those of its scenario, period and dead time those of its samples and poses.
-    A robot with a lag, or a law that a timer triggers, has the timing of its scenario: a lag looks
-    like dead time.
+    A robot with a time constant, or a law that a timer triggers, has the timing of its scenario: a
+    time constant looks like dead time.
 
     Args:
         run: Any.

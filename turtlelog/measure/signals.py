@@ -35,7 +35,7 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalKind:
-    """What a signal is.
+    """Definition of a signal.
 
     Attributes:
         unit: `m`, `rad`, `m/s`, `rad/s` or `1`.
@@ -45,7 +45,7 @@ class SignalKind:
         resampling: `line` between values, or `hold` of the last one.
         compared_as: `number`; `angle`: differences in [-pi, pi); `label`: equal (0) or not (1).
         meaning: One sentence.
-        read: From a run to the values, None where the run does not hold them.
+        read: Function from a run to the values, None if the run does not hold them.
     """
 
     unit: str
@@ -65,7 +65,7 @@ class Signal:
 
     Attributes:
         name: Its name in the table.
-        kind: What it is.
+        kind: Kind of the value.
         time_ns: Time [ns], shape (n,), not decreasing.
         values: In the kind's unit, shape (n,).
         start_ns: Time zero of its run [ns].
@@ -168,7 +168,7 @@ def read_signal(run: Run, name: str) -> Signal:
     """Return a signal of a run.
 
     Raises:
-        MeasureError: Where no signal has that name, or the run does not hold it; why.
+        MeasureError: If no signal has that name, or the run does not hold it; why.
     """
     signal = find_signal(run, name)
     if signal is None:
@@ -178,10 +178,10 @@ def read_signal(run: Run, name: str) -> Signal:
 
 
 def find_signal(run: Run, name: str) -> Signal | None:
-    """Return a signal of a run, None where the run does not hold it.
+    """Return a signal of a run, None if the run does not hold it.
 
     Raises:
-        MeasureError: Where no signal has that name.
+        MeasureError: If no signal has that name.
     """
     kinds = list_signals(run.declaration)
     if name not in kinds:
@@ -197,7 +197,7 @@ def find_signal(run: Run, name: str) -> Signal | None:
 
 
 def explain_no_signal(run: Run, name: str) -> str:
-    """Return why a run does not hold a signal, in words; empty where its name says it."""
+    """Return why a run does not hold a signal, in words; empty if its name says it."""
     kind = list_signals(run.declaration).get(name)
     if kind is not None and kind.source == "pose" and not len(run.poses):
         return "the recording holds no poses"
@@ -428,4 +428,4 @@ COMMANDED: Final[Mapping[str, SignalKind]] = MappingProxyType(
         ),
     }
 )
-"""What a run without samples is asked to do: its commands as published, from the first one on."""
+"""Signals of a run without samples: its commands as published, from the first one on."""

@@ -54,7 +54,7 @@ def find_level_time(
 ) -> float:
     """Return the first time at which the response has come `level` of the step [s].
 
-    `level` 0.5 is the delay time. The first row's time where it begins beyond; NaN where it never
+    `level` 0.5 is the delay time. The first row's time where it begins beyond; NaN if it never
     comes so far. The step is not 0.
     """
     step = reference - initial
@@ -70,8 +70,8 @@ def find_rise(
 ) -> tuple[float, float]:
     """Return the first times at which the response has come 10 % and 90 % of the step [s].
 
-    Their difference is the rise time: ln 9 tau of an exponential. NaN where it is never reached.
-    The step is not 0, and the response does not begin beyond 10 % of it.
+    Their difference is the rise time: ln 9 tau of an exponential. NaN if it is never reached. The
+    step is not 0, and the response does not begin beyond 10 % of it.
     """
     start_s = find_level_time(time_s, values, 0.1, initial, reference)
     return start_s, find_level_time(time_s, values, 0.9, initial, reference)
@@ -83,7 +83,7 @@ def find_peak_row(values: Values, initial: float, reference: float) -> int:
 
 
 def find_overshoot(values: Values, initial: float, reference: float) -> float:
-    """Return how far the response goes beyond the reference, as a share of the step [1].
+    """Return how far the response goes beyond the reference, as a fraction of the step [1].
 
     Signed in the direction of the step: negative where the response stays short of the reference.
     The step is not 0.
@@ -105,11 +105,11 @@ def find_undershoot(values: Values, initial: float, reference: float) -> tuple[f
 def find_settling_time(
     time_s: Values, values: Values, initial: float, reference: float, band: float
 ) -> float:
-    """Return the last time at which the response enters the band for good [s].
+    """Return the last time at which the response enters the band and stays in it [s].
 
     The band is `reference` +- `band` times the step's magnitude; the crossing is interpolated
-    between the rows around it. NaN where the last row is outside. Of an exponential: ln(1 / band)
-    tau, so ln 50 tau for 2 %.
+    between the rows around it. NaN if the last row is outside. For an exponential it is ln(1 /
+    band) tau, so ln 50 tau for 2 %.
     """
     half_width = band * abs(reference - initial)
     last = find_last_outside(values, reference - half_width, reference + half_width)
@@ -124,8 +124,8 @@ def find_settling_time(
 def find_swing_period(time_s: Values, values: Values, reference: float, half_width: float) -> float:
     """Return the period of the oscillation around the reference, as its last two swings tell [s].
 
-    A swing is a stretch of rows further than `SWING` times the band's half-width from the
-    reference, on one side; stretches less than `SHORTEST_HOLD_S` apart are one. From the end of a
+    A swing is a segment of rows further than `SWING` times the band's half-width from the
+    reference, on one side; segments less than `SHORTEST_HOLD_S` apart are one. From the end of a
     swing to the end of the next is half a period where they are on opposite sides, a whole one
     where they are on one. 0 where less than two swings are over.
     """
@@ -144,8 +144,8 @@ def find_decay_ratio(
     """Return the second overshoot as a share of the first [1], and the row of its peak.
 
     exp(-2 pi zeta / sqrt(1 - zeta^2)) of a second-order response: a quarter is the classical aim of
-    tuning by Ziegler and Nichols. NaN where the response does not go beyond the reference twice,
-    or the recording ends on the way to the second peak.
+    tuning by Ziegler and Nichols. NaN if the response does not go beyond the reference twice, or
+    the recording ends on the way to the second peak.
     """
     rows = find_crossing_rows(error, 0.0, memory)
     # The error that is beyond the reference.

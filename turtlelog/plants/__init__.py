@@ -1,4 +1,4 @@
-"""Plants: what is driven, one file each.
+"""Plants, one file each.
 
 The names stand in `__init__.pyi` and load on first use.
 """

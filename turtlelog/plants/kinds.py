@@ -1,4 +1,4 @@
-"""The kinds of plant, and which one a run is of."""
+"""The kinds of plant, and the plant of a run."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -20,12 +20,12 @@ PLANTS: Final[Mapping[str, PlantPart]] = {
 
 
 def find_plant(run: Run) -> Plant:
-    """Return the plant that a run is of; of a robot's own recordings no plant is known."""
+    """Return the plant of a run; for recordings of a robot no plant is known."""
     return read_plant(run.parameters)
 
 
 def read_plant(parameters: Mapping[str, object]) -> Plant:
-    """Return the plant of a run's or a scenario's parameters; turtlesim where they tell none."""
+    """Return the plant of a run's or a scenario's parameters; turtlesim if they name none."""
     part = PLANTS.get(str(parameters.get("plant.kind")))
     names = [] if part is None else [field.name for field in dataclasses.fields(part.Keys)]
     given = {name: parameters.get(f"plant.{name}") for name in names}

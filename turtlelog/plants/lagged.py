@@ -1,11 +1,12 @@
-"""A robot whose rates follow the command that it holds later and slowly; it knows no walls.
+"""A robot model whose rates follow commands with dead time and time constant, without walls.
 
 Per axis (speed along the heading, turn rate): rate = gain * exp(-dead_time s) / (lag s + 1) of the
 commands, each of which holds until the next one. Between two switches a rate is exponential, and
 rate, heading and way are known in closed form; the position is the integral of the speed along the
-heading, by quadrature. It is right to 1e-9 m, however long a command holds and however small a lag
-is, for a turn of up to 1,000 rad within one move. Whatever happens at a time acts from that time
-on: a robot without lag and dead time has its new rate at the time at which the command arrives.
+heading, by quadrature. It is right to 1e-9 m, however long a command holds and however small the
+time constant is, for a turn of up to 1,000 rad within one move. Whatever happens at a time acts
+from that time on: a robot without time constant and dead time has its new rate at the time at which
+the command arrives.
 """
 
 import math
@@ -30,12 +31,12 @@ LAGGED: Final = "lagged"
 """The kind of plant, as scenarios name it."""
 
 LONGEST_PIECE: Final = 2.0
-"""How far a piece of the quadrature turns [rad], plus its length in lags. 8 nodes are then right to
-rounding, at 4 to 3e-13 of the way, at 8 no longer to 1e-9."""
+"""Largest turn of a piece of the quadrature [rad], plus its length in time constants. 8 nodes are
+then right to rounding, at 4 to 3e-13 of the way, at 8 no longer to 1e-9."""
 
 SETTLED: Final = 1e-15
-"""What the lag still adds to the way [m] or heading [rad] where a rate counts as constant: less
-than a coordinate of 10 m can tell."""
+"""Remaining effect of the transient on position [m] or heading [rad] below which a rate counts as
+constant: less than the resolution of a coordinate of 10 m."""
 
 MOST_TURN_RAD: Final = 1000.0
 """Turn within one move that the quadrature follows [rad]; it would take forever with a loop that
@@ -58,19 +59,19 @@ _GAUSS: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaggedKeys:
-    """Keys of a robot without walls.
+    """Parameters of a robot model without walls.
 
     Per axis its rate is the command that it holds, times a gain, later by a dead time and behind a
-    lag of first order.
+    low-pass of first order.
 
     Attributes:
         period_s: Time between two poses [s]; 0.05 where it is not given.
         speed_gain: Speed that a command of 1 m/s leads to [1]; 1 where it is not given.
-        speed_dead_time_s: From the arrival of a command until the speed begins to follow [s].
+        speed_dead_time_s: Time from the arrival of a command until the speed begins to follow [s].
         speed_lag_s: Time constant with which it follows [s]; 0: at once.
         turn_gain: Turn rate that a command of 1 rad/s leads to [1]; 1 where it is not given.
-        turn_dead_time_s: As of the speed [s].
-        turn_lag_s: As of the speed [s].
+        turn_dead_time_s: Dead time of the turn rate [s].
+        turn_lag_s: Time constant of the turn rate [s].
         speed_bound: Largest speed that a command leads to [m/s]; inf, where it is not given: none.
         turn_bound: Largest turn rate likewise [rad/s].
     """
@@ -98,13 +99,13 @@ def build_facts(period_ns: int) -> Plant:
 
 @dataclass(slots=True)
 class AxisState:
-    """One rate: a constant part, and a transient that fades with the lag.
+    """One rate: a constant part, and a transient that fades with the time constant.
 
     Attributes:
         target: Rate that the command leads to.
-        transient: What the lag still lacks, or has too much.
-        push: Rate that is added after the lag.
-        next_ns: When the target switches next [ns].
+        transient: Difference of the rate to its target.
+        push: Disturbance: rate that is added after the low-pass.
+        next_ns: Time at which the target switches next [ns].
         waiting_first: The first command whose dead time is not over.
     """
 
@@ -117,7 +118,7 @@ class AxisState:
 
 @dataclass(slots=True)
 class LaggedState:
-    """Where the robot is, and what it still follows."""
+    """Pose of the robot, and the commands that it still follows."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -169,7 +170,7 @@ def hold(
 
 
 def push(settings: Any, state: Any, speed: float, turn_rate: float) -> None:
-    """Add these rates after the lag, from now on [m/s], [rad/s]."""
+    """Add these disturbances to the rates, from now on [m/s], [rad/s]."""
     state.speed.push, state.turn.push = speed, turn_rate
 
 
@@ -197,7 +198,7 @@ def move(settings: Any, state: Any, rows: Any, time_ns: int) -> bool:
 
 
 def read(state: Any) -> tuple[float, float, float, float, float]:
-    """Return what a pose message holds: rates of this instant, pushes included.
+    """Return the contents of a pose message: rates of this instant, disturbances included.
 
     Position x, y [m], heading in [-pi, pi) [rad], magnitude of the speed [m/s], turn rate [rad/s].
     """

@@ -1,4 +1,4 @@
-"""A turtle by itself, with what laws never ask of it: to move sideways, and to teleport."""
+"""A turtle by itself, which can also move sideways and teleport."""
 
 from dataclasses import dataclass
 from math import cos, hypot, sin
@@ -23,7 +23,7 @@ class _Settings:
 
 @dataclass(slots=True)
 class _Teleport:
-    """Where to: by a way and a turn, or to a pose."""
+    """Target of a teleport: a relative motion, or a pose."""
 
     relative: bool
     first_m: float
@@ -114,7 +114,7 @@ class Turtle:
 
     @property
     def state(self) -> tuple[float, float, float, float, float]:
-        """What a pose message holds, in double precision.
+        """Contents of a pose message, in double precision.
 
         Position x, y [m] and heading [rad] in the world frame, magnitude of the velocity that it
         holds [m/s], turn rate that it holds [rad/s].

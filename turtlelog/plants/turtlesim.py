@@ -35,12 +35,12 @@ TURTLESIM: Final = Plant(
     high_m=WORLD_SIZE_M,
     watchdog_ns=WATCHDOG_NS,
 )
-"""turtlesim as it is."""
+"""Facts of turtlesim."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurtlesimKeys:
-    """It has no keys: all about it is fixed."""
+    """No parameters: everything about turtlesim is fixed."""
 
 
 @dataclass(slots=True)
@@ -48,21 +48,21 @@ class TurtleState:
     """A turtle. Positions are y-down, as in turtlesim.
 
     Attributes:
-        x_m: World frame [m].
-        down_m: From the upper edge of the world [m].
-        heading_rad: Counter-clockwise from +x [rad].
+        x_m: Position along x, world frame [m].
+        down_m: Distance from the upper edge of the world [m].
+        heading_rad: Heading, counter-clockwise from +x [rad].
         speed: Velocity along the heading that it holds [m/s].
         lateral_speed: Velocity to the left of the heading that it holds [m/s].
-        turn_rate: That it holds [rad/s].
-        push_speed: Added to the speed [m/s].
-        push_turn_rate: Added to the turn rate [rad/s].
+        turn_rate: Turn rate that it holds [rad/s].
+        push_speed: Disturbance of the speed [m/s].
+        push_turn_rate: Disturbance of the turn rate [rad/s].
         applied_speed: Magnitude of the velocity in the last step [m/s].
-        applied_turn_rate: In the last step [rad/s].
-        idle_ns: Since it took a command [ns].
+        applied_turn_rate: Turn rate in the last step [rad/s].
+        idle_ns: Time since it took a command [ns].
         hit_wall: Whether the last step clamped the position to the world.
         keeps_32_bits: Whether each step rounds the heading to 32 bits, before it is wrapped and
             after: before Humble, `normalizeAngle` took and returned a `float`.
-        along: Its direction.
+        along: Direction of the heading.
     """
 
     x_m: float = 0.0
@@ -110,7 +110,7 @@ def push(settings: Any, state: Any, speed: float, turn_rate: float) -> None:
 
 
 def move(settings: Any, state: Any, rows: Any, time_ns: int) -> bool:
-    """Move for one step: watchdog, push, turn, move along the new heading, clamp."""
+    """Move for one step: watchdog, disturbance, turn, move along the new heading, clamp."""
     scene = settings.scene
     state.idle_ns += scene.period_ns
     if state.idle_ns > scene.watchdog_ns:
@@ -139,7 +139,7 @@ def move(settings: Any, state: Any, rows: Any, time_ns: int) -> bool:
 
 
 def read(state: Any) -> tuple[float, float, float, float, float]:
-    """Return what a pose message holds, in double precision.
+    """Return the contents of a pose message, in double precision.
 
     Position x, y [m] and heading [rad] in the world frame, magnitude of the applied velocity
     [m/s], applied turn rate [rad/s].

@@ -18,15 +18,16 @@ _MOST_S = 3600.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandReplay:
-    """Where recorded commands lead a plant.
+    """Motion of a plant that recorded commands drive.
 
     Attributes:
-        name: Of the run that holds the commands.
+        name: Name of the run that holds the commands.
         plant: Kind of the plant.
         run: The commands with the poses of the plant.
         path_length_m: Length of its path [m].
         taken: Commands that the plant took.
-        wall_s: When it first ran into a wall of its world, from the first command [s]; None: never.
+        wall_s: Time at which it first met a wall of its world, from the first command [s]; None:
+            never.
     """
 
     name: str
@@ -48,13 +49,13 @@ def drive_commands(run: Run, scenario: Scenario | None = None) -> CommandReplay:
     it has stopped.
 
     Args:
-        run: With commands; its poses play no part.
+        run: Run with commands; its poses are not used.
         scenario: Its plant, start, transport and disturbance act; its law, limits and sensing play
             no part. None: turtlesim from where it spawns.
 
     Raises:
-        ReplayError: Where there are no commands, sideways ones, or they last too long.
-        SimulationError: Where the plant runs away.
+        ReplayError: If there are no commands, sideways ones, or they last too long.
+        SimulationError: If the plant runs away.
     """
     scenario = scenario or Scenario()
     parameters = flatten_scenario(scenario)

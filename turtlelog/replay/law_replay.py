@@ -51,21 +51,22 @@ from turtlelog.simulate.step_budget import (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LawReplay:
-    """What a law makes of the recorded poses.
+    """Commands of a law for the recorded poses, compared with the recording.
 
     Attributes:
-        name: Of the run.
+        name: Name of the run.
         scenario: Law, limits and goal come from it.
         samples: Compared: all, or up to that at which the replayed law stops.
         missing_samples: Recorded ones that are lost: the law did not see their poses.
-        signals: By signal, commands first.
-        commands: Where not one command per sample was published; None where one was, or where
-            rows are lost.
-        stop: Where the law ends the run elsewhere, or for another reason; None where it does not.
-        declaration: Where the law declares other loops, phases or states than were recorded; None
-            where not. By itself it is no difference of the runs.
+        signals: Differences by signal, commands first.
+        commands: Difference unless exactly one command per sample was published; None if one was,
+            or where rows are lost.
+        stop: Difference of the ends if the law ends it elsewhere or for another reason; None if it
+            does not.
+        declaration: Difference of the declarations if the law declares other loops, phases or
+            states than were recorded; None if not. This alone is no difference of the runs.
         first_difference: The earliest of all; of several in one sample that of the first signal in
-            `signals`. None where there is none.
+            `signals`. None if there is none.
         first_command_difference: The earliest in the commands, as computed and as published.
         absent: Signals of the replay that the recording does not hold, or of which rows are lost.
         answers: The samples as replayed.
@@ -108,13 +109,13 @@ def replay_law(
 ) -> LawReplay:
     """Let a law answer the recorded poses, in the order and at the times of the samples.
 
-    Where poses were sensed, these are what it answers; shaping and limits act anew. Its answers are
-    compared with the recorded samples and with the commands that were published.
-    The law sees what the recorded one saw; its own commands have no effect on the poses. Of the
-    scenario only the law, its path, the shaping, the limits and the goal count.
+    If poses were sensed, these are what it answers; shaping and limits act again. Its answers are
+    compared with the recorded samples and with the commands that were published. The law sees what
+    the recorded one saw; its own commands have no effect on the poses. Only the law, its path, the
+    shaping, the limits and the goal of the scenario are used.
 
     Args:
-        run: With samples.
+        run: Run with samples.
         scenario: Otherwise that of the recording.
         law: Takes the place of the scenario's.
         tolerance: Differences up to this one are none, in each signal's unit.
@@ -122,11 +123,11 @@ def replay_law(
         step_budget_s: Time that the law may compute for one answer [s]; None: as long as it takes.
 
     Raises:
-        ReplayError: Where the run holds no samples.
-        ScenarioError: Where no scenario is given, and the run does not hold all of its own or names
-            a law that is neither built in nor trusted.
-        SimulationError: Where the law fails, computes for longer, or answers with something that is
-            no number.
+        ReplayError: If the run holds no samples.
+        ScenarioError: If no scenario is given, and the run does not hold all of its own or names a
+            law that is neither built in nor trusted.
+        SimulationError: If the law fails, computes for longer, or answers with something that is no
+            number.
     """
     require_tolerance(tolerance)
     if not len(run.samples):

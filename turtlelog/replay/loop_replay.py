@@ -50,23 +50,23 @@ _LONGER: Final = 1.1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LoopReplay:
-    """What becomes of a scenario when it is simulated again.
+    """A scenario that is simulated again, compared with the recording.
 
     Attributes:
-        name: Of the recorded run.
-        scenario: As simulated.
+        name: Name of the recorded run.
+        scenario: Scenario as simulated.
         run: The replayed run.
         by_tick: Whether poses were compared tick by tick; otherwise those that samples read were.
         samples: Compared.
-        max_abs_error: Over all poses compared.
-        signals: By signal: poses, samples, commands.
+        max_abs_error: Largest difference of all compared poses.
+        signals: Differences by signal: poses, samples, commands.
         counts: Rows of `samples`, `poses` and `commands`, as far as they are recorded.
-        stop: Where the run ended for another reason; None where not.
+        stop: Difference of the stop reasons; None if not.
         others: The differences that are of no signal: of `counts` and `stop`.
-        declaration: Where the law declares other loops, phases or states than were recorded; None
-            where not. By itself it is no difference of the runs.
+        declaration: Difference of the declarations if the law declares other loops, phases or
+            states than were recorded; None if not. This alone is no difference of the runs.
         first_difference: The earliest of all, counts and stop included; of several at one time that
-            of the first signal in `signals`. None where there is none.
+            of the first signal in `signals`. None if there is none.
         absent: Signals of the replay that the recording does not hold.
     """
 
@@ -107,18 +107,18 @@ def replay_loop(
     at all. A recording that was cut may end before its replay.
 
     Args:
-        run: With ticks of exactly its plant's period, or with samples.
+        run: Run with ticks of exactly its plant's period, or with samples.
         scenario: Otherwise that of the recording; a changed one answers "what if".
         tolerance: Differences up to this one are none, in each signal's unit.
         trust_law: Run the law that the recording names, where it is not built in: its code.
         step_budget_s: Time that the law may compute for one answer [s]; None: as long as it takes.
 
     Raises:
-        ReplayError: Where the run holds neither such ticks nor samples.
-        ScenarioError: Where no scenario is given, and the run does not hold all of its own or names
-            a law that is neither built in nor trusted.
-        SimulationError: Where the simulation cannot go on.
-        ReplayError: Where the recording's own scenario goes on much longer than the recording.
+        ReplayError: If the run holds neither such ticks nor samples.
+        ScenarioError: If no scenario is given, and the run does not hold all of its own or names a
+            law that is neither built in nor trusted.
+        SimulationError: If the simulation cannot go on.
+        ReplayError: If the recording's own scenario goes on much longer than the recording.
     """
     require_tolerance(tolerance)
     by_tick = has_ticks(run)

@@ -56,12 +56,12 @@ class PlantStretch:
         start_ns: Time of its first pose [ns].
         end_ns: Time of its last pose [ns].
         ticks: Steps replayed.
-        max_abs_error: Over all its poses.
+        max_abs_error: Largest difference of its poses.
         signals: x, y [m] and heading [rad], with what rounding explains as their limit.
-        rounding_m: What 32-bit rounding of the first pose, and of velocities that stand for
-            commands, may grow to along the way driven [m]; the plant's own state is in double
-            precision, and not recorded. Of a lagged robot, whose start is known, one step of 32
-            bits at the largest coordinate.
+        rounding_m: Largest error from 32-bit rounding of the first pose and of velocities that
+            represent commands, along the way driven [m]; the plant's own state is in double
+            precision, and not recorded. For a robot model, whose start is known, it is one step of
+            32 bits at the largest coordinate.
         rounding_rad: The same for the heading [rad].
     """
 
@@ -75,7 +75,7 @@ class PlantStretch:
 
     @property
     def first_difference(self) -> Difference | None:
-        """The first that rounding does not explain; None where it explains all of them."""
+        """The first that rounding does not explain; None if it explains all of them."""
         return find_earliest(found.first_difference for found in self.signals)
 
     @property
@@ -96,19 +96,19 @@ class PlantStretch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantReplay:
-    """What the plant makes of the recorded commands.
+    """Motion of the plant under the recorded commands, compared with the recording.
 
     Attributes:
-        name: Of the run.
+        name: Name of the run.
         samples: Poses compared.
-        max_abs_error: Over all stretches.
-        first_difference: The earliest of all stretches, None where rounding explains all of it.
-        stretches: In order of time.
-        jumps: In order of time.
-        gaps: In order of time.
-        commands: What became of the recorded commands.
-        heading_bits: How exactly turtlesim kept its heading: 64 bits, or 32 before Humble, where
-            only that reproduces the poses to their rounding.
+        max_abs_error: Largest difference over all segments.
+        first_difference: The earliest of all segments, None if rounding explains all of it.
+        stretches: Segments in order of time.
+        jumps: Jumps in order of time.
+        gaps: Gaps in order of time.
+        commands: Use of the recorded commands.
+        heading_bits: Precision of turtlesim's heading: 64 bits, or 32 before Humble, where only
+            that reproduces the poses to their rounding.
     """
 
     name: str
@@ -123,17 +123,17 @@ class PlantReplay:
 
     @property
     def within_rounding(self) -> bool:
-        """Whether rounding explains all differences, in each stretch."""
+        """Whether rounding explains all differences, in each segment."""
         return self.first_difference is None
 
     @property
     def of_rounding(self) -> float:
-        """The largest difference of all stretches as a multiple of its bound [1]."""
+        """The largest difference of all segments as a multiple of its bound [1]."""
         return max(stretch.of_rounding for stretch in self.stretches)
 
     @property
     def signals(self) -> tuple[SignalDifference, ...]:
-        """x, y and heading, stretch by stretch."""
+        """x, y and heading, segment by segment."""
         return tuple(found for stretch in self.stretches for found in stretch.signals)
 
     @property
@@ -152,13 +152,13 @@ class PlantReplay:
 def replay_plant(run: Run) -> PlantReplay:
     """Drive the plant with the commands of a recording and compare the poses.
 
-    Of turtlesim the poses' applied velocities tell in which tick each command was taken. After each
-    jump or gap the plant starts again from the recorded pose. A lagged robot is driven from its
-    start to the end; when a command reaches it, its scenario tells.
+    For turtlesim the poses' applied velocities show in which tick each command was taken. After
+    each jump or gap the plant starts again from the recorded pose. A lagged robot is driven from
+    its start to the end; its scenario contains when a command reaches it.
 
     Raises:
-        ReplayError: Where the run holds no applied velocities, or its poses are no ticks; of a
-            lagged robot where it does not hold its whole scenario, start and commands.
+        ReplayError: If the run holds no applied velocities, or its poses are no ticks; of a lagged
+            robot where it does not hold its whole scenario, start and commands.
     """
     if find_plant(run).name == LAGGED:
         return _replay_lagged(run)
@@ -206,7 +206,7 @@ def _replay_stretch(
     rounded_ticks: int,
     keeps_32_bits: bool,
 ) -> PlantStretch:
-    """Replay a stretch; in some ticks of the run the recorded velocity stands for a command."""
+    """Replay a segment; in some ticks of the run the recorded velocity stands for a command."""
     first, after = rows.start, rows.stop
     x_m, y_m = motion.xy_m[first].tolist()
     turtle = Turtle(

@@ -28,7 +28,7 @@ class RecordedMotion:
     """Poses, one per tick, and the steps that lead to them; row i of a step ends at pose i + 1.
 
     Attributes:
-        time_ns: Of each pose [ns], shape (n,).
+        time_ns: Time of each pose [ns], shape (n,).
         xy_m: World frame [m], shape (n, 2).
         heading_rad: Shape (n,).
         speed_m_s: Magnitude of what the tick applied [m/s], shape (n,).
@@ -86,7 +86,7 @@ def read_motion(run: Run) -> RecordedMotion:
     """Return the motion in a run of turtlesim's.
 
     Raises:
-        ReplayError: Where it lacks the applied velocities, or its poses are no ticks.
+        ReplayError: If it lacks the applied velocities, or its poses are no ticks.
     """
     poses = run.poses
     speed, turn_rate = poses.speed_m_s, poses.turn_rate_rad_s
@@ -125,7 +125,7 @@ it stands, longer silence counts as a gap; while it moves, the motion tells how 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jump:
-    """A step that the applied velocity does not explain: somebody set the turtle elsewhere.
+    """A step that the applied velocity does not explain: the turtle was set elsewhere.
 
     Attributes:
         at_ns: Time of the first pose after it [ns].
@@ -143,12 +143,12 @@ class Jump:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """A stretch of time whose poses are missing: after start_ns, before end_ns.
+    """A segment of time whose poses are missing: after start_ns, before end_ns.
 
     Attributes:
         start_ns: Time of the last pose before it [ns].
         end_ns: Time of the first pose after it [ns].
-        missing_ticks: How many, by the time stamps.
+        missing_ticks: Number of missing ticks, by the time stamps.
     """
 
     start_ns: int

@@ -27,7 +27,7 @@ SENSED: Final = MappingProxyType({"sensed_x": "m", "sensed_y": "m", "sensed_head
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RowCount:
-    """How many rows a recording holds of a kind, and how many its replay."""
+    """Numbers of rows of one kind in a recording and in its replay."""
 
     recorded: int
     replayed: int

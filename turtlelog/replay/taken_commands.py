@@ -41,15 +41,15 @@ _LATE_NS: Final = 2 * TICK_NS
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandUse:
-    """What became of the recorded commands.
+    """Use of the recorded commands by the plant.
 
     Attributes:
-        taken: How many the plant took.
-        unseen: How many no pose shows: dropped by a queue, or published too late.
-        stops: How often the plant stopped by itself, no command having come for a second.
+        taken: Number of commands that the plant took.
+        unseen: Number of commands that no pose shows: dropped by a queue, or published too late.
+        stops: Number of times that the plant stopped by itself, after a second without commands.
         unexplained_ticks: Ticks whose velocity no recorded command explains; the recorded velocity
             was integrated.
-        disturbed_ticks: Those of them in which the recording's scenario pushes the plant: its
+        disturbed_ticks: Those of them in which the recording's scenario disturbs the plant: its
             velocity is no command's there, and shows none.
         never_arrived: Commands that the transport lost, by the recording's events.
     """
@@ -111,8 +111,8 @@ def _list_rows(motion: RecordedMotion, starts: frozenset[int]) -> Iterator[_Row]
 def follow_commands(run: Run) -> NDArray[np.int64]:
     """Return which pose first shows which command: rows of both, shape (n, 2).
 
-    Of the commands that were taken those that changed what the plant held: no pose tells when one
-    was taken that equals the one before. Nor does a pose behind a jump or gap.
+    These are the commands that were taken and changed what the plant held: no pose shows when a
+    command was taken that equals the one before. Nor does a pose behind a jump or gap.
 
     Raises:
         ReplayError: As `read_motion` does.
@@ -149,7 +149,7 @@ class _Placer:
 
     Attributes:
         is_recorded: Whether what the plant holds is a recorded velocity, and no command.
-        taken: As in `CommandUse`, so far.
+        taken: See `CommandUse`, so far.
         stops: Likewise.
         shown: Rows of the commands that changed what the plant held, and of the poses that show it.
     """
@@ -233,7 +233,7 @@ def _compute_body_velocities(
 ) -> list[tuple[float, float] | None]:
     """Return the velocity along and left of the heading that the step to each pose shows [m/s].
 
-    None where it shows none: in the first row, after a break, at a wall, and where nothing moved.
+    None if it shows none: in the first row, after a break, at a wall, and where nothing moved.
     """
     first = max(rows.start, 1)
     heading_rad, xy_m = motion.heading_rad[first : rows.stop], motion.xy_m[first : rows.stop]

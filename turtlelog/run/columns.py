@@ -32,7 +32,7 @@ _MAY_BE_NAN = frozenset(
         "tilt_rad",
     }
 )
-"""Columns whose rows are NaN where a sample does not have them."""
+"""Columns whose rows are NaN if a sample does not have them."""
 
 _LARGEST_HEADING_RAD = np.pi + 1e-6
 
@@ -51,13 +51,13 @@ class PoseColumns:
         xy_m: Position in the world frame [m], shape (n, 2).
         heading_rad: Counter-clockwise from +x [rad], within a float32 step of [-pi, pi),
             shape (n,).
-        speed_m_s: Magnitude of the applied velocity [m/s], shape (n,); None where not recorded.
-        turn_rate_rad_s: Applied turn rate [rad/s], shape (n,); None where not recorded.
+        speed_m_s: Magnitude of the applied velocity [m/s], shape (n,); None if not recorded.
+        turn_rate_rad_s: Applied turn rate [rad/s], shape (n,); None if not recorded.
         measured_speed_m_s: Forward speed as the robot reports it, backward negative [m/s], shape
-            (n,); None where it reports none.
+            (n,); None if it reports none.
         measured_turn_rate_rad_s: Turn rate likewise [rad/s], shape (n,).
-        sensed_xy_m: Position as it was sensed, which is what the controller reads [m], shape
-            (n, 2); NaN where a pose dropped out, None where the pose itself is read.
+        sensed_xy_m: Position as it was sensed, which is what the controller reads [m], shape (n,
+            2); NaN if a pose dropped out, None if the pose itself is read.
         sensed_heading_rad: Heading likewise [rad], shape (n,).
         height_m: Above the plane of x and y [m], shape (n,); NaN where a pose has none, None of a
             robot that stays in the plane.
@@ -119,7 +119,7 @@ class CommandColumns:
     Attributes:
         time_ns: Time of publication [ns], shape (n,), not decreasing.
         speed_m_s: Forward along the heading [m/s], shape (n,).
-        lateral_speed_m_s: To the left of the heading [m/s], shape (n,).
+        lateral_speed_m_s: Speed to the left of the heading [m/s], shape (n,).
         turn_rate_rad_s: Counter-clockwise [rad/s], shape (n,).
     """
 
@@ -145,7 +145,7 @@ class CommandColumns:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampleColumns:
-    """What the controller computed, one row per sample. Makes its arrays read-only.
+    """Values that the controller computed, one row per sample. Makes its arrays read-only.
 
     Its columns stand in the order of the tables.
 
@@ -158,23 +158,23 @@ class SampleColumns:
         pose_sequence: Row of `Run.poses` that the sample read, shape (n,).
         phase: Index into `Run.phase_names` of the phase in which the command was computed,
             shape (n,).
-        bearing_rad: Goal bearing [rad], shape (n,); None where not recorded, as the next three.
+        bearing_rad: Goal bearing [rad], shape (n,); None if not recorded, as the next three.
         heading_error_rad: Bearing minus heading [rad], shape (n,).
         error_xy_m: Goal minus position, world frame [m], shape (n, 2).
         distance_m: Length of that error [m], shape (n,).
-        wanted_speed_m_s: Forward speed before clipping [m/s], shape (n,); None where not recorded.
-        wanted_turn_rate_rad_s: Before clipping [rad/s], shape (n,); None where not recorded.
+        wanted_speed_m_s: Forward speed before clipping [m/s], shape (n,); None if not recorded.
+        wanted_turn_rate_rad_s: Before clipping [rad/s], shape (n,); None if not recorded.
         speed_m_s: Forward speed as commanded [m/s], shape (n,).
-        turn_rate_rad_s: As commanded [rad/s], shape (n,).
-        shaped_speed_m_s: Forward speed after shaping, before the limits [m/s], shape (n,); None
-            where there is no shaping.
-        shaped_turn_rate_rad_s: Likewise [rad/s], shape (n,).
-        world_velocity_m_s: Gain times error before projection, world frame [m/s], shape (n, 2);
-            NaN where a sample has none, None where no sample has.
-        states: Numbers of the law's own, in the order of the declaration, shape (n, k); None where
-            it declares none.
-        reference_xy_m: Position of the reference pose, world frame [m], shape (n, 2); NaN where a
-            sample has none, None where none is declared.
+        turn_rate_rad_s: Commanded turn rate [rad/s], shape (n,).
+        shaped_speed_m_s: Forward speed after shaping, before the limits [m/s], shape (n,); None if
+            there is no shaping.
+        shaped_turn_rate_rad_s: Shaped turn rate [rad/s], shape (n,).
+        world_velocity_m_s: Gain times error before projection, world frame [m/s], shape (n, 2); NaN
+            if a sample has none, None if no sample has.
+        states: Numbers of the law's own, in the order of the declaration, shape (n, k); None if it
+            declares none.
+        reference_xy_m: Position of the reference pose, world frame [m], shape (n, 2); NaN if a
+            sample has none, None if none is declared.
         reference_heading_rad: Its heading [rad], shape (n,), likewise.
     """
 
@@ -233,10 +233,10 @@ class Clock:
     Attributes:
         used: `stamp`: when the robot measured each pose, mapped to the recorder's clock; `log`:
             when the recorder received it.
-        ratio: Seconds of the stamps per second of the recorder; None where poses have no stamps.
+        ratio: Seconds of the stamps per second of the recorder; None if poses have no stamps.
         offset_s: The recorder's time less the stamp of the first pose, by the message that was
             transported fastest [s]; None likewise.
-        jitter_s: By how much the transport of a pose usually differs from the fastest [s]; None
+        jitter_s: Usual difference of the transport time of a pose from the fastest [s]; None
             likewise.
     """
 

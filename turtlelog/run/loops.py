@@ -106,17 +106,17 @@ class ControlLoop:
 
     Attributes:
         name: In ids of metrics: `rotate`, `translate`, `align`.
-        signal: What is controlled, a key of `REFERENCES`.
-        command: What acts: `turn_rate` or `speed`.
-        reference: What the signal should be, as `REFERENCES` lists.
-        gain: Scenario key of the proportional gain (`law.kp_angular`), None where there is none.
+        signal: Controlled signal, a key of `REFERENCES`.
+        command: Command that acts: `turn_rate` or `speed`.
+        reference: Reference of the signal, one of those that `REFERENCES` lists.
+        gain: Scenario key of the proportional gain (`law.kp_angular`), None if there is none.
         limit: Scenario key of the limit of its command; None for that of the command's kind.
         is_proportional: Whether the command is gain times error and nothing else. False of a loop
             with an integral or a derivative (PI, PD, PID): theory's lines do not hold for it.
-        integral_gain: Scenario key of the integral gain, None where there is none.
-        derivative_gain: Scenario key of the derivative gain, None where there is none.
+        integral_gain: Scenario key of the integral gain, None if there is none.
+        derivative_gain: Scenario key of the derivative gain, None if there is none.
         derivative_filter: Scenario key of the time constant of the derivative's first-order filter
-            [s], None where it is not filtered.
+            [s], None if it is not filtered.
 
     Raises:
         RunError: One line with the field, what was expected and what was found.
@@ -221,7 +221,7 @@ def read_number(parameters: Mapping[str, object], key: str, default: float = 0.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declaration:
-    """What a law declares of itself; it stands in the run and in the recording.
+    """Loops, phases and states of a law; part of the run and of the recording.
 
     Attributes:
         loops: Empty: there are no metrics of loops.
@@ -316,7 +316,7 @@ class Declaration:
         return any(loop.reference == "path" for loop in self.loops)
 
     def find_loop(self, name: str) -> ControlLoop | None:
-        """Return a loop by name, None where the law has none of that name."""
+        """Return a loop by name, None if the law has none of that name."""
         return next((loop for loop in self.loops if loop.name == name), None)
 
     def list_phases(self, loop: str) -> tuple[str, ...]:
@@ -343,7 +343,7 @@ class Cause:
         kind: `effect`, of the implementation: it gets a contribution. `design`, a design parameter:
             it belongs to any loop of this kind, and is taken out alone.
         neutral: Values by scenario key without it: `{"law.pause_ticks": 0}`.
-        meaning: What taking it out means, in one clause.
+        meaning: Meaning of the run without the cause, in one clause.
     """
 
     name: str

@@ -42,7 +42,7 @@ class Event:
     """Something worth a line in the log.
 
     Attributes:
-        time_ns: When [ns].
+        time_ns: Time of the event [ns].
         kind: `wall_hit`, `commands_dropped`, `poses_dropped`, `commands_lost`, `poses_lost` or
             `stop`.
         text: One sentence for people.
@@ -55,7 +55,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhaseSpan:
-    """A stretch of time in one phase, [start_ns, end_ns].
+    """A segment of time in one phase, [start_ns, end_ns].
 
     Attributes:
         phase: Its name.
@@ -74,8 +74,8 @@ class GoalLine:
 
     Attributes:
         start_xy_m: The first pose that was read, or recorded, world frame [m].
-        bearing_rad: Of the goal from there, counter-clockwise from +x [rad].
-        length_m: Distance from there to the goal [m], None where it is not known.
+        bearing_rad: Bearing of the goal from there, counter-clockwise from +x [rad].
+        length_m: Distance from there to the goal [m], None if it is not known.
     """
 
     start_xy_m: tuple[float, float]
@@ -91,23 +91,22 @@ class Run:
 
     Attributes:
         name: Short name for tables and legends.
-        source: Where it comes from: `simulation`, `replay of` a run, or the layout and name of an
+        source: Origin of the run: `simulation`, `replay of` a run, or the layout and name of an
             imported file.
-        poses: At least one row; none where `absent` names `poses`, of a log of commands alone.
-        commands: As published; imported logs hold one per sample.
-        samples: What the controller computed; no rows where the source does not hold it.
-        goal_xy_m: Goal position, world frame [m], None where not recorded.
-        goal_heading_rad: Goal heading [rad], None where none was asked for.
+        poses: Poses, one row or more; no row if `absent` names `poses`, in a log of commands alone.
+        commands: Published commands; imported logs have one per sample.
+        samples: Values that the controller computed; no rows if the source lacks them.
+        goal_xy_m: Goal position, world frame [m], None if not recorded.
+        goal_heading_rad: Goal heading [rad], None if none was asked for.
         declaration: The loops, phases and states of its law; without a loop where they are not
             known.
-        parameters: What is known of the scenario, by dotted key (`law.kp_linear`).
+        parameters: Known values of the scenario, by dotted key (`law.kp_linear`).
         scenario_is_complete: Whether the parameters determine the run.
-        clock: What times its poses, of a bag; None where there is but one clock.
-        stop_reason: Why it ended, in the law's word, or one of `CUT_SHORT`; None where not
-            recorded.
+        clock: Clock that times the poses of a bag; None if there is but one clock.
+        stop_reason: Why it ended, in the law's word, or one of `CUT_SHORT`; None if not recorded.
         events: In order of time.
         absent: Names of the fields that the source does not hold.
-        notes: What an importer did or found, by name (`original_timestamp`, `sorted_rows`, ...).
+        notes: Notes of the importer, by name (`original_timestamp`, `sorted_rows`, ...).
     """
 
     name: str
@@ -188,11 +187,11 @@ class Run:
 
     @property
     def goal_line(self) -> GoalLine | None:
-        """The line from the first pose that was read to the goal; None where it is not known.
+        """The line from the first pose that was read to the goal; None if it is not known.
 
-        Where the first sample is lost, or the goal is not known, the first bearing that was
-        recorded gives the direction. Where there are neither samples nor loops, nothing tells which
-        pose was read first: it is the first that was recorded.
+        If the first sample is lost, or the goal is not known, the first bearing that was recorded
+        gives the direction. If there are neither samples nor loops, nothing shows which pose was
+        read first: it is the first that was recorded.
         """
         samples = self.samples
         if not len(self.poses):
@@ -219,23 +218,23 @@ class Run:
 
     @property
     def path(self) -> Path | None:
-        """The path that it is to follow; None where it follows none, or it is not recorded.
+        """The path that it is to follow; None if it follows none, or it is not recorded.
 
-        Of a run without samples nothing is known of a law: a path that is recorded counts.
+        The law of a run without samples is not known: a recorded path is used.
         """
         is_followed = self.declaration.follows_path or not len(self.samples)
         return restore_path(self.parameters) if is_followed else None
 
     @property
     def first_row(self) -> str:
-        """What time zero is: the first `sample`, or else `pose`, or of neither `command`."""
+        """Row that is time zero: the first `sample`, otherwise `pose`, otherwise `command`."""
         return "sample" if len(self.samples) else "pose" if len(self.poses) else "command"
 
     @property
     def start_ns(self) -> int:
         """Time zero of metrics, windows and alignment: the first sample, or else pose [ns].
 
-        Of a run without poses it is the first command.
+        For a run without poses it is the first command.
         """
         columns = (self.samples, self.poses, self.commands)
         return next(int(column.time_ns[0]) for column in columns if len(column))
@@ -263,17 +262,17 @@ class Run:
         return (self.end_ns - self.start_ns) / 1e9
 
     def slice(self, start_s: float | None = None, end_s: float | None = None) -> "Run":
-        """Return what was recorded in a stretch of time, its ends included, as a run of its own.
+        """Return what was recorded in a segment of time, its ends included, as a run of its own.
 
-        Its times stay those of this run. Where the end is cut off it has no stop reason, and its
+        Its times stay those of this run. If the end is cut off it has no stop reason, and its
         parameters no longer determine it: `explain` identifies it from its samples.
 
         Args:
             start_s: Time since the first sample [s]; None: from the beginning.
-            end_s: Likewise; None: to the end.
+            end_s: End of the slice [s]; None: the end of the run.
 
         Raises:
-            RunError: Where no pose was recorded in that stretch.
+            RunError: If no pose was recorded in that segment.
         """
         start_ns, end_ns = locate_stretch(self, start_s, end_s)
         if start_ns <= self.poses.time_ns[0] and end_ns >= self.end_ns:
@@ -293,8 +292,8 @@ class Run:
             table: `poses`, `commands`, `samples` or `events`.
 
         Raises:
-            RunError: Where there is no such table.
-            LibraryError: Where pyarrow is not installed.
+            RunError: If there is no such table.
+            LibraryError: If pyarrow is not installed.
         """
         return build_arrow(self, table)
 
@@ -308,8 +307,8 @@ class Run:
             table: `poses`, `commands`, `samples` or `events`.
 
         Raises:
-            RunError: Where there is no such table.
-            LibraryError: Where pandas is not installed.
+            RunError: If there is no such table.
+            LibraryError: If pandas is not installed.
         """
         return build_pandas(self, table)
 
@@ -325,8 +324,8 @@ class Run:
             table: `poses`, `commands`, `samples` or `events`.
 
         Raises:
-            RunError: Where there is no such table.
-            LibraryError: Where xarray is not installed.
+            RunError: If there is no such table.
+            LibraryError: If xarray is not installed.
         """
         return build_xarray(self, table)
 

@@ -1,4 +1,4 @@
-"""A stretch of a run as a run of its own."""
+"""A segment of a run as a run of its own."""
 
 import math
 from dataclasses import replace
@@ -43,10 +43,10 @@ def slice_run(run: "Run", *, start_ns: int | None = None, end_ns: int | None = N
 
 
 def locate_stretch(run: "Run", start_s: float | None, end_s: float | None) -> tuple[int, int]:
-    """Return a stretch that is given from the run's time zero as [start_ns, end_ns].
+    """Return a segment that is given from the run's time zero as [start_ns, end_ns].
 
     Raises:
-        RunError: Where it is none, or the run has no pose in it.
+        RunError: If it is none, or the run has no pose in it.
     """
     for name, value in (("start_s", start_s), ("end_s", end_s)):
         if value is not None and not math.isfinite(value):

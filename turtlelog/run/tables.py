@@ -33,7 +33,7 @@ TABLES: Final[Mapping[str, Callable[["Run"], Table]]] = MappingProxyType(
         "events": lambda run: _tabulate_events(run),
     }
 )
-"""How each table of a run is made, by its name."""
+"""Functions that make the tables of a run, by name."""
 
 
 def tabulate_run(run: "Run", table: str) -> Table:
@@ -44,7 +44,7 @@ def tabulate_run(run: "Run", table: str) -> Table:
     front.
 
     Raises:
-        RunError: Where there is no such table.
+        RunError: If there is no such table.
     """
     if table not in TABLES:
         raise RunError(f"table: expected one of {', '.join(TABLES)}, found {table}")

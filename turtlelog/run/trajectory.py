@@ -27,15 +27,15 @@ class Trajectory:
     """Poses of a robot. Takes its arrays over and makes them read-only.
 
     Attributes:
-        name: What it is called in answers.
-        time_ns: Time of each pose as its file gives it [ns], shape (n,), strictly increasing. Of
-            a trajectory without times the number of the pose, in units of 1 s.
+        name: Name in answers.
+        time_ns: Time of each pose as its file gives it [ns], shape (n,), strictly increasing. For a
+            trajectory without times it is the number of the pose, in units of 1 s.
         xyz_m: Position in the world frame [m], shape (n, 3).
         orientation_quat_wxyz: Rotation from the robot's frame to the world's, of length 1, shape
             (n, 4).
         space: `space` if the file has heights and rotations, `plane` if x, y and heading alone.
         clock: `time`, or `frame` for poses that are only numbered.
-        notes: What was left out in reading, by a word.
+        notes: Omissions in reading, by a word.
     """
 
     name: str

@@ -16,7 +16,7 @@ def nest_parameters(parameters: "Mapping[str, Parameter]") -> dict[str, Any]:
     """Return values by dotted key as nested tables.
 
     Raises:
-        ScenarioError: Where a key is both a value and a table.
+        ScenarioError: If a key is both a value and a table.
     """
     tables: dict[str, Any] = {}
     for key, value in parameters.items():
@@ -31,7 +31,7 @@ def set_nested(tables: dict[str, Any], key: str, value: Any) -> None:
     """Set a value by its dotted key in nested tables, which are made where they are missing.
 
     Raises:
-        ScenarioError: Where a key on the way holds a value, or the key itself a table.
+        ScenarioError: If a key on the way holds a value, or the key itself a table.
     """
     *parents, last = key.split(".")
     for depth, parent in enumerate(parents, start=1):

@@ -30,7 +30,7 @@ Heading = Annotated[float, Meta(ge=-2.0 * math.pi, le=2.0 * math.pi)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """Where the turtle spawns.
+    """Start pose of the turtle.
 
     Attributes:
         x_m: World frame [m].
@@ -48,12 +48,12 @@ class Start:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """Where it should go.
+    """Goal of the turtle.
 
     Attributes:
         x_m: World frame [m].
         y_m: World frame [m].
-        heading_rad: Final heading [rad], None where any will do.
+        heading_rad: Final heading [rad], None if any will do.
     """
 
     x_m: float = 2.0
@@ -66,8 +66,8 @@ class LawTable:
     """The keys of a law whose code has not been loaded yet; `resolve_scenario` loads it.
 
     Attributes:
-        values: As written, beside `kind`.
-        sources: Where they were read, for error lines; the first named the law.
+        values: Values as written, without `kind`.
+        sources: Origins of the values, for error lines; the first named the law.
         is_trusted: Whether the user named the law; one that a recording names is not loaded.
     """
 
@@ -102,17 +102,17 @@ class Scenario:
     Attributes:
         name: Short name for tables and legends.
         max_duration_s: Simulated time after which a run is cut [s].
-        seed: For effects that draw random numbers.
-        start: Where the turtle spawns.
-        goal: Where it should go.
+        seed: Seed of effects that draw random numbers.
+        start: Start pose of the turtle.
+        goal: Goal of the turtle.
         law: The law under test.
-        limits: Where commands are clipped.
+        limits: Limits at which commands are clipped.
         loop: Queues, delays and precision.
-        path: What a law that tracks a path follows; None where there is none.
-        plant: What is driven.
-        disturbance: What pushes it.
-        sensing: How its pose is read.
-        shaping: What becomes of the commands that the law wants.
+        path: Path for a law that tracks a path; None if there is none.
+        plant: Plant that is driven.
+        disturbance: Disturbances of the plant.
+        sensing: Effects of the sensing of poses.
+        shaping: Shaping of the commands that the law wants.
     """
 
     name: str = "textbook"

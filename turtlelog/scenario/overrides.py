@@ -37,14 +37,14 @@ def override_scenario(
     `path.kind` the old path's shape.
 
     Args:
-        scenario: To be changed.
-        values: By dotted key.
+        scenario: Scenario to be changed.
+        values: New values by dotted key.
         source: Begins error lines.
         trust_law: Whether a law that is not built in may run; None: where the scenario's may, or
             `law.kind` is among the values, as who sets it names the law.
 
     Raises:
-        ScenarioError: Where a key or value is wrong.
+        ScenarioError: If a key or value is wrong.
     """
     _require_tables(scenario, values, source)
     is_named = "law.kind" in values or _is_trusted(scenario)
@@ -62,12 +62,13 @@ def choose_scenario(
 
     Args:
         scenario: A scenario, the name of a preset, or a file.
-        law: What drives instead of its law: text that names one, or the law itself; None: its own.
+        law: Law to use instead of the scenario's law: text that names one, or the law itself; None:
+            its own.
         changes: Values by dotted key.
 
     Raises:
-        LawError: Where `law` is no law.
-        ScenarioError: Where there is no such scenario, or a change is wrong.
+        LawError: If `law` is no law.
+        ScenarioError: If there is no such scenario, or a change is wrong.
     """
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(str(scenario))
@@ -167,7 +168,7 @@ def complete_scenario(run: Run, base: Scenario) -> Scenario:
     names may not run.
 
     Raises:
-        ScenarioError: Where a value of the run is wrong, or the law of `base` may not run.
+        ScenarioError: If a value of the run is wrong, or the law of `base` may not run.
     """
     base = resolve_scenario(base)
     known = flatten_scenario(base).keys() | {"goal.heading_rad", *PATH_KEYS}
@@ -181,11 +182,12 @@ def replay_commands(scenario: Scenario, run: Run) -> Scenario:
     """Return the scenario with the commands of a run in place of its law, by the law `open-loop`.
 
     Their times count from the run's first sample, or from its first command where that is earlier.
-    Of commands published at one time the last one counts, and what repeats the command before it is
-    left out, for each holds until the next: what waited in a queue is not told apart.
+    If several commands were published at one time, the last one is used. A command that repeats the
+    one before is left out, because each holds until the next: what waited in a queue cannot be
+    distinguished.
 
     Raises:
-        ScenarioError: Where the run has no commands, more than a scenario holds, or sideways ones.
+        ScenarioError: If the run has no commands, more than a scenario holds, or sideways ones.
     """
     commands = run.commands
     if not len(commands):
@@ -226,7 +228,7 @@ def parse_assignments(assignments: Iterable[str], *, source: str = "changes") ->
     """Return the values of `key=value` texts; a value is TOML, or plain text where it is none.
 
     Raises:
-        ScenarioError: Where one has no key or no equals sign.
+        ScenarioError: If one has no key or no equals sign.
     """
     values: dict[str, Any] = {}
     for assignment in assignments:

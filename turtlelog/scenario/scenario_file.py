@@ -16,7 +16,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     """Return a preset by its name, or the scenario in a TOML file.
 
     Raises:
-        ScenarioError: Where it is neither, or the file is wrong.
+        ScenarioError: If it is neither, or the file is wrong.
     """
     name = str(name_or_path)
     if name in PRESETS:
@@ -34,7 +34,7 @@ def read_scenario(path: str | Path) -> Scenario:
     """Return the scenario in a TOML file, with the numbers of the files that it names.
 
     Raises:
-        ScenarioError: Where the file cannot be read, is no TOML, or a key or value is wrong.
+        ScenarioError: If the file cannot be read, is no TOML, or a key or value is wrong.
     """
     try:
         text = read_text_file(path)
@@ -55,7 +55,7 @@ def parse_scenario(text: str, *, source: str = "scenario") -> Scenario:
     A text lies in no folder: it names no file of commands.
 
     Raises:
-        ScenarioError: Where it is no TOML, or a key or value is wrong.
+        ScenarioError: If it is no TOML, or a key or value is wrong.
     """
     return _build(text, source, None)
 
@@ -78,7 +78,7 @@ def get_preset(name: str) -> Scenario:
     """Return a preset.
 
     Raises:
-        ScenarioError: Where there is none of that name.
+        ScenarioError: If there is none of that name.
     """
     if name not in PRESET_TABLES:
         raise ScenarioError(f"preset: expected one of {', '.join(PRESETS)}, found {name!r}")

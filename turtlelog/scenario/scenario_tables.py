@@ -36,7 +36,7 @@ class _PlantTable:
     """What is driven: the table `[plant]`.
 
     The keys are those of all kinds; of the plant's own, one that is not given has its default, or
-    stays None where files do without it, and one of another kind is refused.
+    stays None if files do without it, and one of another kind is refused.
     """
 
     __slots__ = ()

@@ -56,7 +56,7 @@ def build_scenario(
     Loads no code: the table of a law that is not built in is judged when the law is to run.
 
     Args:
-        tables: As in a scenario file.
+        tables: Tables of a scenario file.
         source: Begins error lines.
         trust_law: Whether a law that is not built in may run: where the user named it. Tables of
             a recording name nothing.
@@ -102,7 +102,7 @@ def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
         trust_law: Whether a law that a recording names may run, too.
 
     Raises:
-        ScenarioError: Where the law stands in a recording and is not trusted, is not there, or does
+        ScenarioError: If the law stands in a recording and is not trusted, is not there, or does
             not have these keys and values.
     """
     table = choice.parameters
@@ -207,13 +207,13 @@ def restore_scenario(run: Run, *, source: str = "", trust_law: bool = False) -> 
     """Return the scenario of a run. Loads no code.
 
     Args:
-        run: With its whole scenario.
-        source: What error lines begin with. Default: the name of the run.
+        run: Run with its whole scenario.
+        source: Beginning of error lines. Default: the name of the run.
         trust_law: Whether the law that it names may run where it is not built in: that runs the
             code that the run, or the file it was read from, names.
 
     Raises:
-        ScenarioError: Where the run does not hold all of it.
+        ScenarioError: If the run does not hold all of it.
     """
     if not run.scenario_is_complete:
         raise ScenarioError(

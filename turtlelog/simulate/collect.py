@@ -37,9 +37,9 @@ def simulate_run(
     """Simulate a scenario and return its run; with a `plant` on that plant's clock.
 
     Args:
-        scenario: What to simulate: a scenario, the name of a preset, or a file.
-        plant: On whose clock; None: on that of the scenario's plant.
-        law: What drives instead of the scenario's law: a class, a function of `(time_ns, pose,
+        scenario: Scenario to simulate: a scenario, the name of a preset, or a file.
+        plant: Plant whose clock is used; None: the scenario's plant.
+        law: Law to use instead of the scenario's law: a class, a function of `(time_ns, pose,
             goal)` that returns speed [m/s] and turn rate [rad/s], an object with `step`, a
             `LawPart`, or text that names one, as `my_law.py:MyLaw`.
         changes: Values by dotted key, as in `{"law.kp_linear": 4.0}`.
@@ -47,10 +47,10 @@ def simulate_run(
             None: as long as it takes.
 
     Raises:
-        LawError: Where `law` is no law.
-        ScenarioError: Where the law cannot be loaded or may not run, or a change is wrong.
-        SimulationError: Where the law fails or computes for longer, with the run so far as `run`,
-            or no pose is answered within `max_duration_s`.
+        LawError: If `law` is no law.
+        ScenarioError: If the law cannot be loaded or may not run, or a change is wrong.
+        SimulationError: If the law fails or computes for longer, with the run so far as `run`, or
+            no pose is answered within `max_duration_s`.
     """
     scenario = resolve_scenario(choose_scenario(scenario, law=law, changes=changes))
     return collect_run(scenario, iterate_ticks(scenario, plant, step_budget_s=step_budget_s))
@@ -60,7 +60,7 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
     """Return the run that a scenario's ticks make.
 
     Raises:
-        SimulationError: Where no pose was answered, or the law fails: with the run so far as `run`.
+        SimulationError: If no pose was answered, or the law fails: with the run so far as `run`.
     """
     collector = RunCollector(scenario)
     try:
@@ -129,7 +129,7 @@ class RunCollector:
         """Return the run of all ticks so far.
 
         Raises:
-            SimulationError: Where no pose was answered.
+            SimulationError: If no pose was answered.
         """
         scenario = self._scenario
         if not self.has_samples:
@@ -296,5 +296,5 @@ def _split_rows(
 
 
 def _if_whole(values: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return a column, None where a row holds no number: without a goal there are no errors."""
+    """Return a column, None if a row holds no number: without a goal there are no errors."""
     return None if np.isnan(values).any() else values

@@ -53,10 +53,10 @@ class ManyRuns(Iterator[Simulated]):
     Only a few runs are in memory, however many there are.
 
     Attributes:
-        compiled: How many runs compiled loops have simulated.
-        interpreted: How many the plain one has: of laws that are classes, where a run fails,
-            without numba, or before they are worth loading a compiled one.
-        notes: What who waits for the runs should know of the compiled loops, one line each.
+        compiled: Number of runs that compiled loops have simulated.
+        interpreted: Number of runs that the plain loop has simulated: of laws that are classes,
+            where a run fails, without numba, or before they are worth loading a compiled one.
+        notes: Notes on the compiled loops, one line each.
     """
 
     def __init__(
@@ -252,8 +252,8 @@ def simulate_many(
     that it is worth loading; laws that are classes run plain.
 
     Args:
-        scenarios: What to simulate; taken as the runs are.
-        plant: On whose clock; None: each on that of its own plant.
+        scenarios: Scenarios to simulate; taken as the runs are.
+        plant: Plant whose clock is used; None: the plant of each scenario.
         threads: That simulate at once; None: as many as cores.
         step_budget_s: Time that a law may compute for one answer [s]; None: as long as it takes.
 
@@ -261,7 +261,7 @@ def simulate_many(
         An iterator of runs; where one fails its SimulationError, with the run so far as `run`.
 
     Raises:
-        SimulationError: Where `threads` is no number above 0.
+        SimulationError: If `threads` is no number above 0.
         ScenarioError: While iterating, where a law cannot be loaded or may not run.
     """
     return ManyRuns(scenarios, plant=plant, threads=threads, step_budget_s=step_budget_s)

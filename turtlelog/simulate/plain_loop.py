@@ -64,7 +64,7 @@ _NONE: Final[tuple[Any, ...]] = ()
 
 
 class Tick(msgspec.Struct, frozen=True, gc=False):
-    """What one plant step brought.
+    """Results of one plant step.
 
     Attributes:
         time_ns: Simulated time [ns].
@@ -72,7 +72,7 @@ class Tick(msgspec.Struct, frozen=True, gc=False):
         computed: Samples whose pose was answered in this tick, in order.
         published: Samples whose command went out in this tick, in order.
         states: The law's own numbers, of each computed sample.
-        events: What else happened.
+        events: Other events of the tick.
         stop_reason: Why this tick is the last one, None while it is not.
     """
 
@@ -98,8 +98,8 @@ def iterate_ticks(
     Ticks are steps of the plant, one per period; what the scenario counts in ticks as well.
 
     Args:
-        scenario: What to simulate.
-        plant: On whose clock; None: on that of the scenario's plant.
+        scenario: Scenario to simulate.
+        plant: Plant whose clock is used; None: the scenario's plant.
         step_budget_s: Time that the law may compute for one answer, by the computer's clock [s];
             None: as long as it takes. From 1 s on the steps of built-in laws are not watched, and
             the loop of another law computes in a thread of its own.
@@ -136,8 +136,8 @@ class PlainLoop:
     """A loop around a scenario, plain.
 
     Attributes:
-        declaration: What the law declares.
-        now: Where the loop stands: of `Progress`.
+        declaration: Declaration of the law.
+        now: State of the loop, of `Progress`.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class PlainLoop:
 
         Args:
             scenario: Its law is resolved.
-            plant: On whose clock; None: on that of the scenario's plant.
+            plant: Plant whose clock is used; None: the scenario's plant.
             law: Takes the place of the scenario's. It declares by its attribute `parameters`, if it
                 has one, otherwise by those of the scenario.
             step_budget_s: With a budget a step that computes for longer by the clock fails with a
@@ -234,7 +234,7 @@ class PlainLoop:
                 self._forget()
 
     def _answer(self, answer: Callable[..., None], tick: int) -> SimulationError | None:
-        """Let the controller answer in a tick; return why the law failed, None where it did not."""
+        """Let the controller answer in a tick; return why the law failed, None if it did not."""
         failure: SimulationError | None = None
         try:
             answer(self.settings, self.state, self.rows, self.parts, tick)
@@ -256,7 +256,7 @@ class PlainLoop:
         """Return the sample that a pose makes, which no loop of this one moved to.
 
         Raises:
-            SimulationError: Where the law fails or answers with something that is no number.
+            SimulationError: If the law fails or answers with something that is no number.
         """
         row = self.rows.ticks[number] = TickRow(pose.x_m, pose.y_m, pose.heading_rad)
         row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad = (
@@ -284,7 +284,7 @@ class PlainLoop:
 
     @property
     def asked(self) -> int:
-        """How many poses the law was asked to answer."""
+        """Number of poses that the law had to answer."""
         asked: int = len(self.rows.samples) + self.rows.forgotten
         return asked
 

@@ -83,7 +83,7 @@ class Scene:
 
 @dataclass(slots=True)
 class GoalNumbers:
-    """Where the robot should be; the heading is NaN where any will do."""
+    """Where the robot should be; the heading is NaN if any will do."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -95,11 +95,11 @@ class Losses:
     """What is lost, by stretches: an event each would fill a log.
 
     Attributes:
-        kind: Of `EVENT_KINDS`.
-        since_ns: When the stretch began that goes on [ns].
+        kind: Kind of `EVENT_KINDS`.
+        since_ns: When the segment began that goes on [ns].
         count: How many it lost so far.
-        finished_since_ns: When the first stretch began that is over and not told yet [ns].
-        finished: How many such stretches lost.
+        finished_since_ns: When the first segment began that is over and not told yet [ns].
+        finished: Number of such segments lost.
     """
 
     kind: int = 0
@@ -124,19 +124,21 @@ class Progress:
         last_ns: Time of the last answer [ns]; -1: none.
         phase_ended: Phase that the last sample ended; -1: none.
         poses_first: No earlier pose waits.
-        poses_count: How many wait.
+        poses_count: Number of poses that wait.
         poses_arrived: No earlier pose is on its way.
         pose_arrived_ns: When the last one arrives [ns].
-        poses_dropped: How many the full queue pushed out; `poses_told` of them by an event.
+        poses_dropped: Number of poses that the full queue dropped; an event names `poses_told` of
+            them.
         newest: The newest pose that came, for the timer; -1: none.
         fires_ns: When the timer fires next [ns].
         is_due: Whether it fired.
         queue_first: No command of an earlier sample waits for the plant.
-        queue_count: How many wait.
+        queue_count: Number of commands that wait.
         commands_arrived: No command of an earlier sample is on its way.
         command_arrived_ns: When the last one arrives [ns].
         newest_command: Sample of the newest command that came.
-        commands_dropped: How many the full queue pushed out; `commands_told` of them by an event.
+        commands_dropped: Number of commands that the full queue dropped; an event names
+            `commands_told` of them.
         has_losses: Whether a pose or command was lost so far.
         was_at_wall: Whether the plant was at the wall a tick ago.
         push_speed: What is added to the plant's speed now [m/s].
@@ -188,7 +190,7 @@ class TickRow:
         heading_rad: Counter-clockwise from +x [rad].
         speed_m_s: Magnitude of the applied velocity [m/s].
         turn_rate_rad_s: Applied turn rate [rad/s].
-        arrival_ns: When it reaches the controller [ns]; -1: it does not, or is not queued.
+        arrival_ns: Time at which it reaches the controller [ns]; -1: it does not, or is not queued.
     """
 
     x_m: float = 0.0
@@ -207,25 +209,25 @@ class SampleRow:
     """One controller callback. What a law does not enter is NaN, or 0.
 
     Attributes:
-        time_ns: When the pose was answered [ns].
+        time_ns: Time at which the pose was answered [ns].
         sequence: Number of the sample, from 0.
         pose_sequence: Number of the pose that it read, from 0.
-        published_ns: When its command goes out: later where the law blocks [ns].
-        arrival_ns: When its command arrives [ns], or in which tick; -1: never.
-        arrivals: How often it arrives.
-        queued: How often it waits for the plant.
+        published_ns: Time at which its command is published [ns]: later if the law blocks.
+        arrival_ns: Time [ns] or tick at which its command arrives; -1: never.
+        arrivals: Number of arrivals.
+        queued: Number of copies that wait for the plant.
         phase: Index of the phase in the declaration's `phase_names`. Entered by the law, as all
             that follows but for the commands.
         blocks_ticks: Ticks that the law blocks for before its command goes out.
         stop: Why this is the last sample: place in the law's `stops`, from 1; 0: it is not.
         ends_phase: Whether the next sample is of another phase.
         bearing_rad: Goal bearing [rad].
-        heading_error_rad: What the heading should be minus the heading [rad].
+        heading_error_rad: Reference heading minus heading [rad].
         error_x_m: Goal minus position, world frame [m]; so `error_y_m`.
-        distance_m: From the pose to the goal [m].
+        distance_m: Distance from the pose to the goal [m].
         world_v_x_m_s: Gain times error before projection [m/s]; so `world_v_y_m_s`.
-        reference_x_m: Where the robot should be [m]; so `reference_y_m`.
-        reference_heading_rad: Likewise [rad].
+        reference_x_m: Reference position [m]; likewise `reference_y_m`.
+        reference_heading_rad: Reference heading [rad].
         wanted_speed_m_s: Command before shaping and limits [m/s]; so `wanted_turn_rate_rad_s`.
         shaped_speed_m_s: After shaping, before the limits [m/s]; so `shaped_turn_rate_rad_s`.
         speed_m_s: Command after the limits [m/s]; so `turn_rate_rad_s`.

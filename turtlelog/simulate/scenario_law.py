@@ -36,9 +36,9 @@ def build_law(choice: LawChoice) -> Any:
     """Return the law of a scenario with its parameters.
 
     Raises:
-        SimulationError: Where it does not take them.
+        SimulationError: If it does not take them.
         ScenarioError: As `resolve_law`.
-        LawError: Where there is no such law.
+        LawError: If there is no such law.
     """
     choice = resolve_law(choice)
     law = find_law(choice.kind)
@@ -56,7 +56,7 @@ def declare_scenario(scenario: Scenario) -> Declaration:
 
     Raises:
         ScenarioError: As `resolve_law`.
-        LawError: Where there is no such law, or its declaration is wrong.
+        LawError: If there is no such law, or its declaration is wrong.
     """
     choice = resolve_law(scenario.law)
     law = find_law(choice.kind)
@@ -72,9 +72,9 @@ def describe_numbers(failure: int, row: SampleRow, states: Mapping[str, float]) 
     """Return which number of an answer cannot be executed or recorded.
 
     Args:
-        failure: As in `rows`.
+        failure: See `rows`.
         row: What the law entered.
-        states: Of the sample.
+        states: States of the sample.
     """
     if failure == COMMAND_FAILED:
         return describe_command(row.wanted_speed_m_s, row.wanted_turn_rate_rad_s)

@@ -36,19 +36,19 @@ _DEFAULTS: Final = flatten_scenario(Scenario())
 def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> tuple[str, ...]:
     """Return notes on a scenario that is to be run, one line each; () where there is none.
 
-    A gain gets a note where theory's linear loop, with the plant's lag, the sampling period and the
-    least dead time that the scenario's settings make certain, is unstable. The run itself may still
-    end, or go on in an oscillation that clipping bounds. Nothing is said of what is not known: a
-    loop without theory or whose law declares no gain, a timing that is random or changes from
-    sample to sample, other shaping than a low-pass.
+    A gain gets a note where theory's linear loop, with the plant's time constant, the sampling
+    period and the least dead time that the scenario's settings make certain, is unstable. The run
+    itself may still end, or go on in an oscillation that clipping bounds. Nothing is said of what
+    is not known: a loop without theory or whose law declares no gain, a timing that is random or
+    changes from sample to sample, other shaping than a low-pass.
 
     Args:
-        scenario: As it is to be run; its law's code is loaded if need be.
+        scenario: Scenario as it is run; the code of its law is loaded if needed.
         given: Keys that the user set, even if to the default, as in `goal.x_m`.
 
     Raises:
-        ScenarioError: Where the law cannot be loaded or may not run.
-        LawError: Where what the law says of itself is wrong.
+        ScenarioError: If the law cannot be loaded or may not run.
+        LawError: If what the law says of itself is wrong.
     """
     scenario = resolve_scenario(scenario)
     declaration = declare_scenario(scenario)
@@ -119,7 +119,7 @@ def _describe_timing(process: Process, timing: LoopTiming, *, in_ticks: bool) ->
 
 
 def _judge(loop: ControlLoop, gains: PidGains, process: Process, timing: LoopTiming) -> str | None:
-    """Return why a loop is unstable at every dead time that it may have, None where it is not."""
+    """Return why a loop is unstable at every dead time that it may have, None if it is not."""
     others = ((loop.integral_gain, gains.ki), (loop.derivative_gain, gains.kd))
     values = [f"{key} = {_write(value)}" for key, value in others if value > 0.0]
     named = f"{loop.gain} = {_write(gains.kp)}"

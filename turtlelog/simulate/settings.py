@@ -153,8 +153,8 @@ def build_settings(
 
     Args:
         scenario: Its law is resolved.
-        law: Of the scenario.
-        declaration: Of the law.
+        law: Law of the scenario.
+        declaration: Declaration of the law.
         plant: On whose clock.
     """
     part, goal, start = PLANTS[scenario.plant.kind], scenario.goal, scenario.start

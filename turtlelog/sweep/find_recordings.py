@@ -34,11 +34,11 @@ class FoundRecording:
     """A recording to be read, as it was when it was found.
 
     Attributes:
-        path: Of the file or folder.
-        label: What tables call it: relative to the folder given, with slashes; with several
-            folders, and of a file given by name, as given. What is no Unicode is escaped.
-        size: Of the file, or of all in the bag's folder [bytes]; -1 where it cannot be seen.
-        mtime_ns: When it changed last, of a folder its newest file [ns]; -1 likewise.
+        path: Path of the file or folder.
+        label: Name in tables: relative to the folder given, with slashes; with several folders, and
+            of a file given by name, as given. What is no Unicode is escaped.
+        size: Size of the file, or of all in the bag's folder [bytes]; -1 where it cannot be seen.
+        mtime_ns: Time of its last change, for a folder that of its newest file [ns]; -1 likewise.
     """
 
     path: str
@@ -66,8 +66,8 @@ def find_recordings(
         without: Files that are no recordings, such as the table that is to be written.
 
     Raises:
-        LogError: Where a folder holds no recording, or one is a URL: of it no time tells whether it
-            has changed.
+        LogError: If a folder holds no recording, or one is a URL: no time shows whether it has
+            changed.
     """
     walk = _Walk(paths, without)
     is_one = len({os.path.realpath(path) for path in paths}) == 1
@@ -220,6 +220,6 @@ def list_contents(path: Path) -> list[Path]:
     """Return the files whose bytes are a recording: the file itself, or those of a bag's folder.
 
     Raises:
-        OSError: Where the folder cannot be listed.
+        OSError: If the folder cannot be listed.
     """
     return sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]

@@ -30,11 +30,11 @@ _MOST_DRAWN: Final = 48
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnLimits:
-    """What theory says of the gain in one column.
+    """Theory's limits of the gain in one column.
 
     Attributes:
         stable: Intervals of the gain in which the loop is stable.
-        overshoot: Gain from which it overshoots; None where the loop is not proportional alone.
+        overshoot: Gain from which it overshoots; None if the loop is not proportional alone.
         grown: The same intervals with the dead time that queues may let grow; None: it cannot.
     """
 
@@ -44,7 +44,7 @@ class ColumnLimits:
 
     @property
     def stability(self) -> float | None:
-        """Gain from which the loop is unstable for good; None where none is stable."""
+        """Gain from which the loop is unstable; None if none is stable."""
         return self.stable[-1][1] if self.stable else None
 
 
@@ -55,7 +55,7 @@ class LoopLimits:
     Attributes:
         loop: Its name.
         gain: The axis of its gain.
-        columns: For each place of the other axis; None where theory does not speak.
+        columns: Limits for each place of the other axis; None if theory gives none.
         notes: Why it does not, or what it leaves out, in sentences.
     """
 
@@ -67,14 +67,14 @@ class LoopLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Border:
-    """Where a loop becomes unstable along the gain, in one column.
+    """Border along the gain at which a loop becomes unstable, in one column.
 
     Attributes:
-        place: Of the column on the other axis.
+        place: Place of the column on the other axis.
         last_stable: Largest gain below the border at which it was measured as stable; None: none.
         first_unstable: Smallest gain at which it was measured as unstable; None: none.
-        theory: Gain from which theory's loop is unstable; None where theory does not speak.
-        is_near: Whether both are within one cell; None where one is not known.
+        theory: Gain from which theory's loop is unstable; None if theory does not speak.
+        is_near: Whether both are within one cell; None if one is not known.
     """
 
     place: int
@@ -209,13 +209,13 @@ def find_borders(
     """Return where a measured verdict changes along its loop's gain, beside theory.
 
     Args:
-        view: What is shown.
+        view: Rows that are shown.
         metric: One of its results.
-        limits: As `find_loop_limits` returns them.
+        limits: Limits that `find_loop_limits` returns.
 
     Returns:
-        A border for each place of the other axis; None where the metric is no verdict, its loop's
-        gain is no axis, or rows were drawn, which have no neighbours.
+        A border for each place of the other axis; None if the metric is no verdict, its loop's gain
+        is no axis, or rows were drawn, which have no neighbours.
     """
     own = next((one for one in limits if one.loop == metric.loop), None)
     if not metric.is_verdict or own is None or view.results.is_sampled:

@@ -50,9 +50,9 @@ def plan_metric_table(
     """Return what `tabulate_recordings` needs for a table with a row of metrics for each file.
 
     Args:
-        settings: As in `measure_run`.
+        settings: See `measure_run`.
         only: Ids and patterns; None: every metric.
-        topics: What is read of third-party files.
+        topics: Topics to read from third-party files.
     """
     settings, topics = settings or MeasureSettings(), topics or ReadChoice()
     chosen = None if only is None else tuple(only)

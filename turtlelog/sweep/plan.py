@@ -28,8 +28,8 @@ class Sampling:
     """Rows drawn instead of all combinations.
 
     Attributes:
-        count: How many.
-        seed: Of the numbers drawn.
+        count: Number of columns that count.
+        seed: Seed of the numbers drawn.
         is_latin: Whether each key takes a value of each of `count` equal parts of its range once.
     """
 
@@ -84,7 +84,7 @@ class SweepPlan:
 
     @property
     def row_count(self) -> int:
-        """How many rows there are."""
+        """Number of rows."""
         if self.sampling is not None:
             return self.sampling.count
         return math.prod(len(axis[0].values) for axis in self._axes)
@@ -94,7 +94,7 @@ class SweepPlan:
         return tuple(self.list_values(range(row, row + 1), key)[0] for key in self.keys)
 
     def list_values(self, rows: range, key: str) -> list[Any]:
-        """Return the values of a key in a stretch of rows."""
+        """Return the values of a key in a segment of rows."""
         number, axis, one = self._find(key)
         if self._drawn is not None:
             shares = self._drawn[rows.start : rows.stop, number].tolist()
@@ -119,7 +119,7 @@ class SweepPlan:
         )
 
     def list_probes(self) -> tuple[int, ...]:
-        """Return the rows that tell what all are like: the first, one in the middle, the last."""
+        """Return the rows that represent all of them: the first, one in the middle, the last."""
         return tuple(dict.fromkeys((0, self.row_count // 2, self.row_count - 1)))
 
     def with_reals(self, keys: Container[str]) -> "SweepPlan":
@@ -169,7 +169,7 @@ def build_plan(
     """Return the plan of texts such as `law.kp_linear=0.5:12:0.25`.
 
     Raises:
-        SweepError: Where one cannot be read, or there is nothing to vary.
+        SweepError: If one cannot be read, or there is nothing to vary.
     """
     return SweepPlan(
         grid=tuple(
@@ -247,15 +247,15 @@ def build_row_scenario(
     """Return the scenario of a row, named after it. Loads no code.
 
     Args:
-        base: What the rows vary.
+        base: Scenario that the rows vary.
         keys: That vary.
-        values: Of the row.
+        values: Values of the row.
         row: Its number.
         source: Begins error lines.
-        trust_law: As in `override_scenario`.
+        trust_law: See `override_scenario`.
 
     Raises:
-        ScenarioError: Where the values make no scenario.
+        ScenarioError: If the values make no scenario.
     """
     changes = dict(zip(keys, values, strict=True))
     if "law.kind" in changes:  # another law has other keys: it is chosen before any of them is set

@@ -26,13 +26,13 @@ from turtlelog.version import __version__
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
-    """What a sweep is of; `prepare_sweep` makes one that can run.
+    """A prepared sweep; `prepare_sweep` makes one that can run.
 
     Attributes:
         base: The scenario that the rows vary, as text.
         plan: Its rows.
         metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
-        records: Which runs are recorded; None: none.
+        records: Runs that are recorded; None: no run.
         law_code: A checksum of the files of a law that is not built in; empty otherwise.
         step_budget_s: Time that a law may compute for one answer [s]; another one goes on with the
             rows that are done.
@@ -87,20 +87,20 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
     """Return a sweep of a base scenario, after the first, the middle and the last row were built.
 
     Args:
-        base: What the rows vary.
-        plan: The rows; the key `kp` stands for all gains of the law.
+        base: Scenario that the rows vary.
+        plan: The rows; the key `kp` means all gains of the law.
         metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
-        records: Which runs are recorded.
+        records: Runs that are recorded.
         trust_law: Whether a law that a recording names may run, too.
         step_budget_s: Time that a law may compute for one answer [s]; a row whose law takes longer
             fails.
         source: Begins error lines about the values of a row.
 
     Raises:
-        SweepError: Where `kp` varies, and the law declares no gain or other keys go together.
-        ScenarioError: Where none of these rows makes a scenario, or the law may not run.
-        MeasureError: Where a metric is not known.
-        ExpressionError: Where the condition of the recordings cannot be judged.
+        SweepError: If `kp` varies, and the law declares no gain or other keys go together.
+        ScenarioError: If none of these rows makes a scenario, or the law may not run.
+        MeasureError: If a metric is not known.
+        ExpressionError: If the condition of the recordings cannot be judged.
     """
     trusted = True if trust_law else None
     if KP in plan.keys:

@@ -29,11 +29,11 @@ _CHUNK_BYTES: Final = 2**24
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingTable:
-    """Which table is asked for.
+    """Kind and columns of the table to write.
 
     Attributes:
-        kind: As in `ResultTable`.
-        facts: What rows depend on besides the content of files: settings, as texts.
+        kind: See `ResultTable`.
+        facts: Settings on which rows depend beside the content of files, as texts.
         work: Makes the rows of a file, at least one; it can be pickled. It answers a file that
             cannot be read with a row of `ERROR`, and raises what ends the whole work.
         order: Returns the keys of columns, without those of `HEAD`, from the keys that there are
@@ -48,14 +48,14 @@ class RecordingTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TabulatedFiles:
-    """What came of it.
+    """Table of recordings, and what was read.
 
     Attributes:
         output: The table.
-        files: How many it holds.
-        read: How many of them were read.
-        failed: How many cannot be read; the column `error` says why.
-        errors: Of the first of them, label and reason.
+        files: Number of files in it.
+        read: Number of those that were read.
+        failed: Number of files that cannot be read; the column `error` says why.
+        errors: Errors of the first of them, label and reason.
     """
 
     output: Path
@@ -69,8 +69,8 @@ def describe_former(output: Path, table: RecordingTable) -> str | None:
     """Return why nothing of the table that is there can be used; None: it can, or there is none.
 
     Raises:
-        LogError: Where the file is no such table, and is not to be replaced.
-        LibraryError: Where pyarrow is not installed.
+        LogError: If the file is no such table, and is not to be replaced.
+        LibraryError: If pyarrow is not installed.
     """
     if not has_result_file(output):
         return None
@@ -101,15 +101,15 @@ def tabulate_recordings(
     Args:
         found: The recordings.
         output: The table, which is replaced when the new one is complete.
-        table: What it holds.
+        table: Kind and columns of the table.
         jobs: Processes to read in, or what takes the work; None: as many as are quickest.
-        file_s: What a file takes besides its bytes [s], to choose their number.
+        file_s: Time for a file beside that for its bytes [s], to choose the number of processes.
         watch: Sees the results of chunks on the way, and learns how many files they are of.
 
     Raises:
-        LogError: Where the file there is no such table, or nothing can be written.
-        SweepError: Where another command works on it, or there is no room for what is read.
-        LibraryError: Where pyarrow is not installed.
+        LogError: If the file there is no such table, or nothing can be written.
+        SweepError: If another command works on it, or there is no room for what is read.
+        LibraryError: If pyarrow is not installed.
     """
     output = make_path(output)
     former = None
@@ -206,8 +206,8 @@ def hash_recording(path: Path) -> str:
     """Return the SHA-256 of a file, or of the names and contents of the files of a bag.
 
     Raises:
-        OSError: Where one cannot be read.
-        LogError: Where one is a pipe or a device.
+        OSError: If one cannot be read.
+        LogError: If one is a pipe or a device.
     """
     files, whole = list_contents(path), hashlib.sha256()
     if files == [path]:

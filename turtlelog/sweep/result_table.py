@@ -39,10 +39,10 @@ class ResultColumn:
     """A named column.
 
     Attributes:
-        name: As queries name it: the dotted key of a scenario, or the id of a metric.
-        type: Of its cells.
-        cells: One per row; None where there is no value.
-        unit: Of its numbers; None of texts, and of numbers that only count or name.
+        name: Name in queries: the dotted key of a scenario, or the id of a metric.
+        type: Type of its cells.
+        cells: One per row; None if there is no value.
+        unit: Unit of its numbers; None of texts, and of numbers that only count or name.
     """
 
     name: str
@@ -56,10 +56,10 @@ class ResultTable:
     """Columns of one length, and what the file says about all of them.
 
     Attributes:
-        kind: What made it, as in `sweep`: a reader of one kind refuses others.
+        kind: Command that made it, such as `sweep`: a reader of one kind refuses others.
         columns: In their order; names differ.
         facts: Texts by name; `kind`, `format` and `version` are the table's own.
-        version: Of the turtlelog that wrote it.
+        version: Version of the turtlelog that wrote it.
     """
 
     kind: str
@@ -69,11 +69,11 @@ class ResultTable:
 
     @property
     def row_count(self) -> int:
-        """How many rows it has."""
+        """Number of rows."""
         return len(self.columns[0].cells) if self.columns else 0
 
     def find(self, name: str) -> ResultColumn | None:
-        """Return the column of a name, None where there is none."""
+        """Return the column of a name, None if there is none."""
         return next((column for column in self.columns if column.name == name), None)
 
 
@@ -97,8 +97,8 @@ def write_result_table(table: ResultTable, path: str | Path) -> None:
     """Write a table as a Parquet file, which appears under its name when it is complete.
 
     Raises:
-        LogError: Where the place cannot be written, as on a full disk.
-        LibraryError: Where pyarrow is not installed.
+        LogError: If the place cannot be written, as on a full disk.
+        LibraryError: If pyarrow is not installed.
     """
     parquet, schema = load_library("pyarrow.parquet"), _build_schema(table)
     with (

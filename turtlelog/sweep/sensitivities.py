@@ -30,18 +30,18 @@ the standard deviation 1 / sqrt(n - 1)."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sensitivity:
-    """How far a key moves a metric.
+    """Range of a metric along one key.
 
     Attributes:
         axis: The key, or keys that go together.
         least: Smallest value of the metric along the key; None of a sample.
         most: Largest value; None of a sample.
-        least_place: Where that is on the axis; None of a sample.
-        most_place: Where that is; None of a sample.
+        least_place: Place of the smallest value on the axis; None for a sample.
+        most_place: Place of the largest value; None for a sample.
         correlation: Spearman's, of a sample; None of a grid.
         left_out: Rows along the key that have no value.
         others: Smallest and largest range (most less least) along the key with the others held
-            elsewhere; None where there is no elsewhere, or of a sample.
+            elsewhere; None if there is no elsewhere, or of a sample.
     """
 
     axis: SweptAxis
@@ -55,7 +55,7 @@ class Sensitivity:
 
     @property
     def size(self) -> float:
-        """By how much the key counts: range, or magnitude of the correlation."""
+        """Size of the key's effect: range, or magnitude of the correlation."""
         if self.correlation is not None:
             return abs(self.correlation)
         return 0.0 if self.least is None or self.most is None else self.most - self.least
@@ -63,18 +63,18 @@ class Sensitivity:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sensitivities:
-    """How far the keys of a sweep move a metric.
+    """Ranges of a metric along each key of a sweep.
 
     Attributes:
-        metric: Which.
+        metric: Metric.
         keys: Largest first.
         center: Its value where all keys are held; None of a sample, or where it has none.
-        held: Where all keys are held, in words; empty of a sample.
+        held: Values at which all keys are fixed, in words; empty for a sample.
         chance: Magnitude up to which 95 % of correlations of independent keys lie; None of a grid.
         explained: Share of the metric's ranks that those of all keys explain together, 0 to 1;
             None of a grid, or where a key has words.
         rows: That have a value, of a sample.
-        notes: What was left out, in sentences.
+        notes: Omissions, in sentences.
     """
 
     metric: SweptMetric
@@ -93,7 +93,7 @@ def find_sensitivities(
     """Return how far the keys of a sweep move a metric.
 
     Args:
-        results: Of a grid or a sample.
+        results: Results of a grid or a sample.
         metric: One of its metrics.
         held: Places at which keys of a grid are held; the others are held at the base's values,
             else in the middle.
@@ -128,7 +128,7 @@ def list_varied(results: SweptResults) -> list[SweptAxis]:
 
 
 def _fill_cube(axes: Sequence[SweptAxis], metric: SweptMetric) -> Values:
-    """Return the metric by places of all axes, means over seeds; NaN where there is none."""
+    """Return the metric by places of all axes, means over seeds; NaN if there is none."""
     shape = tuple(len(axis) for axis in axes)
     known = np.isfinite(metric.values)
     count = math.prod(shape)

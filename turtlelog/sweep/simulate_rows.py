@@ -35,10 +35,10 @@ from turtlelog.sweep.plan import build_row_scenario
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RowRecords:
-    """Which runs are recorded.
+    """Runs of a sweep that are recorded.
 
     Attributes:
-        folder: Where to, as `row-000123.mcap`; a URL stands for all that begins with it.
+        folder: Folder of the recordings, named like `row-000123.mcap`; a URL is a prefix.
         where: A condition on metrics, keys and `stop_reason`; None: all.
     """
 
@@ -54,11 +54,11 @@ class RowChunk:
         base: The scenario that all vary, as text; its law may run.
         keys: That vary.
         first: Number of the first row.
-        values: Of the keys, for each row.
+        values: Values of the keys, for each row.
         metrics: Ids or patterns; None: those of `list_row_metrics`.
         records: None: none.
-        ahead: How many rows this process has before it, about: whether the compiled loop is worth
-            loading.
+        ahead: Approximate number of rows that this process has before it: whether the compiled loop
+            is worth loading.
         threads: That work on it at once, where it is a batch.
         step_budget_s: Time that a law may compute for one answer [s].
     """
@@ -80,8 +80,8 @@ class MetricCells:
 
     Attributes:
         units: Those it has there; more than one where laws differ.
-        values: None where there is none.
-        statuses: None where a row's law has no such metric, or the row failed.
+        values: None if there is none.
+        statuses: None if a row's law has no such metric, or the row failed.
     """
 
     units: list[str]
@@ -97,8 +97,8 @@ class RowResults:
         first: Number of its first row.
         stop_reasons: None of rows that failed.
         failed: Why; None of those that did not.
-        samples: Of all its runs together.
-        recorded: How many of them were recorded.
+        samples: Samples of all its runs together.
+        recorded: Number of those that were recorded.
         metrics: By id.
         notes: On the compiled loops, one line each.
     """
@@ -251,7 +251,7 @@ def _enter_run(results: RowResults, chunk: RowChunk, row: int, run: Run) -> None
 def list_row_metrics(declaration: Declaration, patterns: Sequence[str] | None) -> tuple[str, ...]:
     """Return the ids of the metrics of a law that are asked for.
 
-    Where none are, the essential ones without dead times: looking for these in the log of each run
+    If none are, the essential ones without dead times: looking for these in the log of each run
     would take most of the time, and the scenario sets what delays there are.
     """
     if patterns is not None:
@@ -296,8 +296,8 @@ def judge_condition(condition: expressions.Expression, values: Mapping[str, Any]
     """Return whether a condition holds; where it needs a value that is not there it does not.
 
     Raises:
-        ExpressionError: Where it names what is not there.
-        SweepError: Where it is no condition.
+        ExpressionError: If it names what is not there.
+        SweepError: If it is no condition.
     """
     truth = expressions.evaluate_expression(condition, values)
     if truth is not None and not isinstance(truth, bool):
@@ -310,11 +310,11 @@ def require_condition(records: RowRecords | None, parameters: Mapping[str, Any])
 
     Args:
         records: With the condition, if there is one.
-        parameters: Of a row, by key.
+        parameters: Parameters of a row, by key.
 
     Raises:
-        ExpressionError: Where it does not parse, or names what no row has.
-        SweepError: Where it is no condition.
+        ExpressionError: If it does not parse, or names what no row has.
+        SweepError: If it is no condition.
     """
     condition = _parse_condition(records)
     if condition is not None:

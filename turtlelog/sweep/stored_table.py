@@ -18,7 +18,7 @@ def has_result_file(path: Path) -> bool:
     """Return whether there is a file to begin with, or behind a URL an object.
 
     Raises:
-        LogError: Where that cannot be told, or an object's bucket is not there.
+        LogError: If that cannot be told, or an object's bucket is not there.
     """
     with name_file(path, expected="a place that can be looked at"):
         return is_there(path)
@@ -27,11 +27,11 @@ def has_result_file(path: Path) -> bool:
 def read_result_facts(path: str | Path) -> Mapping[str, str] | None:
     """Return what a file says about itself: `kind`, `version` and the facts of its table.
 
-    None where it is a Parquet file that turtlelog wrote no table of results to.
+    None if it is a Parquet file that turtlelog wrote no table of results to.
 
     Raises:
-        LogError: Where it is no Parquet file, is cut, or a newer turtlelog wrote it.
-        LibraryError: Where pyarrow is not installed.
+        LogError: If it is no Parquet file, is cut, or a newer turtlelog wrote it.
+        LibraryError: If pyarrow is not installed.
     """
     with _name_table(path):
         return _read_facts(ParquetFile(path).schema.metadata)
@@ -44,12 +44,12 @@ def read_result_table(
 
     Args:
         path: The file.
-        kind: Which table is expected, as in `sweep`.
+        kind: Kind of the expected table, such as `sweep`.
         columns: Names of those to read; None: all.
 
     Raises:
-        LogError: Where it cannot be read, is no Parquet file, is cut, or holds another table.
-        LibraryError: Where pyarrow is not installed.
+        LogError: If it cannot be read, is no Parquet file, is cut, or holds another table.
+        LibraryError: If pyarrow is not installed.
     """
     return open_result_table(path, kind=kind).load(columns)
 
@@ -65,8 +65,8 @@ def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
     A table that others filtered or sorted keeps them.
 
     Args:
-        cells: Of that column; None where there is none.
-        count: How many rows there are.
+        cells: Cells of that column; None if there is none.
+        count: Number of rows.
     """
     if cells is None or len(set(cells)) < count or not all(type(one) is int for one in cells):
         return range(count)
@@ -93,11 +93,11 @@ class StoredTable:
     """A table in a file, which is open only while it is read: it may be replaced meanwhile.
 
     Attributes:
-        kind: As in `ResultTable`; empty where it is none.
+        kind: See `ResultTable`; empty if it is none.
         facts: Likewise.
         version: Likewise.
-        names: Of the columns.
-        group_rows: How many rows there are in each group.
+        names: Names of the columns.
+        group_rows: Number of rows in each group.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -114,7 +114,7 @@ class StoredTable:
 
     @property
     def row_count(self) -> int:
-        """How many rows it has."""
+        """Number of rows."""
         return self._file.row_count
 
     def read(
@@ -124,7 +124,7 @@ class StoredTable:
 
         Args:
             columns: Names of those to read; None: all.
-            group: Of rows; None: all.
+            group: Group of rows; None: all.
 
         Raises:
             LogError: As `read_result_table` does.
@@ -150,7 +150,7 @@ class StoredTable:
         """Return the cells of columns in a row, as values of Python.
 
         Raises:
-            KeyError: Where a column is not there.
+            KeyError: If a column is not there.
             LogError: As `read` does.
         """
         group = 0
@@ -163,7 +163,7 @@ class StoredTable:
         """Return where the row with a number in the column `row` stands.
 
         Raises:
-            SweepError: Where there is none.
+            SweepError: If there is none.
             LogError: As `read` does.
         """
         has_numbers = ROW in self.names

@@ -36,15 +36,15 @@ _MOST_IN_BATCH: Final = 4096
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepSummary:
-    """What a sweep came to.
+    """Results of a sweep.
 
     Attributes:
         output: The results.
-        rows: How many.
-        failed: How many of them failed.
-        samples: Of all runs together.
-        recorded: How many runs were recorded.
-        first_failure: The first reason with its row; empty where none failed.
+        rows: Number of rows.
+        failed: Number of those that failed.
+        samples: Samples of all runs together.
+        recorded: Number of recorded runs.
+        first_failure: The first reason with its row; empty if none failed.
         valueless: Metrics of which no row has a value, with the statuses they have instead.
     """
 
@@ -68,19 +68,19 @@ def run_sweep(
     """Simulate all rows of a sweep, write their table and return what came of it.
 
     What is done is kept beside the output as it grows: the same sweep into the same file goes on
-    from there. Where the results are there already nothing is simulated.
+    from there. If the results are there already nothing is simulated.
 
     Args:
-        sweep: What `prepare_sweep` made.
+        sweep: Result of `prepare_sweep`.
         output: The Parquet file.
         jobs: Processes, or what takes the work; None: as many as cores where that is quicker.
         watch: Called with the number of rows that are done.
         tell: Called once, with the first row whose law takes longer than its budget for a step.
 
     Raises:
-        SweepError: Where the file is that of another sweep, another process works on it, or the
-            disk is full.
-        LogError: Where the results cannot be written.
+        SweepError: If the file is that of another sweep, another process works on it, or the disk
+            is full.
+        LogError: If the results cannot be written.
     """
     output, facts = make_path(output), sweep.list_facts()
     if has_results(output, facts):
@@ -199,7 +199,7 @@ class _Telling:
 
 
 class _Chunks(Sequence[RowChunk]):
-    """The work on stretches of rows, cut when it is asked for."""
+    """The work on segments of rows, cut when it is asked for."""
 
     def __init__(
         self, cut: Callable[[int, int], RowChunk], gaps: Sequence[tuple[int, int]], size: int
@@ -245,11 +245,11 @@ def _summarise(output: Path, sweep: Sweep) -> SweepSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepEstimate:
-    """What a sweep will take, measured on a few of its rows.
+    """Estimated cost of a sweep, measured on a few of its rows.
 
     Attributes:
-        seconds: On so many processes as were asked for [s].
-        bytes: Of the table, which may be smaller where values repeat [bytes].
+        seconds: Duration on the given number of processes [s].
+        bytes: Bytes of the table, which may be smaller where values repeat [bytes].
     """
 
     seconds: float

@@ -41,10 +41,11 @@ class SweepTable(Tabular):
     run ended, and why a row failed.
 
     Attributes:
-        name: Of the scenario that the rows vary.
+        name: Name of the scenario that the rows vary.
         keys: That vary.
         table: All columns, and what the file of such a table says about itself.
-        notes: On laws that were not compiled, or took longer than their budget; one line each.
+        notes: Notes on laws that were not compiled, or took longer than their budget; one line
+            each.
     """
 
     name: str
@@ -57,7 +58,7 @@ class SweepTable(Tabular):
 
     @property
     def failed(self) -> int:
-        """How many rows failed."""
+        """Number of failed rows."""
         column = self.table.find("failed")
         return 0 if column is None else sum(cell is not None for cell in column.cells)
 
@@ -105,11 +106,11 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
     A row that fails says why in the column `failed`; that is no error of the sweep.
 
     Args:
-        scenario: What the rows vary: a scenario, the name of a preset, or a file.
+        scenario: Scenario that the rows vary: a scenario, the name of a preset, or a file.
         grid: Values by dotted key, as in `{"law.kp_linear": np.linspace(1, 4, 30)}`; those of `kp`
             are of all gains of the law together.
         metrics: Ids or patterns; None: the essential ones of the law but `dead_time`.
-        law: What drives instead of the scenario's law, as in `simulate_run`. Processes beside this
+        law: Law to use instead of the scenario's law, as in `simulate_run`. Processes beside this
             one find a law of a notebook on Linux; elsewhere there is one process for it.
         changes: Values by dotted key that all rows have.
         output: The .parquet file, which the same call goes on with where it was interrupted; None:
@@ -118,12 +119,12 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         step_budget_s: Time that a law may compute for one answer [s].
 
     Raises:
-        SweepError: Where `grid` is nothing to sweep over, or the file is that of another sweep.
-        MeasureError: Where `metrics` names what there is not.
-        LawError: Where `law` is no law.
-        ScenarioError: Where there is no such scenario, or no row makes one.
-        LogError: Where `output` cannot be written.
-        LibraryError: Where pyarrow is not installed.
+        SweepError: If `grid` is nothing to sweep over, or the file is that of another sweep.
+        MeasureError: If `metrics` names what there is not.
+        LawError: If `law` is no law.
+        ScenarioError: If there is no such scenario, or no row makes one.
+        LogError: If `output` cannot be written.
+        LibraryError: If pyarrow is not installed.
     """
     base = choose_scenario(scenario, law=law, changes=changes)
     plan = SweepPlan(grid=tuple(_read_values(grid)))
@@ -139,8 +140,8 @@ def read_sweep_table(path: str | Path) -> SweepTable:
     """Return the table of a sweep that a file holds.
 
     Raises:
-        LogError: Where it is no table of a sweep.
-        LibraryError: Where pyarrow is not installed.
+        LogError: If it is no table of a sweep.
+        LibraryError: If pyarrow is not installed.
     """
     table = open_result_table(path, kind="sweep").load()
     name = parse_scenario(table.facts["base"]).name

@@ -64,7 +64,7 @@ class SweptRows:
                 self._units[name, unit] = min(self._units.get((name, unit), first), first)
 
     def list_gaps(self, count: int) -> list[tuple[int, int]]:
-        """Return the stretches of rows not done: the first row and the one after the last."""
+        """Return the segments of rows not done: the first row and the one after the last."""
         gaps, row = [], 0
         for first, size, _ in sorted(self._parts):
             if first > row:
@@ -84,7 +84,7 @@ class SweptRows:
         """Return the rows in their order.
 
         Raises:
-            SweepError: Where rows are missing or there twice.
+            SweepError: If rows are missing or there twice.
         """
         stored, row = StoredRows(), 0
         for first, size, place in sorted(self._parts):
@@ -115,7 +115,7 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
         rows: Their results.
 
     Raises:
-        SweepError: Where rows are missing or there twice.
+        SweepError: If rows are missing or there twice.
     """
     ordered, units = rows.order(plan.row_count), rows.list_metrics()
     keys = [
@@ -151,7 +151,7 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
 
 
 def find_key_unit(key: str) -> str | None:
-    """Return the unit with which the name of a key ends, None where it has none."""
+    """Return the unit with which the name of a key ends, None if it has none."""
     found = _UNIT.search(key)
     if found is None:
         return None
@@ -193,9 +193,9 @@ def load_row_scenario(path: str | Path, row: int) -> Scenario:
         row: Its number in the column `row`.
 
     Raises:
-        LogError: Where the file is no table of a sweep.
-        SweepError: Where it has no such row.
-        ScenarioError: Where the row makes no scenario, which is why it failed.
+        LogError: If the file is no table of a sweep.
+        SweepError: If it has no such row.
+        ScenarioError: If the row makes no scenario, which is why it failed.
     """
     table = open_result_table(path, kind="sweep")
     place = table.find_row(row)

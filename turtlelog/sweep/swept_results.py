@@ -50,13 +50,14 @@ MOST_METRICS: Final = 12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptAxis:
-    """What rows differ in: a key, or keys that go together.
+    """One axis of a sweep: a key, or keys that vary together.
 
     Attributes:
         keys: Dotted; the first gives the axis its numbers.
-        values: Of each place, one for each key: numbers ascending, words in the order of rows.
-        places: Of each row, shape (n,).
-        unit: Of the numbers; None where they have none.
+        values: Values of each place, one for each key: numbers ascending, words in the order of
+            rows.
+        places: Places of each row, shape (n,).
+        unit: Unit of the numbers; None if they have none.
         is_number: Whether places have numbers, all finite; otherwise they stand side by side.
     """
 
@@ -82,7 +83,7 @@ class SweptAxis:
 
     @property
     def numbers(self) -> Values:
-        """Where the places stand; 0, 1, 2 ... of words."""
+        """Coordinates of the places; 0, 1, 2 ... for words."""
         if self.is_number:
             return np.array([value[0] for value in self.values], dtype=np.float64)
         return np.arange(len(self.values), dtype=np.float64)
@@ -104,9 +105,9 @@ class SweptMetric:
 
     Attributes:
         name: Its id.
-        unit: Of its values.
-        values: NaN where there is none, shape (n,).
-        reasons: Why there is none, one for each row; None where there is a value.
+        unit: Unit of its values.
+        values: NaN if there is none, shape (n,).
+        reasons: Why there is none, one for each row; None if there is a value.
     """
 
     name: str
@@ -135,10 +136,10 @@ class SweptResults:
         metrics: Those that were asked for.
         others: Ids of the metrics that were not.
         is_sampled: Whether rows were drawn, so that few share a place.
-        failed: How many rows have no run.
-        row_count: How many there are.
-        row_numbers: Of each row, by which `run --from` finds it.
-        base: What the rows vary.
+        failed: Number of rows without a run.
+        row_count: Number of rows.
+        row_numbers: Row numbers of each row, by which `run --from` finds it.
+        base: Scenario that the rows vary.
     """
 
     path: Path | str
@@ -153,11 +154,11 @@ class SweptResults:
     _known: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def find_axis(self, key: str) -> SweptAxis | None:
-        """Return the axis that a key is on, None where it does not vary."""
+        """Return the axis that a key is on, None if it does not vary."""
         return next((axis for axis in self.axes if key in axis.keys), None)
 
     def find_base_value(self, key: str) -> Any:
-        """Return the value of a key in the scenario that the rows vary, None where it has none."""
+        """Return the value of a key in the scenario that the rows vary, None if it has none."""
         if not self._known:
             self._known.update(flatten_scenario(self.base))
         return self._known.get(key)
@@ -166,7 +167,7 @@ class SweptResults:
         """Return the scenario of a row. Loads no code, and trusts none.
 
         Raises:
-            ScenarioError: Where its values make none.
+            ScenarioError: If its values make none.
         """
         changes = [
             (key, value)
@@ -196,9 +197,9 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
         patterns: Ids of metrics, or patterns; None: up to four, the usual ones first.
 
     Raises:
-        LogError: Where it is no table of a sweep, or has no rows.
-        SweepError: Where it has no such metric, or the patterns name too many.
-        LibraryError: Where pyarrow is not installed.
+        LogError: If it is no table of a sweep, or has no rows.
+        SweepError: If it has no such metric, or the patterns name too many.
+        LibraryError: If pyarrow is not installed.
     """
     stored = open_result_table(path, kind="sweep")
     axes, is_sampled, base = _parse_facts(path, stored)

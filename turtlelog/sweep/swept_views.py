@@ -26,13 +26,13 @@ class SweptView:
     """Rows of a sweep over one or two axes.
 
     Attributes:
-        results: Whose rows they are.
-        x: What stands at the bottom.
-        y: What stands at the side; None where one axis is shown.
+        results: Sweep that the rows belong to.
+        x: Axis at the bottom.
+        y: Axis at the side; None if one axis is shown.
         held: Places of axes that are shown at one value alone.
-        seeds: How many seeds a cell is the mean over; 1 where they are not repeated.
+        seeds: Number of seeds whose mean a cell is; 1 where they are not repeated.
         rows: Those that are shown, ascending.
-        notes: What was chosen where nobody did, in sentences.
+        notes: Choices that the caller left open, in sentences.
     """
 
     results: SweptResults
@@ -79,10 +79,10 @@ class SweptCells:
     """A metric in the cells of a view.
 
     Attributes:
-        values: Means over the rows that have a value, NaN where none has; shape as the view's.
+        values: Means over the rows that have a value, NaN if none has; shape as the view's.
         least: The smallest of those.
         most: The largest of those.
-        counts: How many rows have a value.
+        counts: Number of rows that have a value.
         reasons: Why a cell has none, by its number; what no row is in is not there.
     """
 
@@ -105,7 +105,7 @@ def choose_view(
     """Return the rows that a picture of one or two axes shows.
 
     Args:
-        results: Of a sweep.
+        results: Results of a sweep.
         x: Key at the bottom; None: chosen.
         y: Key at the side; None: chosen.
         at: Values of keys that are held.
@@ -113,7 +113,7 @@ def choose_view(
         most_axes: 1 or 2.
 
     Raises:
-        SweepError: Where a key does not vary, or has no such value.
+        SweepError: If a key does not vary, or has no such value.
     """
     held = _hold(results, at or {})
     asked = [
@@ -283,7 +283,7 @@ def require_values(view: SweptView) -> None:
     """Refuse metrics of which no row that is shown has a value.
 
     Raises:
-        SweepError: Where all are such.
+        SweepError: If all are such.
     """
     metrics, path = view.results.metrics, view.results.path
     if view.results.failed == view.results.row_count:

@@ -45,10 +45,10 @@ class FinalValueStatus(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FinalValue:
-    """Where a signal ends, as far as the final value theorem can tell.
+    """Final value of a signal by the final value theorem.
 
     Attributes:
-        value: Limit for t to infinity; None where there is none.
+        value: Limit for t to infinity; None if there is none.
         status: Why there is none.
         reason: One sentence.
     """
@@ -82,7 +82,7 @@ def compute_plant_response(kind: str, time_s: ArrayLike) -> NDArray[np.float64]:
         1, t or t^2 / 2, shape (n,).
 
     Raises:
-        TheoryError: Where there is no such input, or times are not even.
+        TheoryError: If there is no such input, or times are not even.
     """
     control, times = load_library("control"), require_even_times(time_s)
     _require_kind(kind)
@@ -99,7 +99,7 @@ def find_plant_final_value(kind: str) -> FinalValue:
     """Return where the response of 1/s to an impulse, a step or a ramp ends.
 
     Raises:
-        TheoryError: Where there is no such input.
+        TheoryError: If there is no such input.
     """
     _require_kind(kind)
     numerator, denominator = PLANT
@@ -109,15 +109,15 @@ def find_plant_final_value(kind: str) -> FinalValue:
 def find_final_value(numerator: ArrayLike, denominator: ArrayLike) -> FinalValue:
     """Return the limit of a signal for t to infinity from its Laplace transform Y(s).
 
-    The final value theorem: it is the limit of s Y(s) for s to 0, if all poles of s Y(s) lie in
-    the open left half plane. Where one does not, the theorem does not apply.
+    The final value theorem: it is the limit of s Y(s) for s to 0, if all poles of s Y(s) lie in the
+    open left half plane. If one does not, the theorem does not apply.
 
     Args:
-        numerator: Of Y(s), highest power first.
-        denominator: Of Y(s), highest power first.
+        numerator: Numerator of Y(s), highest power first.
+        denominator: Denominator of Y(s), highest power first.
 
     Raises:
-        TheoryError: Where these are no coefficients, or the denominator is 0.
+        TheoryError: If these are no coefficients, or the denominator is 0.
     """
     above, below = _cancel(_require_polynomial(numerator), _require_polynomial(denominator))
     if below[-1] == 0.0:
@@ -147,7 +147,7 @@ def judge_bibo(numerator: ArrayLike, denominator: ArrayLike) -> BiboVerdict:
         denominator: Highest power first.
 
     Raises:
-        TheoryError: Where these are no coefficients, or the denominator is 0.
+        TheoryError: If these are no coefficients, or the denominator is 0.
     """
     above, below = _cancel(_require_polynomial(numerator), _require_polynomial(denominator))
     poles = np.roots(below)
@@ -166,7 +166,7 @@ def compute_time_constant(kp: float) -> float:
     """Return tau = 1 / Kp [s] of the closed loop of an integrator with gain Kp [1/s].
 
     Raises:
-        TheoryError: Where the gain is not a positive number.
+        TheoryError: If the gain is not a positive number.
     """
     return 1.0 / require_gain(kp)
 
@@ -175,7 +175,7 @@ def compute_settling_time(kp: float) -> float:
     """Return 4 tau [s], the textbook's rule for the 2 % settling time.
 
     Raises:
-        TheoryError: Where the gain is not a positive number.
+        TheoryError: If the gain is not a positive number.
     """
     return 4.0 * compute_time_constant(kp)
 
@@ -184,7 +184,7 @@ def compute_exact_settling_time(kp: float) -> float:
     """Return ln 50 tau [s], when exp(-t / tau) is 2 %: 3.912 tau.
 
     Raises:
-        TheoryError: Where the gain is not a positive number.
+        TheoryError: If the gain is not a positive number.
     """
     return math.log(50.0) * compute_time_constant(kp)
 
@@ -197,11 +197,11 @@ def compute_saturated_settling_time(kp: float, *, step: float, limit: float) -> 
 
     Args:
         kp: Gain [1/s].
-        step: How far the reference is away, > 0, in m or rad.
+        step: Distance to the reference, > 0, in m or rad.
         limit: Largest rate, > 0, in the same unit per second.
 
     Raises:
-        TheoryError: Where one of them is not a positive number.
+        TheoryError: If one of them is not a positive number.
     """
     tau_s = compute_time_constant(kp)
     step, limit = require_positive("step", step), require_positive("limit", limit)
@@ -221,7 +221,7 @@ def compute_closed_loop_response(kp: float, time_s: ArrayLike) -> NDArray[np.flo
         time_s: Times [s], shape (n,), from 0 in even steps, n at least 2.
 
     Raises:
-        TheoryError: Where the gain is not a positive number, or times are not even.
+        TheoryError: If the gain is not a positive number, or times are not even.
     """
     control = load_library("control")
     kp, times = require_gain(kp), require_even_times(time_s)
@@ -239,7 +239,7 @@ def compute_root_locus(kp: ArrayLike) -> NDArray[np.complex128]:
         Poles in the s plane [1/s], shape (n,): -Kp, from the plant's pole at 0 to the left.
 
     Raises:
-        TheoryError: Where a gain is negative or no number.
+        TheoryError: If a gain is negative or no number.
     """
     numerator, denominator = map(np.array, PLANT)
     poles = [
@@ -266,7 +266,7 @@ def compute_step_response(
         The response in that unit, in the shape of `time_s`.
 
     Raises:
-        TheoryError: Where the gain is not positive or a number is not finite.
+        TheoryError: If the gain is not positive or a number is not finite.
     """
     kp, times = require_gain(kp), require_times(time_s)
     step = require_level("initial", initial) - require_level("reference", reference)

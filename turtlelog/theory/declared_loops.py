@@ -62,7 +62,7 @@ _BESIDE: Final = ("law.", "path.", "name", "max_duration_s", "seed", "format")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopTiming:
-    """When a loop samples and acts.
+    """Sampling period and dead time of a loop.
 
     Attributes:
         period_s: Sampling period T [s].
@@ -104,8 +104,8 @@ def read_process(loop: ControlLoop, parameters: Parameters, dead_time_s: float) 
     """Return what a loop's command passes, or why it is not known.
 
     Args:
-        loop: Of a law.
-        parameters: Of a run or a scenario.
+        loop: Loop of a law.
+        parameters: Parameters of a run or a scenario.
         dead_time_s: Beside that of the plant [s].
     """
     key = PLANT_KEYS[loop.command]
@@ -180,8 +180,8 @@ def hides_stability(parameters: Parameters) -> bool:
 def _find_most_age(parameters: Parameters, step_s: float) -> float:
     """Return how old the pose that a timer reads may be [s].
 
-    The timer begins when a pose comes. Where its period is no multiple of the plant's, some later
-    pose is up to one period of the plant old.
+    The timer begins when a pose comes. If its period is no multiple of the plant's, some later pose
+    is up to one period of the plant old.
     """
     if parameters.get("loop.trigger") != "timer":
         return 0.0

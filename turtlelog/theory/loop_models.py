@@ -29,12 +29,12 @@ class Settings(TypedDict):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredTiming:
-    """Where period and dead time of a loop come from, if not from a scenario.
+    """Period and dead time of a loop, measured on a run.
 
     Attributes:
         period_s: Sampling period [s].
-        dead_time_s: From a pose to the plant [s].
-        sources: Where each comes from, in words, by `period_s` and `dead_time_s`.
+        dead_time_s: Dead time from a pose to the plant [s].
+        sources: Source of each value, in words, by `period_s` and `dead_time_s`.
     """
 
     period_s: float
@@ -47,15 +47,15 @@ class LoopModel:
     """A declared loop as theory knows it.
 
     Attributes:
-        loop: As the law declares it.
-        gains: None where the reason says why.
-        process: Likewise; all dead time is in it.
+        loop: Loop as the law declares it.
+        gains: None if the reason says why.
+        process: Plant with all dead time; None if the reason says why.
         period_s: Sampling period T [s], None likewise.
-        most_dead_time_s: Dead time that it may grow to [s]; None where it cannot grow.
-        growth: What lets it grow, in words.
-        reason: Why theory does not know the loop; empty where it does.
-        sources: Where values come from, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
-        left_out: What of the scenario the linear loop leaves out, as `key = value`.
+        most_dead_time_s: Dead time that it may grow to [s]; None if it cannot grow.
+        growth: Cause that may make the dead time longer, in words.
+        reason: Why theory does not know the loop; empty if it does.
+        sources: Sources of the values, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
+        left_out: Parts of the scenario that the linear loop leaves out, as `key = value`.
     """
 
     loop: ControlLoop
@@ -72,7 +72,7 @@ class LoopModel:
         """Return what the loop does.
 
         Raises:
-            TheoryError: Where it is not known; the line is the reason.
+            TheoryError: If it is not known; the line is the reason.
         """
         gains, settings = self.require()
         return analyse_pid_loop(gains, **settings)
@@ -81,7 +81,7 @@ class LoopModel:
         """Return gains, and period and process as theory's functions take them.
 
         Raises:
-            TheoryError: Where they are not known; the line is the reason.
+            TheoryError: If they are not known; the line is the reason.
         """
         if self.gains is None or self.process is None or self.period_s is None:
             raise TheoryError(f"{self.loop.name}: {self.reason}")
@@ -92,8 +92,8 @@ def model_loops(declaration: Declaration, parameters: Parameters) -> tuple[LoopM
     """Return the loops of a law under a scenario, one for each that it declares.
 
     Args:
-        declaration: Of the law.
-        parameters: Of the scenario, by dotted key.
+        declaration: Declaration of the law.
+        parameters: Parameters of the scenario, by dotted key.
     """
     return tuple(model_loop(loop, parameters) for loop in declaration.loops)
 
@@ -108,10 +108,10 @@ def model_loop(
     """Return one loop as theory knows it.
 
     Args:
-        loop: Of a law.
-        parameters: Of a run or a scenario, by dotted key.
-        timing: As measured, or why it could not be; None: that of the scenario.
-        sources: Where gains and plant come from, if not from the scenario.
+        loop: Loop of a law.
+        parameters: Parameters of a run or a scenario, by dotted key.
+        timing: Measured timing, or the reason why there is none; None: that of the scenario.
+        sources: Sources of gains and plant, if not the scenario.
     """
     told = {"gains": SCENARIO, "plant": SCENARIO, **(sources or {})}
     most_s: float | None = None

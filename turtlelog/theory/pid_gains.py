@@ -25,7 +25,7 @@ class PidGains:
         filter_s: Time constant Tf of the derivative's filter [s]; 0: a plain difference.
 
     Raises:
-        TheoryError: Where a gain is not finite, negative, or Kp not positive.
+        TheoryError: If a gain is not finite, negative, or Kp not positive.
     """
 
     kp: float
@@ -53,7 +53,7 @@ def build_shape(gains: PidGains, sampled: SampledProcess, period_s: float) -> Lo
     """Return a loop without units.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     period_s = require_period(period_s)
     keep, rate = gains.weigh_derivative(period_s)

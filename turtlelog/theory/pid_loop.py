@@ -44,24 +44,24 @@ from turtlelog.theory.sampled_poles import compute_sampled_locus, compute_sample
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PidLoop:
-    """What a sampled PID loop does.
+    """Properties of a sampled PID loop.
 
     Attributes:
-        gains: Of the controller.
+        gains: Gains of the controller.
         period_s: Sampling period T [s].
         dead_time_ticks: Dead time beside that of the process [samples].
-        process: What the command passes.
+        process: Plant that the command drives.
         poles: Complex, in the z plane, largest magnitude first: d + 1 of P, one more with an
-            integral, a derivative, a lag, a low-pass or part of a sample of dead time each. Of two
-            that meet, half the digits are known.
+            integral, a derivative, a time constant, a low-pass or part of a sample of dead time
+            each. If two poles meet, half their digits are known.
         stable: All poles lie inside the unit circle, farther from it than rounding reaches.
         stable_gains: Intervals of Kp [1/s] in which the loop is stable with its other gains as
             they are; () where there is none.
         overshoot_percent: Furthest sample beyond the reference after a step [% of the step]; None
-            where it is unstable or slower than 500,000 samples (P alone: 2,000,000).
+            if it is unstable or slower than 500,000 samples (P alone: 2,000,000).
         settling_time_s: First sample after a step from which on it stays within 2 % [s]; None as
             before.
-        margins: How far it is from instability; None where it is unstable.
+        margins: Stability margins; None if it is unstable.
     """
 
     gains: PidGains
@@ -108,14 +108,14 @@ def analyse_pid_loop(
     """Return what a PID loop does: poles, verdict, range of its gain, step response, margins.
 
     Args:
-        gains: Of the controller.
+        gains: Gains of the controller.
         period_s: Sampling period T [s].
         dead_time_ticks: Dead time beside that of the process [samples], 0 to 1000 in all; with 1000
             it takes about half a second.
-        process: What the command passes; an integrator unless given.
+        process: Plant that the command drives; an integrator unless given.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     poles = compute_pid_poles(
         gains, period_s=period_s, dead_time_ticks=dead_time_ticks, process=process
@@ -156,11 +156,11 @@ def compute_pid_poles(
 ) -> NDArray[np.complex128]:
     """Return the poles of a closed PID loop in the z plane, largest magnitude first.
 
-    Where two poles meet, as every root of a polynomial they are known to half the digits, about
-    1e-8. The verdict of `is_pid_stable` does not depend on them.
+    If two poles meet, as every root of a polynomial they are known to half the digits, about 1e-8.
+    The verdict of `is_pid_stable` does not depend on them.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     shape, whole = _prepare(gains, period_s, dead_time_ticks, process)
     if whole is None:
@@ -181,7 +181,7 @@ def compute_pid_locus(
     Each as `compute_pid_poles` returns it, much faster of P on an integrator.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     _, whole = _prepare(gains, period_s, dead_time_ticks, process)
     if whole is not None:
@@ -205,7 +205,7 @@ def is_pid_stable(
     limit itself, and so near to it that rounding could decide (1e-10), the answer is False.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     return _judge(*_prepare(gains, period_s, dead_time_ticks, process))
 
@@ -223,13 +223,13 @@ def find_stable_gains(
     of it and there is no interval left. The ends themselves are unstable.
 
     Args:
-        gains: Of the controller; its own Kp does not count.
+        gains: Gains of the controller; its own Kp does not count.
         period_s: Sampling period T [s].
         dead_time_ticks: Dead time beside that of the process [samples], 0 to 1000 in all.
-        process: What the command passes; an integrator unless given.
+        process: Plant that the command drives; an integrator unless given.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     period_s = require_period(period_s)
     per_gain = period_s * process.gain
@@ -252,14 +252,14 @@ def compute_open_loop(
     """Return the frequency response of the open loop, in the shape of the frequencies.
 
     Args:
-        gains: Of the controller.
+        gains: Gains of the controller.
         frequency_rad_s: Frequencies [rad/s], above 0 and up to pi / T.
         period_s: Sampling period T [s].
         dead_time_ticks: Dead time beside that of the process [samples], 0 to 1000 in all.
-        process: What the command passes; an integrator unless given.
+        process: Plant that the command drives; an integrator unless given.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     shape, _ = _prepare(gains, period_s, dead_time_ticks, process)
     angle = require_times(frequency_rad_s) * period_s

@@ -28,17 +28,17 @@ towards 0 with a phase that goes to -180 deg."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Margins:
-    """How far a stable loop is from instability.
+    """Stability margins of a loop.
 
     Attributes:
-        gain_margin: Least factor above 1 on all gains at once that makes it unstable; None where
-            none does.
-        gain_reduction: Largest factor below 1 that does; None where none does.
-        gain_frequency_rad_s: Where the open loop has the phase -180 deg for `gain_margin`, None
-            likewise.
+        gain_margin: Least factor above 1 on all gains at once that makes it unstable; None if none
+            does.
+        gain_reduction: Largest factor below 1 that does; None if none does.
+        gain_frequency_rad_s: Frequency at which the open loop has the phase -180 deg for
+            `gain_margin` [rad/s], None likewise.
         phase_margin_rad: Least phase that may be lost where the open loop's magnitude is 1 [rad];
-            None where it is 1 nowhere.
-        crossover_rad_s: Where that is [rad/s], None likewise.
+            None if it is 1 nowhere.
+        crossover_rad_s: Frequency of the phase margin [rad/s], None likewise.
         delay_margin_ticks: Dead time that may be added [samples]: as many whole ticks as it holds
             keep the loop stable. None likewise.
     """

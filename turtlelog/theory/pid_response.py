@@ -41,18 +41,18 @@ def compute_pid_step_response(
     further than 1e9 from the reference on, it stays at that distance, on that side.
 
     Args:
-        gains: Of the controller.
+        gains: Gains of the controller.
         count: Number of samples, 1 to 1e8; a million takes about half a second.
         period_s: Sampling period T [s].
         dead_time_ticks: Dead time beside that of the process [samples], 0 to 1000.
-        push: What is added to the plant's rate from sample 0 on, in steps per second.
-        process: What the command passes; an integrator unless given.
+        push: Disturbance that is added to the plant's rate from sample 0 on, in steps per second.
+        process: Plant that the command drives; an integrator unless given.
 
     Returns:
         The response in steps at the times 0, T, 2 T ..., shape (count,).
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     period_s = require_period(period_s)
     sampled = sample_process(process, period_s, dead_time_ticks)
@@ -110,12 +110,12 @@ def measure_pid_step(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepMotion:
-    """What a loop's motion does after a step of its reference, between samples too.
+    """Motion of a loop after a step of its reference, also between samples.
 
     Attributes:
-        overshoot_percent: How far it goes beyond the reference [% of the step]; 0: not at all.
-        settling_time_s: First sample from which on it stays within 2 % [s]; None where it did not
-            come to rest.
+        overshoot_percent: Overshoot [% of the step]; 0: none.
+        settling_time_s: First sample from which on it stays within 2 % [s]; None if it did not come
+            to rest.
     """
 
     overshoot_percent: float
@@ -136,18 +136,18 @@ def measure_step_motion(
     closed form: its rate follows each along an exponential, and turns back where that is 0.
 
     Args:
-        gains: Of the controller.
+        gains: Gains of the controller.
         period_s: Sampling period T [s].
         dead_time_ticks: Dead time beside that of the process [samples].
-        process: What the command passes; an integrator unless given.
+        process: Plant that the command drives; an integrator unless given.
         to_rest: Whether it is followed to its rest, or until the overshoot is known.
 
     Returns:
-        None where it goes beyond 1e9 steps, or neither rests nor has passed its furthest point
-        after 200,000 samples.
+        None if it goes beyond 1e9 steps, or neither rests nor has passed its furthest point after
+        200,000 samples.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     period_s = require_period(period_s)
     sampled = sample_process(process, period_s, dead_time_ticks)
@@ -229,22 +229,22 @@ class _Motion:
 
 
 def compute_steady_error(gains: PidGains, push: float, *, process: Process = INTEGRATOR) -> float:
-    """Return r - y that a constant push leaves in a stable loop: -push / (K Kp), 0 with Ki.
+    """Return r - y that a constant disturbance leaves in a stable loop: -push / (K Kp), 0 with Ki.
 
     At rest the plant's input is 0, so K times the command is -push. Without an integral Kp e must
     make it; with one the integral does, and it is at rest only where e = 0. A derivative is 0 at
     rest.
 
     Args:
-        gains: Of the controller.
-        push: What is added to the plant's rate, in the signal's unit per second.
-        process: What the command passes; only its gain counts.
+        gains: Gains of the controller.
+        push: Disturbance that is added to the plant's rate, in the signal's unit per second.
+        process: Plant that the command drives; only its gain counts.
 
     Returns:
         The error in the signal's unit.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     push = require_level("push", push)
     return 0.0 if gains.ki > 0.0 else -push / (gains.kp * process.gain)

@@ -48,7 +48,7 @@ _SERIES_BELOW: Final = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Process:
-    """What lies between the law's command and the signal: a rate that follows late, integrated.
+    """Process between a law's command and the signal: a delayed rate, integrated.
 
     Attributes:
         gain: K, rate by command [1].
@@ -58,7 +58,7 @@ class Process:
             there is none.
 
     Raises:
-        TheoryError: Where the gain is not positive, or a time is negative or not finite.
+        TheoryError: If the gain is not positive, or a time is negative or not finite.
     """
 
     gain: float = 1.0
@@ -75,7 +75,7 @@ class Process:
         """Return a continuous `control.TransferFunction` from the command to the signal.
 
         Args:
-            pade_order: Order of the rational function that stands for the dead time; 0: none.
+            pade_order: Order of the rational function that approximates the dead time; 0: none.
 
         Raises:
             TheoryError: The order is negative.
@@ -148,7 +148,7 @@ def sample_process(process: Process, period_s: float, dead_time_ticks: int = 0) 
         dead_time_ticks: Dead time beside that of the process [samples].
 
     Raises:
-        TheoryError: Where a number is out of its range, or dead times add up to over 1000 samples.
+        TheoryError: If a number is out of its range, or dead times add up to over 1000 samples.
     """
     period_s = require_period(period_s)
     whole, part = _split_dead_time(process, period_s, dead_time_ticks)

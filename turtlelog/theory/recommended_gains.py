@@ -21,8 +21,8 @@ OVERSHOOT_PERCENT: Final = 5.0
 fastest to stay within 5 %."""
 
 PHASE_MARGIN_RAD: Final = math.pi / 3.0
-"""Unless asked otherwise: 60 deg, the cautious end of the usual 45 to 60 deg, for dead time and lag
-of a robot are known to some ten percent."""
+"""Unless asked otherwise: 60 deg, the cautious end of the usual 45 to 60 deg, for dead time and
+time constant of a robot are known to some ten percent."""
 
 EXACT: Final = "exact, of the sampled loop"
 
@@ -34,12 +34,12 @@ class Recommendation:
     Attributes:
         rule: `overshoot`, `phase-margin`, `simc`, `ziegler-nichols`, or `given`: gains in use.
         controller: `P`, `PI`, `PD`, or of given gains `PID`.
-        source: Where the rule is from.
-        gains: None where there are none.
-        reason: Why; empty where there are gains.
-        motion: What it does after a step, between samples too; None without gains, where the loop
-            is unstable, or too slow to be measured.
-        margins: How far it is from instability; None without gains or where it is unstable.
+        source: Publication of the rule.
+        gains: None if there are none.
+        reason: Why; empty if there are gains.
+        motion: Motion after a step, also between samples; None without gains, where the loop is
+            unstable, or too slow to be measured.
+        margins: Stability margins; None without gains or where it is unstable.
     """
 
     rule: str
@@ -62,7 +62,7 @@ def recommend_gains(
     """Return gains of P, PI and PD for a heading or a position loop.
 
     Args:
-        process: What the command passes, with all dead time; an integrator unless given.
+        process: Plant that the command drives, with all dead time; an integrator unless given.
         period_s: Sampling period T [s].
         filter_s: Time constant of the derivative's filter [s]; 0: a plain difference.
         overshoot_percent: Wanted overshoot [% of the step], from 0 to below 100; None: any.
@@ -73,7 +73,7 @@ def recommend_gains(
         The exact ones for what is wanted, then those of published rules.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     design = LoopDesign(
         process=process,
@@ -108,8 +108,8 @@ def measure_gains(
     """Return what given gains do, in the same figures as recommended ones.
 
     Args:
-        gains: Of the controller.
-        process: What the command passes, with all dead time; an integrator unless given.
+        gains: Gains of the controller.
+        process: Plant that the command drives, with all dead time; an integrator unless given.
         period_s: Sampling period T [s].
 
     Raises:

@@ -23,7 +23,7 @@ from turtlelog.theory.inputs import (
 from turtlelog.theory.sampled_poles import compute_meeting_gain, compute_sampled_poles
 
 LARGEST_DEVIATION: Final = 1e9
-"""Where the response of an unstable loop is stopped, in steps from the reference."""
+"""Size at which the response of an unstable loop is stopped, in steps from the reference."""
 
 _NEGLIGIBLE_DEVIATION: Final = 1e-20
 """In steps from the reference: far below the last digit of a double near 1, 2e-16."""
@@ -38,7 +38,7 @@ _LONGEST: Final = 2_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledLoop:
-    """What the sampled loop does at one gain.
+    """Properties of the sampled loop at one gain.
 
     Attributes:
         kp: Gain [1/s].
@@ -47,14 +47,15 @@ class SampledLoop:
         poles: Shape (d + 1,), complex, in the z plane, largest magnitude first.
         stable: All poles lie inside the unit circle.
         overshoots: The slowest poles have left the positive real axis.
-        damping_ratio: Of the slowest pole: 1 on the positive real axis, negative where unstable.
+        damping_ratio: Damping ratio of the slowest pole: 1 on the positive real axis, negative
+            where unstable.
         overshoot_percent: Furthest sample beyond the reference after a step [% of the step]; None
-            where it is unstable or slower than 2,000,000 samples.
+            if it is unstable or slower than 2,000,000 samples.
         settling_time_s: First sample after a step from which on it stays within 2 % [s]; None as
             before.
         gain_margin: Factor on Kp that makes it unstable; below 1 it is.
-        phase_margin_rad: Phase above -pi where the open loop's magnitude is 1 [rad]; None where
-            Kp T > 2, whose magnitude is nowhere as small as 1.
+        phase_margin_rad: Phase above -pi where the open loop's magnitude is 1 [rad]; None if Kp T >
+            2, whose magnitude is nowhere as small as 1.
         delay_margin_ticks: Dead time that may be added, phase margin over crossover frequency
             [samples]: as many whole ticks as it holds keep the loop stable. None as before.
     """
@@ -94,7 +95,7 @@ def compute_overshoot_gain(period_s: float, dead_time_ticks: int = 0) -> float:
     """Return the largest Kp [1/s] without overshoot: d^d / (d + 1)^(d + 1) / T, 1 / T for d = 0.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     return compute_meeting_gain(require_dead_time(dead_time_ticks)) / require_period(period_s)
 
@@ -103,7 +104,7 @@ def compute_stability_gain(period_s: float, dead_time_ticks: int = 0) -> float:
     """Return the Kp [1/s] from which the loop is unstable: 2 sin(pi / (2 (2 d + 1))) / T.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     return _compute_stability_loop_gain(require_dead_time(dead_time_ticks)) / require_period(
         period_s
@@ -119,7 +120,7 @@ def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0
         dead_time_ticks: d [samples], 0 to 1000.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     poles = compute_sampled_poles(kp, period_s=period_s, dead_time_ticks=dead_time_ticks)
     loop_gain = kp * period_s
@@ -171,7 +172,7 @@ def compute_sampled_step_response(
         The response in that unit at the times 0, T, 2 T ..., shape (count,).
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     loop_gain = require_gain(kp) * require_period(period_s)
     step = require_level("initial", initial) - require_level("reference", reference)
@@ -192,7 +193,7 @@ def interpolate_sampled_response(
 ) -> NDArray[np.float64] | None:
     """Return the sampled loop's response at times from the step [s], shape (n,), rising.
 
-    Its samples are at 0, T, 2 T ... and it moves along a line between them. None where the loop is
+    Its samples are at 0, T, 2 T ... and it moves along a line between them. None if the loop is
     unstable and goes beyond `LARGEST_DEVIATION` before the last of the times. The arguments are
     those of `compute_sampled_step_response`.
     """
@@ -281,6 +282,6 @@ def _compute_deviation(loop_gain: float, count: int, dead_time_ticks: int) -> ND
 
 
 def _find_stop(deviation: NDArray[np.float64]) -> int | None:
-    """Return the first sample that is too far away, None where there is none."""
+    """Return the first sample that is too far away, None if there is none."""
     beyond = np.abs(deviation) > LARGEST_DEVIATION
     return int(np.argmax(beyond)) if beyond.any() else None

@@ -24,7 +24,7 @@ def compute_sampled_poles(
     """Return the poles of the sampled loop, shape (d + 1,), largest magnitude first.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     loop_gain = require_gain(kp) * require_period(period_s)
     locus = compute_sampled_locus([loop_gain], period_s=1.0, dead_time_ticks=dead_time_ticks)
@@ -37,7 +37,7 @@ def compute_sampled_locus(
     """Return the poles of the sampled loop at n gains, shape (n, d + 1), as for each gain alone.
 
     Raises:
-        TheoryError: Where a number is not finite or outside its range.
+        TheoryError: If a number is not finite or outside its range.
     """
     period_s, d = require_period(period_s), require_dead_time(dead_time_ticks)
     loop_gains = [require_gain(gain) * period_s for gain in kp]

@@ -421,7 +421,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = MappingProxyType(
             needs="poses",
         ),
         "panel": FigureKind(
-            title="Both loops, what they missed and what they were told",
+            title="Errors and commands of both loops",
             paper="",
             panels=(
                 _panel("heading"),

@@ -89,13 +89,13 @@ def write_comparison_rrd(
     On the timeline of a later phase, as `translate_time`, it is the start of that phase in each.
 
     Args:
-        runs: At least one; each keeps its colour in every view, in the order of `order_by_gain`.
+        runs: One run or more; each keeps its colour in every view, in the order of `order_by_gain`.
         path: The .rrd file; replaced when the new one is complete.
         documents: Markdown texts by title, shown as tabs; `document_runs` where None.
-        size: As in `write_run_rrd`.
+        size: See `write_run_rrd`.
 
     Raises:
-        ShowError: Where there is no run, or the file cannot be written.
+        ShowError: If there is no run, or the file cannot be written.
     """
     if not runs:
         raise ShowError(f"{path}: a comparison needs at least one run")
@@ -136,7 +136,7 @@ class _Overlay:
         series: The curves of each.
         references: Level lines that all share.
         restless: Numbers of those among many that never come to rest.
-        scale: By what many differ; None where that is no one number.
+        scale: By what many differ; None if that is no one number.
     """
 
     runs: tuple[Run, ...]

@@ -88,20 +88,20 @@ def write_explanation_rrd(
 ) -> None:
     """Write a recording of a run beside its what-ifs as ghosts, with the attribution as steps.
 
-    The last what-if is the main ghost: the run without all that acts. Where there is none it is the
-    ideal loop, if theory knows it. In place of shares that are withheld stands the reason.
+    The last what-if is the main ghost: the run without all that acts. If there is none it is the
+    ideal loop, if theory knows it. If contributions are withheld, the reason is shown instead.
 
     Args:
-        recorded: What happened.
-        found: What caused a value of it.
-        what_ifs: What would have happened, by what it lacks, as `simulate_what_ifs` returns it.
+        recorded: Recorded run.
+        found: Causes of a value of the run.
+        what_ifs: Runs without causes, as `simulate_what_ifs` returns them.
         path: The .rrd file; replaced when the new one is complete.
         luck: The value from other starts, as `measure_luck` returns it: a picture beside the steps,
             and the ends in the close-up of the goal.
-        documents: Markdown texts by title, shown as tabs after the table of shares.
+        documents: Markdown texts by title, shown as tabs after the table of contributions.
 
     Raises:
-        ShowError: Where there are neither shares nor a ghost, or the file cannot be written.
+        ShowError: If there are neither contributions nor a ghost, or the file cannot be written.
     """
     scene = _build_scene(recorded, found, what_ifs)
     if found.withheld and not scene.ghosts:
@@ -151,8 +151,8 @@ class _Scene:
     """A run and its ghosts.
 
     Attributes:
-        recorded: What happened.
-        ghosts: The main one last; none where nothing is known.
+        recorded: Recorded run.
+        ghosts: The main one last; none if nothing is known.
         series: Curves of the run and of each simulated ghost.
         gaps: How far the ghosts are away, over time.
         references: Level lines that all share.

@@ -47,7 +47,7 @@ class LiveViewer:
     or goes away costs the loop nothing; `lost` says so afterwards.
 
     Attributes:
-        lost: Why the viewer does not show all of the run, one clause; empty where it does.
+        lost: Why the viewer does not show all of the run, one clause; empty if it does.
     """
 
     def __init__(self, scenario: Scenario, url: str) -> None:
@@ -55,10 +55,10 @@ class LiveViewer:
 
         Args:
             scenario: What runs.
-            url: Where the viewer is, as `rerun+http://127.0.0.1:9876/proxy`.
+            url: Address of the viewer, as `rerun+http://127.0.0.1:9876/proxy`.
 
         Raises:
-            ShowError: Where nothing answers there.
+            ShowError: If nothing answers there.
         """
         require_viewer(url)
         self.lost = ""
@@ -121,10 +121,10 @@ def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
     """Open a viewer without a recording, and yield it with its address; it ends with the block.
 
     Args:
-        advice: What to do where no window can be opened, in one clause.
+        advice: Advice if no window can be opened, in one clause.
 
     Raises:
-        ShowError: Where none can.
+        ShowError: If none can.
     """
     port = find_free_port()
     options = ["--port", str(port), "--hide-welcome-screen", "--expect-data-soon"]
@@ -150,9 +150,9 @@ def follow_recording(path: str | Path, url: str | None = None) -> Run:
             and when the recording has ended, the call waits until its window is closed.
 
     Raises:
-        LogError: Where the file is no recording by turtlelog, or holds no pose when it ends.
-        ShowError: Where there is no such file, no window can be opened, or the viewer at the
-            address goes away.
+        LogError: If the file is no recording by turtlelog, or holds no pose when it ends.
+        ShowError: If there is no such file, no window can be opened, or the viewer at the address
+            goes away.
     """
     require_recordings([path])
     with ExitStack() as closing:

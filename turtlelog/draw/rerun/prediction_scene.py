@@ -24,11 +24,11 @@ def write_prediction_rrd(found: RobotComparison, path: str | Path) -> None:
     """Write a recording of a recorded robot beside a simulated one.
 
     Args:
-        found: What `turtlelog.compare.compare_robot` returned.
+        found: Result of `turtlelog.compare.compare_robot`.
         path: The .rrd file; replaced when the new one is complete.
 
     Raises:
-        ShowError: Where the file cannot be written.
+        ShowError: If the file cannot be written.
     """
     link = rrb.TimeAxis(link="LinkToGlobal")
     longest = [band for band in found.bands if band.horizon_s == found.bands[-1].horizon_s]

@@ -33,12 +33,12 @@ def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
     """Write a recording of the axes that a model knows, for a run.
 
     Args:
-        model: What `turtlelog.identify_robot` returned.
-        run: Whose motion is shown: one that was identified, or another.
+        model: Result of `turtlelog.identify_robot`.
+        run: Run whose motion is shown: an identified one, or another.
         path: The .rrd file; replaced when the new one is complete.
 
     Raises:
-        ShowError: Where no axis is known, or the file cannot be written.
+        ShowError: If no axis is known, or the file cannot be written.
     """
     traces = [trace_axis(axis, run) for axis in model.axes if axis.is_known]
     if not traces:

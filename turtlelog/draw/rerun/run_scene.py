@@ -70,15 +70,15 @@ def write_run_rrd(
     """Write a recording of one run with its layout; time zero is the first sample.
 
     Args:
-        run: What to show.
+        run: Run to show.
         path: The .rrd file; replaced when the new one is complete.
         documents: Markdown texts by title, shown as tabs; `document_run` where None.
-        size: Of the window that it is for [pixels], where known: in a small one legends, phases and
-            documents give way to curves.
-        surroundings: What the robot saw, which stands below its path.
+        size: Size of the window that it is for [pixels], where known: in a small one legends,
+            phases and documents give way to curves.
+        surroundings: Scans and map, drawn below the robot's path.
 
     Raises:
-        ShowError: Where the file cannot be written.
+        ShowError: If the file cannot be written.
     """
     scene = build_run_scene(run, documents, size, surroundings)
     with open_recording(path, name=run.name, layout=build_run_layout(scene.content)) as stream:
@@ -127,10 +127,10 @@ class Single:
         series: Its curves, and those of theory.
         references: Level lines.
         marks: Metrics that have a place on a curve.
-        names: Of the main curve of each plot.
+        names: Names of the main curve of each plot.
         legends: Plots that have a legend.
-        by_speed: Its path in colours of its speed, None where nothing moves.
-        ideal: The ideal loop, None where theory does not know where it would be.
+        by_speed: Its path in colours of its speed, None if nothing moves.
+        ideal: The ideal loop, None if theory does not know where it would be.
         shift_m: What was added to its positions, shape (2,).
         surroundings: What the robot saw; None if that is not known.
     """

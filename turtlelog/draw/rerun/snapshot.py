@@ -54,10 +54,10 @@ class ShownView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewReport:
-    """What the viewer says of a recording.
+    """Report of the viewer on a recording.
 
     Attributes:
-        views: Of the layout.
+        views: Views of the layout.
         entities: Entity paths that were loaded, properties among them.
         messages: Warnings and errors that the viewer logged.
     """
@@ -125,7 +125,7 @@ def open_camera(*, size: tuple[int, int] = (1600, 900), zoom: float = 1.0) -> It
         zoom: Scale of letters and lines, in steps of 0.1; at least 1.
 
     Raises:
-        ShowError: Where the viewer cannot start.
+        ShowError: If the viewer cannot start.
     """
     port = find_free_port()
     width, height = size
@@ -151,14 +151,14 @@ def write_snapshot(
     Args:
         rrd_path: The recording.
         png_path: The picture; replaced when the new one is complete.
-        at_s: Where to put the time cursor [s]; at the end where None.
-        timeline: What time is told in: `sim_time`, or of several runs also that of a phase, as
+        at_s: Position of the time cursor [s]; None: the end.
+        timeline: Timeline of the cursor: `sim_time`, or of several runs also that of a phase, as
             `translate_time`.
         size: Width and height of the window [pixels].
         zoom: Scale of letters and lines, in steps of 0.1; at least 1.
 
     Raises:
-        ShowError: Where the viewer cannot start, or the recording cannot be shown.
+        ShowError: If the viewer cannot start, or the recording cannot be shown.
     """
     require_recordings([rrd_path])
     with open_camera(size=size, zoom=zoom) as camera:

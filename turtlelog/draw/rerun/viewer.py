@@ -84,7 +84,7 @@ def find_viewer() -> Path:
     """Return the viewer's binary; the `rerun` script would put a process of its own in between.
 
     Raises:
-        ShowError: Where there is none.
+        ShowError: If there is none.
     """
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     package = find_spec("rerun_cli")
@@ -98,13 +98,13 @@ def open_viewer(paths: Sequence[str | Path]) -> None:
     """Open recordings in a window and wait until it is closed.
 
     Raises:
-        ShowError: Where a file is missing, or no window can be opened.
+        ShowError: If a file is missing, or no window can be opened.
     """
     require_recordings(paths)
     with start_viewer(["--port", "auto", *(str(path) for path in paths)]) as viewer:
         if viewer.wait():
             raise ShowError(
-                f"viewer: expected a window until it is closed, found: {viewer.read_error()};"
+                f"viewer: the window failed ({viewer.read_error().rstrip('.')});"
                 " without a display `turtlelog view FILE --snapshot X.png` makes a picture,"
                 " `--save X.rrd` a file to open elsewhere"
             )
@@ -154,7 +154,7 @@ def require_viewer(url: str) -> None:
     """Refuse an address where nothing takes data.
 
     Raises:
-        ShowError: Where it is no address of a viewer, or nothing answers there.
+        ShowError: If it is no address of a viewer, or nothing answers there.
     """
     try:
         parts = urlsplit(url)
@@ -178,7 +178,7 @@ def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
     when it begins to draw.
 
     Raises:
-        ConnectionError: Where it ended, or never drew anything.
+        ConnectionError: If it ended, or never drew anything.
     """
     from rerun.experimental import ViewerClient
 

@@ -92,15 +92,15 @@ def write_violation_rrd(
     plot; the plane has a mark where the turtle was, and the list of events a line.
 
     Args:
-        run: What to show.
+        run: Run to show.
         path: The .rrd file; replaced when the new one is complete.
         at_s: The moment, from the first sample [s].
         title: A few words; where there is no signal they stand beside the mark.
         message: All there is to say, as it would be printed.
-        violated: The signal; None where the violation belongs to none.
+        violated: The signal; None if the violation belongs to none.
 
     Raises:
-        ShowError: Where the file cannot be written.
+        ShowError: If the file cannot be written.
     """
     at_ns = run.start_ns + round(at_s * 1e9)
     event = Event(time_ns=at_ns, kind="violation", text=f"Violation: {title}")
@@ -296,7 +296,7 @@ def _draw_stretch(stream: rr.RecordingStream, run: Run, violated: ViolatedSignal
 
 
 def _stop_at(at_ns: int) -> rrb.TimePanel:
-    """Return a panel whose cursor stands at a time: it loops over a stretch of no length.
+    """Return a panel whose cursor stands at a time: it loops over a segment of no length.
 
     A layout cannot name the cursor's place, and a paused one stands at the beginning.
     """

@@ -49,7 +49,7 @@ def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
     telemetry, a page of releases and a server of fonts, and has no option against the first two.
 
     Raises:
-        ShowError: Where a file is missing, or the page cannot be had.
+        ShowError: If a file is missing, or the page cannot be had.
     """
     require_recordings(paths)
     files = {f"{number}/{Path(path).name}": Path(path) for number, path in enumerate(paths)}

@@ -53,7 +53,7 @@ _LONE: Final = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """One stretch of records, sound as far as can be told.
+    """One segment of records, sound as far as can be told.
 
     Attributes:
         data: Records one after the other: opcode u8, length u64, body. The whole of an unpacked
@@ -74,7 +74,7 @@ class Section:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loss:
-    """A stretch of a file that could not be read.
+    """A segment of a file that could not be read.
 
     Attributes:
         start: First byte in the file.

@@ -72,7 +72,7 @@ class Contents:
         topics: The columns by name of every topic that there should be, by its declaration and its
             effects; empty ones without messages. Of a whole file without fields that no run needs,
             and with its log times for times of publication.
-        damages: What could not be read; empty where the file is whole.
+        damages: What could not be read; empty if the file is whole.
         recovered: A note of what was lost before, where the file is one that was recovered.
     """
 
@@ -99,9 +99,9 @@ def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents
         may_be_foreign: Do not look for damage that may have made it somebody else's.
 
     Raises:
-        LogError: Where the file is no MCAP, or a topic of ours has another type.
-        ForeignFileError: Where it is somebody else's.
-        DamageError: Where it was never finished, or is damaged.
+        LogError: If the file is no MCAP, or a topic of ours has another type.
+        ForeignFileError: If it is somebody else's.
+        DamageError: If it was never finished, or is damaged.
     """
     source = Source(stream)
     try:
@@ -138,7 +138,7 @@ def salvage_contents(stream: BinaryIO) -> Contents:
     """Return what a damaged or unfinished recording still holds.
 
     Raises:
-        LogError: Where the file is no MCAP, or a topic of ours has another type.
+        LogError: If the file is no MCAP, or a topic of ours has another type.
     """
     allowance, damages = Allowance(measure_stored(stream)), list[Loss]()
     catalogue = Catalogue(allowance)
@@ -175,13 +175,13 @@ def build_contents(
 
     Args:
         records: Those outside chunks.
-        catalogue: Of the file.
+        catalogue: Catalogue of the file.
         parts: The rows of topics.
         damages: What could not be read.
         head: That of the records, where it is known already.
 
     Raises:
-        LogError: Where they are no recording of ours, or a topic of ours has another type.
+        LogError: If they are no recording of ours, or a topic of ours has another type.
     """
     head, topics = head or _find_head(records), {}
     states = () if head.declaration is None else head.declaration.states

@@ -91,7 +91,7 @@ def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
 
 
 def read_if_own(path: str | Path, *, allow_partial: bool = False) -> Run | None:
-    """Return the run in a recording as `read_recording` does; None where it is somebody else's."""
+    """Return the run in a recording as `read_recording` does; None if it is somebody else's."""
     try:
         return _read_file(path, allow_partial=allow_partial, may_be_foreign=True)
     except LogError as err:
@@ -122,7 +122,7 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
 
 
 def _survey_rest(stream: BinaryIO) -> Survey | None:
-    """Return what a damaged file still holds, None where it cannot even be walked."""
+    """Return what a damaged file still holds, None if it cannot even be walked."""
     try:
         return survey_file(stream, allow_partial=True)
     except LogError:
@@ -168,7 +168,7 @@ class RecordingTail:
         """Open it.
 
         Raises:
-            LogError: Where it cannot be read, or is no MCAP file.
+            LogError: If it cannot be read, or is no MCAP file.
         """
         self.is_finished = False
         self._path, self._place = Path(path), len(MCAP0_MAGIC)
@@ -198,10 +198,10 @@ class RecordingTail:
         return is_live(self._path)
 
     def read_run(self) -> Run | None:
-        """Return the run so far, None where nothing came since the last call, or no pose yet.
+        """Return the run so far, None if nothing came since the last call, or no pose yet.
 
         Raises:
-            LogError: Where it is no recording by turtlelog.
+            LogError: If it is no recording by turtlelog.
         """
         with name_file(self._path, expected="a turtlelog recording"):
             has_grown = [self._take(section) for section in self._read_sections()]
@@ -211,7 +211,7 @@ class RecordingTail:
         """Return the run so far, however little of it is there.
 
         Raises:
-            LogError: Where it is no recording by turtlelog, or holds no pose.
+            LogError: If it is no recording by turtlelog, or holds no pose.
         """
         self.read_run()
         with name_file(self._path, expected="a turtlelog recording"):
@@ -249,7 +249,7 @@ def build_run(contents: Contents) -> Run:
     """Return the run that a recording holds. Takes its topics out of it: run and they stand once.
 
     Raises:
-        LogError: Where it holds no pose, or what it holds is no run.
+        LogError: If it holds no pose, or what it holds is no run.
     """
     head = contents.head
     tables, is_complete = parse_scenario_file(contents.attachments)
@@ -326,7 +326,7 @@ def _build_measured(
 def _build_sensed(
     columns: dict[str, TopicColumns], pose: TopicColumns, read: Column
 ) -> tuple[Values | None, Values | None]:
-    """Return position and heading as they were sensed, NaN where a pose dropped out."""
+    """Return position and heading as they were sensed, NaN if a pose dropped out."""
     if SENSED.name not in columns:
         return None, None
     sensed = columns.pop(SENSED.name)
@@ -412,7 +412,7 @@ def _gather(fields: Mapping[str, Column], names: tuple[str, ...]) -> Column:
 
 
 def _if_recorded(head: Head, name: str, values: Column) -> Values | None:
-    """Return a column of samples, None where the head says so, or where a live one had to.
+    """Return a column of samples, None if the head says so, or where a live one had to.
 
     The head that begins a live recording cannot know what its samples will lack.
     """

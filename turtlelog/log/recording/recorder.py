@@ -49,8 +49,8 @@ class Recorder:
 
     As a context manager it finishes the file on the way out, also on Ctrl-C and where it is asked
     to end by SIGTERM, SIGHUP or SIGQUIT. An existing file is refused, and so is one that another
-    recorder is writing. Where somebody deletes, moves or replaces the file, the recording ends with
-    the next chunk: nobody would find what is written from then on.
+    recorder is writing. If the file is deleted, moved or replaced, the recording ends with the next
+    chunk: what is written after that would be lost.
     """
 
     def __init__(
@@ -70,9 +70,9 @@ class Recorder:
             create: Makes the file, as `create_file`; a write must take what it can or raise.
 
         Raises:
-            LogError: Where the file exists or cannot be written.
-            ScenarioError: Where the law cannot be loaded or may not run.
-            LawError: Where its declaration is wrong.
+            LogError: If the file exists or cannot be written.
+            ScenarioError: If the law cannot be loaded or may not run.
+            LawError: If its declaration is wrong.
         """
         if isinstance(make_path(path), RemotePath):
             raise LogError(f"{make_path(path)}: expected a local file to record live, found a URL")
@@ -115,7 +115,7 @@ class Recorder:
         """Record a tick.
 
         Raises:
-            LogError: Where the file can take no more; it is closed then, readable up to there.
+            LogError: If the file can take no more; it is closed then, readable up to there.
         """
         if not self._is_open:
             raise LogError(f"{self._path}: expected a recording in progress, found a closed one")
@@ -131,7 +131,7 @@ class Recorder:
         """Hand what is kept to the operating system.
 
         Raises:
-            LogError: As `receive`, or where the file has lost its name meanwhile.
+            LogError: As `receive`, or if the file has lost its name meanwhile.
         """
         self._write_ticks()
         loss = self._find_loss() if self._is_open else None
@@ -145,7 +145,7 @@ class Recorder:
         A recording that is closed on the way out of Ctrl-C or of an exit was `interrupted`.
 
         Args:
-            notes: As in `Run`.
+            notes: See `Run`.
 
         Raises:
             LogError: As `flush`.

@@ -49,13 +49,13 @@ def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -
     """Write a run as an MCAP file; the same run gives the same bytes.
 
     Args:
-        run: What is written.
+        run: Run to write.
         path: The file.
         shares_poses: Whether poses stand also in `/odom`, `/tf` and `/path`, by which other
             programs know a robot; readers of turtlelog pass over these.
 
     Raises:
-        LogError: Where the place cannot be written, or the run holds what a recording cannot.
+        LogError: If the place cannot be written, or the run holds what a recording cannot.
     """
     try:
         topics = build_messages(run)
@@ -73,7 +73,7 @@ def build_messages(run: Run) -> tuple[TopicColumns, ...]:
     """Return the messages of a run, in the order of `list_topics`; a topic without any is left out.
 
     Raises:
-        LogError: Where a time or a number does not fit.
+        LogError: If a time or a number does not fit.
     """
     _require_range("poses.time_ns", run.poses.time_ns, 2**63)
     _require_range("commands.time_ns", run.commands.time_ns, 2**63)
