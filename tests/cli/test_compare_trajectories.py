@@ -188,7 +188,7 @@ def test_rows_that_are_left_out_are_counted(call: Call, files: Sequence[Path]) -
     lines = [*lines[40:], *lines[:40], lines[0]]
     Path("mixed.tum").write_text("\n".join(lines))
     nan = call("compare", "nan.tum", "--reference", truth, "--ate").flat
-    assert "nan.tum: 1 pose without a position or a rotation." in nan
+    assert "nan.tum: 1 pose without a time, a position or a rotation." in nan
     mixed = call("compare", "mixed.tum", "--reference", truth, "--ate").flat
     assert "mixed.tum: 41 poses out of order in time, sorted." in mixed
     assert "mixed.tum: 1 pose at a time that an earlier pose has, left out." in mixed
@@ -310,3 +310,15 @@ def test_rotations_of_zeros_are_called_absent_and_not_nan(
     found = call("compare", "zeros.mcap", "--reference", files[0], "--ate")
     assert found.code == 2
     assert "no row has a position of finite numbers and a rotation" in found.err
+
+
+def test_a_bag_without_times_is_refused_for_these(call: Call, files: Sequence[Path]) -> None:
+    said = say_poses("/pose", TRUTH)
+    for one in said:
+        one.values["header"]["stamp"] = {"sec": 0, "nanosec": 0}
+    write_mcap(Path("timeless.mcap"), [replace(one, time_ns=0) for one in said])
+    found = call("compare", "timeless.mcap", "--reference", files[0], "--ate")
+    assert found.code == 2
+    assert f"topic /pose: expected times of poses, found 0 or before 1970 in all {len(said)}" in (
+        found.err
+    )

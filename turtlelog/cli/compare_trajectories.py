@@ -115,7 +115,9 @@ class TrajectoryOptions:
             )
         most_s = 0.01 if self.max_difference is None else self.max_difference
         if not 0.0 <= most_s < _LONGEST_S:
-            raise UsageError(f"--max-difference {most_s:g}: must be a time of at least 0 s")
+            raise UsageError(
+                f"--max-difference {most_s:g}: must be a time from 0 to {_LONGEST_S:g} s"
+            )
         try:
             deltas = tuple(tl.compare.parse_delta(text) for text in self.rpe or ())
         except CompareError as err:

@@ -229,6 +229,11 @@ def _read_bag(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory 
         xyz_m, turns = np.concatenate(rows.xyz_m), np.concatenate(rows.turns)
         turns[(turns**2).sum(axis=1) == 0.0] = np.nan
         never = time_ns <= 0
+        if never.all() and len(never) > 1:
+            raise LogError(
+                f"topic {source.topic.topic}: expected times of poses, found 0 or before 1970 in"
+                f" all {len(never)}"
+            )
         turns[never if never.sum() > 1 else []] = np.nan  # a simulation begins at 0, once
         name = bag.path.name if bag.path.is_dir() else bag.path.stem
         notes = {CHOSEN: f"poses from {source.notes['pose_topic']}", "timed_by": clock}
@@ -285,7 +290,7 @@ def _build(
         time_ns, xyz_m, turns = time_ns[order], xyz_m[order], turns[order]
     is_first = np.concatenate([[True], np.diff(time_ns) > 0])
     counts = {
-        "without a position or a rotation": int((~is_pose).sum()),
+        "without a time, a position or a rotation": int((~is_pose).sum()),
         "out of order in time, sorted": late,
         "at a time that an earlier pose has, left out": int((~is_first).sum()),
     }

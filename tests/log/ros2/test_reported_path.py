@@ -81,6 +81,12 @@ def test_a_short_way_is_not_judged() -> None:
     assert tell(drive(0.03, reported=0.01)) is not None
 
 
+@pytest.mark.parametrize(("lasts_s", "is_said"), [(0.19, False), (0.21, True)])
+def test_poses_that_share_a_time_are_not_blamed(lasts_s: float, *, is_said: bool) -> None:
+    time_ns = np.linspace(0, lasts_s * 1e9, COUNT).astype(np.int64)
+    assert (describe_paths(measure_paths(time_ns, drive())) is not None) == is_said
+
+
 def test_a_robot_that_drives_sideways_reports_both_speeds() -> None:
     assert tell(drive(reported=0.3) | {LATERAL: np.full(COUNT, 0.4)}) is None
 

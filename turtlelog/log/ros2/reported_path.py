@@ -83,7 +83,9 @@ def measure_paths(
     way_m = np.hypot(*np.diff(xy_m, axis=0).T)[is_known]
     rows = np.unique(np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _STRIDE_NS)))
     strides_m = np.hypot(*np.diff(xy_m[rows], axis=0).T)
-    driven_m = _integrate(step_ns, columns)
+    # Poses that all have one time tell no rate: not the way, but the times are wrong.
+    lasts = int(time_ns[-1] - time_ns[0]) >= _STRIDE_NS
+    driven_m = _integrate(step_ns, columns) if lasts else None
     jumps_m = np.zeros(0)
     if driven_m is not None:
         driven_m = driven_m[is_known]
