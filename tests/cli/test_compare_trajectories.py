@@ -161,7 +161,7 @@ def test_other_trajectories_are_compared_if_one_cannot_be_read(
     [
         ("", "expected a table, found no rows"),
         ("# timestamp tx ty tz qx qy qz qw\n", "no rows"),
-        ("0 nan 0 0 0 0 0 1\n" * 3, "no row has a position and a rotation that are finite"),
+        ("0 nan 0 0 0 0 0 1\n" * 3, "no row has a position of finite numbers and a rotation"),
         ("0 1 0 0 0 0 0 0\n", "line 1, column qw: expected a rotation of a length other than 0"),
         ("0 1e200 0 0 0 0 0 1\n", "expected positions within 1e"),
         ("1 2 3 4 5 6 7 8 9 10 11 12\n", "line 1: expected 12 numbers of a KITTI pose"),
@@ -188,7 +188,7 @@ def test_rows_that_are_left_out_are_counted(call: Call, files: Sequence[Path]) -
     lines = [*lines[40:], *lines[:40], lines[0]]
     Path("mixed.tum").write_text("\n".join(lines))
     nan = call("compare", "nan.tum", "--reference", truth, "--ate").flat
-    assert "nan.tum: 1 pose without numbers." in nan
+    assert "nan.tum: 1 pose without a position or a rotation." in nan
     mixed = call("compare", "mixed.tum", "--reference", truth, "--ate").flat
     assert "mixed.tum: 41 poses out of order in time, sorted." in mixed
     assert "mixed.tum: 1 pose at a time that an earlier pose has, left out." in mixed
@@ -273,3 +273,40 @@ def test_options_that_make_no_sense_are_refused(
     found = call("compare", files[1], *words)
     assert found.code == 2
     assert expected in found.err
+
+
+def test_one_motion_is_one_and_an_alignment_of_rounding_is_none(
+    call: Call, files: Sequence[Path]
+) -> None:
+    whole = 0.6 * float(np.linalg.norm(np.diff(TRUTH.xyz_m, axis=0), axis=1).sum())
+    found = call("compare", files[0], "--reference", files[0], "--ate", "--rpe", f"{whole:.3f}m")
+    assert ", of 1 motion." in found.flat
+    assert "The alignment turns the estimate by 0 deg about the origin and moves it by 0 m." in (
+        found.flat
+    )
+
+
+def test_a_weak_alignment_may_be_one_of_size(call: Call, files: Sequence[Path]) -> None:
+    twice = write_tum(Path("twice.tum"), replace(TRUTH, xyz_m=2.0 * TRUTH.xyz_m))
+    found = call("compare", twice, "--reference", files[0], "--ate").flat
+    assert "The two differ in shape or size, or hardly move." in found
+
+
+def test_times_of_kitti_may_have_comments(call: Call, files: Sequence[Path]) -> None:
+    poses = write_kitti(Path("poses.txt"), TRUTH)
+    times = Path("times.txt")
+    times.write_text("# s\n" + "".join(f"{time_ns / 1e9:.9f}\n" for time_ns in TRUTH.time_ns))
+    found = call("compare", poses, "--reference", files[0], "--ate", "--times", times)
+    assert (found.code, found.err) == (0, "")
+
+
+def test_rotations_of_zeros_are_called_absent_and_not_nan(
+    call: Call, files: Sequence[Path]
+) -> None:
+    said = say_poses("/pose", TRUTH)
+    for one in said:
+        one.values["pose"]["orientation"] = make_vector() | {"w": 0.0}
+    write_mcap(Path("zeros.mcap"), said)
+    found = call("compare", "zeros.mcap", "--reference", files[0], "--ate")
+    assert found.code == 2
+    assert "no row has a position of finite numbers and a rotation" in found.err

@@ -98,6 +98,10 @@ def test_poses_alone_become_a_recording_of_poses(call: Call, kp4: Path, tmp_path
     answer = call("convert", poses, "-o", again)
     assert f"absent in {poses}: commands, samples, events, declaration, goal_xy_m" in answer.flat
     assert len(tl.read_recording(again).poses) == 705
+    alone = tmp_path / "alone.csv"
+    alone.write_text("".join(poses.read_text().splitlines(keepends=True)[:2]))
+    answer = call("convert", alone, "-o", tmp_path / "alone.mcap")
+    assert answer.flat.startswith(f"{tmp_path / 'alone.mcap'}: 1 pose of ")
     info, of_recording = call("info", poses, again, "--json").json
     assert info["duration_s"] == of_recording["duration_s"] == 11.264
 

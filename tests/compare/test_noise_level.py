@@ -8,7 +8,7 @@ import pytest
 from tests.compare.test_robot_prediction import add_noise, make_scenario, simulate
 from tests.identify.test_robot_scenario import LOG, build, drive_with_noise
 from turtlelog.compare import compare_robot
-from turtlelog.compare.noise_level import compare_noise
+from turtlelog.compare.noise_level import NoiseLevel, compare_noise
 
 SEEDS, PIECES = 39, 400
 
@@ -46,6 +46,13 @@ def test_errors_that_grow_as_those_of_a_wrong_model_are_not_called_noise() -> No
 def test_thirty_errors_are_enough_and_one_less_is_not() -> None:
     assert compare(4.0, 3.0, pieces=30) == "noisier"
     assert compare(4.0, 3.0, pieces=29) == "unknown"
+
+
+def test_a_ratio_in_the_hundreds_has_no_exponent() -> None:
+    found = NoiseLevel(
+        quantity="heading", after_s=0.1, ratio=403.0, low=8.76, high=1234.0, level="noisier"
+    )
+    assert found.text.endswith("400 times as much (8.8 to 1200).")
 
 
 def test_errors_that_are_all_zero_say_nothing_of_noise() -> None:

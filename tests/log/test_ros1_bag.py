@@ -9,6 +9,7 @@ import pytest
 from mcap.writer import Writer
 
 import turtlelog as tl
+from tests.cli.conftest import Call, call as call
 from tests.log.ros1_bags import COMPRESSIONS, KINDS, STORE, say_drive, write_ros1, write_ros1_mcap
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_file_info, read_run, read_trajectory
@@ -88,6 +89,15 @@ def test_info_names_the_topics_as_ros_2_does(bag: Path) -> None:
     assert {topic.topic: topic.type for topic in info.topics} == KINDS
     assert {topic.count for topic in info.topics} == {60}
     assert not info.not_understood
+
+
+def test_info_tells_messages_of_ros_1_whatever_the_file(
+    call: Call, bag: Path, tmp_path: Path
+) -> None:
+    copied = write_ros1_mcap(tmp_path / "drive.mcap")
+    for file in (bag, copied):
+        assert read_file_info(file).source == "ros1"
+        assert "ROS 1 bag of a robot" in call("info", file).out
 
 
 def test_messages_become_the_cdr_that_rosbags_makes_of_them() -> None:

@@ -120,6 +120,37 @@ def test_jumps_are_ranked_by_what_exceeds_driving() -> None:
     assert alone == "1 jump, 0.15 m ahead and +0.286 deg at 2.5 s, 0.1 m more than it drove"
 
 
+@pytest.mark.parametrize("turned_rad", [0.5, -1.5, 3.0])
+def test_a_jump_of_the_heading_alone_has_no_way(turned_rad: float) -> None:
+    told = describe_breaks(move(make_robot(0.5), 100, turned_rad=turned_rad))["jumps"]
+    assert told == f"1 jump, {np.degrees(turned_rad) + 0.286:+.3g} deg at 5.0 s"
+
+
+def test_a_jump_that_turns_and_moves_has_its_way_along_the_heading_before_it() -> None:
+    told = describe_breaks(move(make_robot(0.5, 0.0), 100, 0.3, 1.0))["jumps"]
+    assert told == "1 jump, 0.325 m ahead and +57.3 deg at 5.0 s"
+
+
+@pytest.mark.parametrize(("turned_rad", "aside"), [(0.09, 0.3 * 0.045), (0.11, 0.0)])
+def test_a_jump_that_turns_little_has_its_way_along_the_mean_heading(
+    turned_rad: float, aside: float
+) -> None:
+    (jump,) = find_jumps(move(make_robot(0.0, 0.0), 100, 0.3, turned_rad))
+    assert abs(jump.aside_m) == pytest.approx(aside, rel=0.01, abs=1e-6)
+
+
+def test_courses_of_a_receiver_that_backs_up_are_no_jumps() -> None:
+    speed = np.repeat([1.0, -1.0], [100, 99])
+    run = make_robot(speed, 0.0)
+    heading_rad = np.where(np.arange(200) < 100, 0.0, -np.pi)
+    run = replace(run, poses=replace(run.poses, heading_rad=heading_rad))
+    assert list_rows(run) == [100]
+    receiver = replace(run, notes={"heading": "the course over 0.5 m"})
+    assert not list_rows(receiver)
+    told = describe_breaks(move(receiver, 50, 2.0))["jumps"]
+    assert told == "1 jump, 2.05 m east at 2.5 s"
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_lost_messages_are_no_jumps(seed: int) -> None:
     random = np.random.default_rng(seed)

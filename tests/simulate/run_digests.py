@@ -43,6 +43,12 @@ _ENDS: Final = ("ticks", "samples", "commands", "x_m", "y_m", "heading_rad")
 _UNITS: Final = re.compile(r"state_units=mappingproxy\(\{[^}]*\}\), ")
 """The units of states, which say how they are shown: no run is another one for them."""
 
+_IN_SPACE: Final = frozenset(
+    {"poses.height_m", "poses.tilt_rad", "run.path_length_in_space", "run.height_range"}
+    | {"run.tilt_max"}
+)
+"""Columns and metrics of robots that leave the plane, which no simulated one does."""
+
 Simulate = Callable[[Scenario, Plant], Run]
 
 
@@ -89,7 +95,7 @@ def digest_run(number: int, simulate: Simulate = simulate_run) -> tuple[list[int
         run = simulate(resolve_scenario(scenario), plant)
     except SimulationError as err:
         return [_digest(type(err).__name__)] * len(PARTS), [math.nan] * len(_ENDS)
-    values = list_values(run)
+    values = {key: value for key, value in list_values(run).items() if key not in _IN_SPACE}
     values["parameters"] = sorted(values["parameters"].items())  # their order says nothing
     values["declaration"] = _Written(_UNITS.sub("", repr(values["declaration"])))
     columns: dict[str, dict[str, Any]] = {name: {} for name in PARTS}
@@ -97,7 +103,9 @@ def digest_run(number: int, simulate: Simulate = simulate_run) -> tuple[list[int
         part = key.partition(".")[0]
         columns[part if part in columns else "events"][key] = value
     found = measure_run(run).items()
-    columns["metrics"] = {name: (one.value, one.status) for name, one in found}
+    columns["metrics"] = {
+        name: (one.value, one.status) for name, one in found if name not in _IN_SPACE
+    }
     end = len(run.poses), len(run.samples), len(run.commands)
     pose = *run.poses.xy_m[-1], run.poses.heading_rad[-1]
     return [_digest(columns[name]) for name in PARTS], [*map(float, (*end, *pose))]

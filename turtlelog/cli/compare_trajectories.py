@@ -26,7 +26,7 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_pictures
-from turtlelog.display import format_short, join_words
+from turtlelog.display import describe_count, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, UsageError
 
 if TYPE_CHECKING:
@@ -252,7 +252,8 @@ def _describe(one: "TrajectoryComparison") -> list[str]:
             rotation = one.find_error("rpe", "rotation", error.delta)
             lines.append(
                 f"Relative pose error over {error.delta}: {_format(error.statistics, 'm')} RMSE,"
-                f" {turn} {_format(rotation, 'rad')}, of {error.statistics.count} motions."
+                f" {turn} {_format(rotation, 'rad')}, of"
+                f" {describe_count(error.statistics.count, 'motion')}."
             )
     if one.align != "none":
         lines.append(
@@ -278,7 +279,10 @@ def _describe_alignment(one: "TrajectoryComparison") -> str:
     turn_rad = _find_turn(one)
     moved_m = float(np.linalg.norm(one.alignment.translation_m))
     scaled = f", scales it by {one.alignment.scale:.5g}" if one.align.startswith("sim") else ""
-    turned, moved = format_short(turn_rad, "rad"), format_short(moved_m, "m")
+    turned, moved = (
+        format_short(0.0 if value < _TINY else value, unit)
+        for value, unit in ((turn_rad, "rad"), (moved_m, "m"))
+    )
     return f"turns the estimate by {turned} about the origin{scaled} and moves it by {moved}"
 
 

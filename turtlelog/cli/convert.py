@@ -19,7 +19,7 @@ from turtlelog.cli.output import fill_lines, list_written, print_json, print_not
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.recover import recover_file
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
-from turtlelog.display import join_words
+from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, UsageError
 
 if TYPE_CHECKING:
@@ -192,7 +192,8 @@ def _describe_held(run: "Run", path: Path, kind: str, tables: TableOptions) -> s
     one = "poses" if kind == "tum" or (_is_file(path, tables) and kind != "mcap") else None
     chosen = tables.table if kind in {"csv", "parquet"} and tables.table else one
     held = counts if chosen is None else {chosen: counts[chosen]}
-    return join_words([f"{count} {noun}" for noun, count in held.items() if count]) or "no rows"
+    told = [describe_count(count, noun[:-1]) for noun, count in held.items() if count]
+    return join_words(told) or "no rows"
 
 
 def _choose_kind(path: Path, tables: TableOptions) -> str:

@@ -189,9 +189,7 @@ def _write_head(answer: InfoAnswer) -> str:
     if not answer.topics:
         return f"{kind}{length}"
     what = f"{kind} (not turtlesim)" if kind.startswith("a robot") else kind
-    # Folders may end in .bag, too: a bag of ROS 1 is a file, and so has no metadata.
-    ros = 1 if answer.file.endswith(".bag") and Path(answer.file).is_file() else 2
-    return f"ROS {ros} bag of {what}{length}"
+    return f"ROS {1 if answer.source == 'ros1' else 2} bag of {what}{length}"
 
 
 def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:

@@ -62,8 +62,13 @@ class NoiseLevel:
         more = "more" if self.level == "noisier" else "less"
         return (
             f"The {self.quantity} has {more} noise than the scenario:"
-            f" {self.ratio:.2g} times as much ({self.low:.2g} to {self.high:.2g})."
+            f" {_round(self.ratio)} times as much ({_round(self.low)} to {_round(self.high)})."
         )
+
+
+def _round(ratio: float) -> str:
+    """Return two digits of a ratio, without an exponent."""
+    return f"{float(f'{ratio:.2g}'):g}"
 
 
 def compare_noise(

@@ -39,7 +39,7 @@ LEAST_POSES: Final = 3
 
 _MOST_RMSE: Final = 0.5
 """RMSE, as a share of how far the reference spreads about its middle, from which on the alignment
-explains less than three quarters of the variance: the two hardly have one shape."""
+explains less than three quarters of the variance: the two hardly have one shape and size."""
 
 _LEAST_SHARE: Final = 0.5
 """Share of the shorter trajectory's poses below which it is said that most have no partner."""
@@ -373,7 +373,7 @@ def _list_notes(
     if align in NAMES and rmse_m > _MOST_RMSE * spread_m:
         yield (
             f"The alignment is weak: the error is {rmse_m / spread_m:.0%} of how far the reference"
-            " spreads about its middle. The two hardly have one shape, or hardly move."
+            " spreads about its middle. The two differ in shape or size, or hardly move."
         )
     clocks = {
         one.name: one.notes["timed_by"] for one in (estimate, reference) if "timed_by" in one.notes

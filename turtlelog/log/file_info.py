@@ -9,6 +9,7 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
+from mcap.well_known import SchemaEncoding
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, fit_line
@@ -59,7 +60,8 @@ class RecordingInfo:
     Attributes:
         file: Its path, as given.
         format_version: Format version of the recording, None if turtlelog did not write it.
-        source: See `Run`; `mcap` or `sqlite3` where turtlelog did not write it.
+        source: See `Run`; `mcap`, `sqlite3` or, for messages of ROS 1, `ros1` if turtlelog did not
+            write it.
         name: See `Run`; otherwise the file's name.
         complete: Whether the file was finished; of one that was not, what a walk finds is listed.
         stop_reason: See `Run`.
@@ -122,6 +124,12 @@ class Survey:
         """Whether turtlelog wrote it, as far as its records tell."""
         return any(isinstance(found, Metadata) and found.name == HEAD for found in self.records)
 
+    @property
+    def is_ros1(self) -> bool:
+        """Whether its messages are as ROS 1 writes them."""
+        kinds = self.catalogue.schemas.values()
+        return any(schema.encoding == SchemaEncoding.ROS1 for schema in kinds)
+
     def count(self, channels: NDArray[np.uint16], times: NDArray[np.uint64]) -> None:
         """Count messages by their channels and log times."""
         if len(channels):
@@ -155,7 +163,7 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
         info = RecordingInfo(
             file=str(path),
             format_version=None,
-            source="sqlite3" if is_sqlite else "mcap",
+            source="sqlite3" if is_sqlite else "ros1" if survey.is_ros1 else "mcap",
             name=strip_suffixes(make_path(path)),
             complete=survey.is_finished,
             duration_s=None if span_ns is None else (span_ns[1] - span_ns[0]) / 1e9,

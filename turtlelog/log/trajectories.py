@@ -172,7 +172,11 @@ def _read_times(path: Path, count: int) -> Times:
         if len(data) > _LONGEST_TIMES:
             raise LogError(f"a file of times has at most {_LONGEST_TIMES // 2**20} MiB")
         lines = data.decode("utf-8", errors="replace").splitlines()
-        kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip()]
+        kept = [
+            (number, line)
+            for number, line in enumerate(lines, 1)
+            if line.strip() and not line.lstrip().startswith("#")
+        ]
         if len(kept) != count:
             raise LogError(
                 f"expected a time for each of {describe_count(count, 'pose')}, found"
@@ -273,7 +277,7 @@ def _build(
         turns = turns / np.linalg.norm(turns, axis=1, keepdims=True)
     is_pose = np.isfinite(xyz_m).all(axis=1) & np.isfinite(turns).all(axis=1)
     if not is_pose.any():
-        raise LogError("no row has a position and a rotation that are finite numbers")
+        raise LogError("no row has a position of finite numbers and a rotation")
     time_ns, xyz_m, turns = time_ns[is_pose], xyz_m[is_pose], turns[is_pose]
     late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
     if late:
@@ -281,7 +285,7 @@ def _build(
         time_ns, xyz_m, turns = time_ns[order], xyz_m[order], turns[order]
     is_first = np.concatenate([[True], np.diff(time_ns) > 0])
     counts = {
-        "without numbers": int((~is_pose).sum()),
+        "without a position or a rotation": int((~is_pose).sum()),
         "out of order in time, sorted": late,
         "at a time that an earlier pose has, left out": int((~is_first).sum()),
     }

@@ -4,7 +4,7 @@ Of turtlesim, whose poses hold what was applied, a replay through its plant tell
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -43,6 +43,10 @@ rate, and a pose that is late by a whole step, make 2 together."""
 _TOLD: Final = 0.1
 """Share of a jump from which on the way that was driven meanwhile is said."""
 
+_TURNED_RAD: Final = 0.1
+"""A jump that turns further has no mean heading: the way is then along the heading before it. The
+two are 3 deg apart here, which is 5 % of the way to the side."""
+
 _ROUNDING: Final = 1e-5
 """What the 32-bit rounding of two poses makes of a step [m, rad]."""
 
@@ -71,8 +75,8 @@ class PoseJump:
     Attributes:
         row: Row of the first pose after it.
         time_ns: Time of that pose [ns].
-        moved_m: Forward along the heading, backward negative [m].
-        aside_m: Distance to the left [m].
+        moved_m: Forward along the heading, backward negative [m]; east if headings are courses.
+        aside_m: Distance to the left [m]; north if headings are courses.
         turned_rad: Counter-clockwise [rad].
         excess_m: Distance beyond that which the robot drove by the neighbouring steps [m].
         excess_rad: Turn beyond that of the neighbouring steps [rad].
@@ -113,8 +117,11 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     way of five steps on either side; and single ones that exceed what these five drive
     (`find_excess_steps`).
     """
-    rows = find_changing_rows(run.poses)
-    poses = run.poses if len(rows) == len(run.poses) else _take_poses(run.poses, rows)
+    poses = run.poses
+    if _has_courses(run):  # a course turns as positions do, and tells nothing of its own
+        poses = replace(poses, heading_rad=np.zeros(len(poses)))
+    rows = find_changing_rows(poses)
+    poses = poses if len(rows) == len(poses) else _take_poses(poses, rows)
     if len(poses) < 3:
         return ()
     steps = measure_steps(poses)
@@ -140,6 +147,11 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
         stands_out &= step_ns <= LATE * compute_median(step_ns)
         is_jump |= stands_out & (np.abs(way - _smooth(way)) > _ROUNDING)
     beyond_m, beyond_rad = np.hypot(excess.ahead_m, excess.aside_m), np.abs(excess.turned_rad)
+    for row in np.flatnonzero(is_jump & (beyond_rad > _TURNED_RAD)).tolist():
+        # Ahead and aside turned with it: what compares is how far the robot goes.
+        near = moved[row - NEIGHBOURS : row + NEIGHBOURS + 1]
+        beyond_m[row] = abs(moved[row] - np.median(near))
+    steps = _face_before(steps, excess.turned_rad)
     # At either end nothing tells what of a step is driving.
     for beyond, whole in ((beyond_m, moved), (beyond_rad, turned)):
         beyond[:NEIGHBOURS], beyond[-NEIGHBOURS:] = whole[:NEIGHBOURS], whole[-NEIGHBOURS:]
@@ -157,6 +169,21 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     )
 
 
+def _has_courses(run: Run) -> bool:
+    """Return whether headings are courses over ground, as of a satellite receiver."""
+    return "heading" in run.notes
+
+
+def _face_before(
+    steps: tuple[Values, Values, Values], beyond_rad: Values
+) -> tuple[Values, Values, Values]:
+    """Return the ways of jumps that turn along the heading that the robot had before them."""
+    off_rad = np.where(np.abs(beyond_rad) > _TURNED_RAD, 0.5 * beyond_rad, 0.0)
+    cos, sin = np.cos(off_rad), np.sin(off_rad)
+    ahead_m, aside_m, turned_rad = steps
+    return ahead_m * cos - aside_m * sin, ahead_m * sin + aside_m * cos, turned_rad
+
+
 def _take_poses(poses: PoseColumns, rows: NDArray[np.int64]) -> PoseColumns:
     is_kept = np.zeros(len(poses), dtype=np.bool_)
     is_kept[rows] = True
@@ -167,7 +194,7 @@ def describe_breaks(run: Run) -> dict[str, str]:
     """Return a sentence on `jumps` and one on `gaps`, where there are some."""
     found = {}
     if jumps := find_jumps(run):
-        found["jumps"] = _describe_jumps(jumps, run.start_ns)
+        found["jumps"] = _describe_jumps(jumps, run.start_ns, is_north=_has_courses(run))
     if gaps := find_gaps(run):
         longest = max(gaps, key=lambda gap: gap.end_ns - gap.start_ns)
         which = "" if len(gaps) == 1 else "the longest "
@@ -183,25 +210,27 @@ def _format_s(gap: PoseGap) -> str:
     return f"{(gap.end_ns - gap.start_ns) / 1e9:.2f} s"
 
 
-def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int) -> str:
+def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int, *, is_north: bool) -> str:
     largest = max(jumps, key=lambda jump: (jump.excess_m, jump.excess_rad))
     which = "" if len(jumps) == 1 else "the largest "
-    ways = {
-        "m ahead": largest.moved_m,
-        "m back": -largest.moved_m,
-        "m to the left": largest.aside_m,
-        "m to the right": -largest.aside_m,
-    }
-    parts = [f"{way:.3g} {unit}" for unit, way in ways.items() if way > _ROUNDING]
+    names = ("m east", "m west", "m north", "m south") if is_north else _WAYS
+    signed = (largest.moved_m, -largest.moved_m, largest.aside_m, -largest.aside_m)
+    way_m = float(np.hypot(largest.moved_m, largest.aside_m))
+    least_m = _ROUNDING
+    if largest.excess_rad > _TURNED_RAD and largest.excess_m <= _TOLD * way_m:
+        least_m = np.inf  # of a turn on the way, the way is no part
+    parts = [f"{way:.3g} {name}" for name, way in zip(names, signed, strict=True) if way > least_m]
     if abs(largest.turned_rad) > _ROUNDING:
         parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")
     at_s = (largest.time_ns - start_ns) / 1e9
-    way_m = float(np.hypot(largest.moved_m, largest.aside_m))
     beyond = ""
-    if abs(largest.excess_m - way_m) > _TOLD * way_m:
+    if abs(largest.excess_m - way_m) > _TOLD * way_m and np.isfinite(least_m):
         beyond = f", {largest.excess_m:.3g} m more than it drove"
     count = describe_count(len(jumps), "jump")
     return f"{count}, {which}{join_words(parts)} at {at_s:.1f} s{beyond}"
+
+
+_WAYS: Final = ("m ahead", "m back", "m to the left", "m to the right")
 
 
 def _find_reversals(rate: Values) -> NDArray[np.bool_]:

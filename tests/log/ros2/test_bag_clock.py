@@ -184,6 +184,7 @@ def test_by_the_log_all_stays_as_it_was_received() -> None:
     ("stamp_ns", "reason"),
     [
         (np.zeros(100, dtype=np.int64), "all stamps are 0"),
+        (make_times(100) - 2**32 * 1000 * MS, "all stamps are 0 or before 1970"),
         (
             np.where(np.arange(100) < 51, 0, make_times(100)),
             "51 of 100 stamps are 0 or make no sense",

@@ -88,7 +88,7 @@ def test_poses_in_disorder_are_sorted_and_counted() -> None:
     times = time_poses(Stamps(log_ns=true_ns + 5 * MS, stamp_ns=stamp_ns))
     assert times.poses.rows[[10, 11]].tolist() == [11, 10]
     assert (np.diff(times.poses.time_ns) > 0).all()
-    assert "; 1 received out of order are sorted" in times.notes[CLOCK]
+    assert "; 1 received out of order is sorted" in times.notes[CLOCK]
 
 
 @pytest.mark.parametrize(("rows", "jumps"), [(4, 0), (5, 1)])

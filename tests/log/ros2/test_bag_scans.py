@@ -112,6 +112,41 @@ def test_without_a_transform_the_scanner_is_in_the_middle_and_that_is_said(tmp_p
     assert seen.notes[1].startswith("No transform tells where laser is on the robot")
 
 
+def test_a_scan_in_the_frame_of_the_robot_needs_no_transform(tmp_path: Path) -> None:
+    assert look(tmp_path, say_scan(1.0, frame="base_link")).notes == ("Scans of /scan: 1 scan.",)
+
+
+def test_a_second_scanner_is_named_as_left_out(tmp_path: Path) -> None:
+    rear = [say_scan(1.0, topic="/rear"), say_scan(2.0, topic="/rear")]
+    seen = look(tmp_path, say_scan(1.0, topic="/front"), rear)
+    assert "Scans of /rear: 2 scans." in seen.notes
+    assert "Other scans are left out: /front." in seen.notes
+
+
+def test_two_scanners_on_one_topic_each_sit_where_they_do(tmp_path: Path) -> None:
+    fixed = [
+        say_transform("base_link", frame, x_m, topic="/tf_static")
+        for frame, x_m in (("laser", 0.0), ("bumper", 0.5))
+    ]
+    scans = [say_scan(0.5), say_scan(1.0, away_m=WALL_M - 1.5, frame="bumper")]
+    for points in look(tmp_path, fixed, scans).scans_xy_m:
+        np.testing.assert_allclose(points[:, 0], WALL_M, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["angle_min", "angle_increment"])
+def test_rays_of_unknown_direction_are_left_out(name: str, tmp_path: Path) -> None:
+    scan = say_scan(1.0)
+    scan.values[name] = math.nan
+    assert not look(tmp_path, scan).scans_xy_m[0][1:].size
+
+
+@pytest.mark.parametrize(("range_m", "kept"), [(9_900.0, 1), (10_100.0, 0), (3e38, 0)])
+def test_rays_beyond_any_scanner_are_left_out(range_m: float, kept: int, tmp_path: Path) -> None:
+    scan = say_scan(1.0, rays=1)
+    scan.values.update(ranges=[range_m], range_max=math.inf)
+    assert len(look(tmp_path, scan).scans_xy_m[0]) == kept
+
+
 def test_rays_that_hit_nothing_are_left_out(tmp_path: Path) -> None:
     scan = say_scan(1.0, rays=5)
     scan.values["ranges"] = [math.inf, math.nan, 4.0, 0.05, 25.0]
@@ -187,6 +222,14 @@ def test_a_map_whose_size_is_false_is_left_out(tmp_path: Path) -> None:
     grid = say_map([100, 0], 2)
     grid.values["info"]["width"] = 4_000_000_000
     assert look(tmp_path, grid).notes[0].startswith("The map of /map is left out: 4000000000 x 1")
+
+
+def test_a_map_without_an_origin_is_left_out(tmp_path: Path) -> None:
+    grid = say_map([100], 1)
+    grid.values["info"]["origin"]["position"]["x"] = math.nan
+    seen = look(tmp_path, grid)
+    assert len(seen.map_xy_m) == 0
+    assert seen.notes == ("The map of /map is left out: its origin has nan or infinity.",)
 
 
 def test_a_bag_without_scans_has_no_surroundings(tmp_path: Path) -> None:

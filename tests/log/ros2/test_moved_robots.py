@@ -46,6 +46,20 @@ def test_wheels_that_wrap_drive_on(tmp_path: Path) -> None:
     assert "wrapped" not in run.notes["wheels"]
 
 
+@pytest.mark.parametrize(("most", "wraps"), [(1.0, True), (1.1, False)])
+def test_encoders_from_0_to_a_turn_wrap_and_further_ones_do_not(
+    tmp_path: Path, most: float, *, wraps: bool
+) -> None:
+    turned = [[9.0 * row / 10, 9.0 * row / 10] for row in range(101)]
+    said = [
+        say_joints(["left", "right"], [a % (most * math.tau) for a in angles], at_s=row / 10)
+        for row, angles in enumerate(turned)
+    ]
+    run = tl.read_run(write_robot(tmp_path, said), **WHEELS)  # type: ignore[arg-type]
+    assert ("taken as wrapped" in run.notes["wheels"]) == wraps
+    assert (run.poses.xy_m[-1, 0] == pytest.approx(0.05 * 90.0)) == wraps
+
+
 def test_wheels_stand_anywhere_among_other_joints_and_messages(tmp_path: Path) -> None:
     said = drive_wheels(rows=5)
     arm = [say_joints(["elbow"], [0.1], at_s=row / 10 + 0.05) for row in range(5)]
@@ -169,8 +183,30 @@ def test_a_receiver_that_stands_has_no_heading(tmp_path: Path) -> None:
         say_fix(48.0 + 1e-6 * north, 11.0 + 1e-6 * east, at_s=row)
         for row, (north, east) in enumerate(random.normal(size=(120, 2)))
     ]
-    with pytest.raises(tl.LogError, match=r"found one that stays within .* m: it has no heading"):
+    with pytest.raises(tl.LogError, match=r"found a slower one, within .* m in all: it has no h"):
         tl.read_run(write_robot(tmp_path, said))
+
+
+@pytest.mark.parametrize(
+    ("count", "step_s", "reason"),
+    [
+        (1, 1.0, "found fewer than 3 fixes"),
+        (2, 1.0, "found fewer than 3 fixes"),
+        (3, 4.9, ""),
+        (9, 5.1, "found fixes 5.1 s apart, which is too seldom"),
+    ],
+)
+def test_too_few_fixes_are_told_from_a_receiver_that_stands(
+    tmp_path: Path, count: int, step_s: float, reason: str
+) -> None:
+    said = [say_fix(48.0 + 1e-4 * row, 11.0, at_s=row * step_s) for row in range(count)]
+    bag = write_robot(tmp_path, said)
+    if not reason:
+        note = tl.read_run(bag).notes["heading"]
+        assert "held at either end and where it stands, for 2 of 3 poses" in note
+        return
+    with pytest.raises(tl.LogError, match=reason):
+        tl.read_run(bag)
 
 
 @pytest.mark.parametrize(("noise_m", "most_deg"), [(0.0, 0.1), (0.02, 7.0), (0.3, 20.0)])

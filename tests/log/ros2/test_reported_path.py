@@ -114,7 +114,11 @@ def test_noise_from_pose_to_pose_is_blamed() -> None:
 
 @pytest.mark.parametrize(
     ("commanded", "wrong"),
-    [(0.5, "the reported speed is"), (1.0, "the poses are"), (0.74, "nothing tells")],
+    [
+        (0.5, "the reported speed is more likely wrong"),
+        (1.0, "the poses are wrong or the wheels slip, as commands ask for 20 m"),
+        (0.74, "nothing tells"),
+    ],
 )
 def test_commands_tell_which_of_two_paths_is_likely_wrong(commanded: float, wrong: str) -> None:
     told = tell(drive(0.5, reported=1.0), commanded=commanded)

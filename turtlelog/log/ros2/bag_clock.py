@@ -184,7 +184,8 @@ def _describe(found: StampClock) -> str:
     if found.odd:
         texts.append(f"; {found.odd} without a usable stamp by when they were received")
     if found.disordered:
-        texts.append(f"; {found.disordered} received out of order are sorted")
+        verb = "is" if found.disordered == 1 else "are"
+        texts.append(f"; {found.disordered} received out of order {verb} sorted")
     return "".join(texts)
 
 

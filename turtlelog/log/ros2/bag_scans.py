@@ -14,7 +14,14 @@ from turtlelog.log.error_boundary import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_poses import read_tree
-from turtlelog.log.ros2.bag_transforms import Tree, find_carrier, locate_frame, rotate
+from turtlelog.log.ros2.bag_topics import list_names
+from turtlelog.log.ros2.bag_transforms import (
+    Tree,
+    find_carrier,
+    is_robot_frame,
+    locate_frame,
+    rotate,
+)
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock, read_stamps
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
@@ -42,6 +49,9 @@ _MOST_MESSAGES: Final = 20_000
 
 _MOST_GRID: Final = 16_000_000
 """Cells of a map that is read: 200 m by 200 m of 0.05 m."""
+
+_LONGEST_RAY_M: Final = 10_000.0
+"""Ranges beyond are of no scanner on a robot [m]; a `range_max` may be infinite."""
 
 _OCCUPIED: Final = 65
 """Occupancy from which a cell is a wall [%]: the default of ROS's map_server."""
@@ -120,6 +130,7 @@ def _read(
         notes.append(f"{scan.topic} has {scan.count} scans, more than {_MOST_MESSAGES}: left out.")
     elif scan is not None:
         times, points = _place_scans(_collect(bag, scan), run, start_ns, tree, notes)
+        notes += _name_others(bag.topics, scan)
     cells, size_m = np.zeros((0, 2)), 0.0
     if grid is not None:
         cells, size_m = _place_map(_collect(bag, grid), run, tree, notes)
@@ -131,6 +142,12 @@ def _read(
         map_cell_m=size_m,
         notes=tuple(notes),
     )
+
+
+def _name_others(topics: Collection[TopicInfo], scan: TopicInfo) -> Iterator[str]:
+    others = [one.topic for one in topics if one.type == SCAN and one.count and one != scan]
+    if others:
+        yield f"Other scans are left out: {list_names(others)}."
 
 
 def _collect(bag: Bag, topic: TopicInfo) -> list[TopicColumns]:
@@ -154,7 +171,7 @@ def _place_scans(
         return np.zeros(0, dtype=np.int64), ()
     step = -(-len(known) // MOST_SCANS)
     kept = known[::step]
-    frames = {_name_frame(columns) for columns in messages}
+    frames = dict.fromkeys(_name_frame(*scans[row]) for row in kept)
     carriers = {frame: find_carrier(tree, frame) for frame in frames}
     placed = [
         _to_world(_to_robot(scans[row], tree, carriers), run, int(time_ns[row])) for row in kept
@@ -197,10 +214,11 @@ def _to_robot(
     ranges = ranges[::step]
     low, high = float(fields["range_min"][row]), float(fields["range_max"][row])
     seen = np.isfinite(ranges) & (ranges >= low) & (ranges <= high) & (ranges > 0.0)
-    angle = float(fields["angle_min"][row]) + numbers[seen] * float(fields["angle_increment"][row])
-    reach = ranges[seen]
+    angle = float(fields["angle_min"][row]) + numbers * float(fields["angle_increment"][row])
+    seen &= np.isfinite(angle) & (ranges <= _LONGEST_RAY_M)
+    reach, angle = ranges[seen], angle[seen]
     points = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), np.zeros(len(reach))])
-    frame = _name_frame(columns)
+    frame = _name_frame(columns, row)
     carrier = carriers[frame]
     if carrier is None:
         return np.asarray(points[:, :2])
@@ -234,7 +252,10 @@ def _place_map(
     size_m = float(fields["info.resolution"][row])
     data = np.asarray(fields["data"][row])
     if not (0.0 < size_m < np.inf) or width * height != len(data) or len(data) > _MOST_GRID:
-        notes.append(f"The map of {topic} is left out: {width} x {height} cells of {size_m:g} m.")
+        notes.append(
+            f"The map of {topic} is left out: {width} x {height} cells of {size_m:g} m, and"
+            f" {describe_count(len(data), 'value')}."
+        )
         return np.zeros((0, 2)), 0.0
     cells = np.flatnonzero(data >= _OCCUPIED)
     cells = cells[:: -(-max(len(cells), 1) // MOST_CELLS)]
@@ -244,8 +265,11 @@ def _place_map(
         np.array([[float(fields[f"info.origin.{kind}.{axis}"][row]) for axis in axes]])
         for kind, axes in (("position", "xyz"), ("orientation", "xyzw"))
     )
+    if not (np.isfinite(origin).all() and np.isfinite(turn).all()):
+        notes.append(f"The map of {topic} is left out: its origin has nan or infinity.")
+        return np.zeros((0, 2)), 0.0
     placed = origin + rotate(np.tile(turn if turn.any() else [0, 0, 0, 1], (len(cells), 1)), local)
-    frame, home = _name_frame(columns), run.notes.get("frame", "")
+    frame, home = _name_frame(columns, row), run.notes.get("frame", "")
     if frame and home and frame != home:
         at = locate_frame(tree, home, frame, columns.log_time_ns[row : row + 1])
         if at is None:
@@ -256,8 +280,8 @@ def _place_map(
     return np.asarray(placed[:, :2]), size_m
 
 
-def _name_frame(columns: TopicColumns) -> str:
-    return str(columns.fields["header.frame_id"][0]).lstrip("/")
+def _name_frame(columns: TopicColumns, row: int) -> str:
+    return str(columns.fields["header.frame_id"][row]).lstrip("/")
 
 
 def _thin(points: Sequence[Values]) -> Values:
@@ -285,6 +309,6 @@ def _describe(
         verbs = ("has", "is") if known == count - 1 else ("have", "are")
         yield f"{lost} of {topic} {verbs[0]} no pose within 1 s and {verbs[1]} left out."
     for frame, carrier in carriers.items():
-        if carrier is None:
+        if carrier is None and not is_robot_frame(frame):
             name = frame or "the scanner"
             yield f"No transform tells where {name} is on the robot: taken to be its middle."

@@ -282,7 +282,7 @@ def _list_lone(tree: Tree, world: str | None) -> list[tuple[str, str]]:
     """Return the links that move and are no joints: no frame above them moves or is a robot's."""
     found = []
     for (parent, child), link in tree.items():
-        is_root = not _list_moving(tree, parent) and not _is_robot(parent)
+        is_root = not _list_moving(tree, parent) and not is_robot_frame(parent)
         if link.moves and is_root and world in (None, parent):
             found.append((parent, child))
     return found
@@ -329,7 +329,7 @@ def find_carrier(tree: Tree, frame: str) -> str | None:
     if not any(frame in names for names in tree):
         return None
     above = [frame, *_climb(tree, frame)]
-    robots = [name for name in above if _is_robot(name)]
+    robots = [name for name in above if is_robot_frame(name)]
     if robots:
         return robots[-1]
     moving = (child for child, parent in pairwise(above) if tree[parent, child].moves)
@@ -340,7 +340,8 @@ def _is_world(frame: str) -> bool:
     return _WORLDS.fullmatch(frame.rpartition("/")[2]) is not None
 
 
-def _is_robot(frame: str) -> bool:
+def is_robot_frame(frame: str) -> bool:
+    """Return whether a frame has the name of a robot's own."""
     return any(kind.fullmatch(frame.rpartition("/")[2]) for kind in _ROBOTS)
 
 

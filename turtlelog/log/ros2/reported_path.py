@@ -159,9 +159,11 @@ def _blame(paths: Paths, by_speed: float) -> str:
     if paths.by_commands is not None and paths.by_commands >= _LEAST_M:
         off_m = [abs(one - paths.by_commands) for one in (paths.by_strides, by_speed)]
         if max(off_m) > _NEARER * min(off_m):
-            wrong = "the poses are" if off_m[0] > off_m[1] else "the reported speed is"
             asked = format_short(paths.by_commands, "m")
-            return f"{wrong} more likely wrong, as commands ask for {asked}"
+            if off_m[0] > off_m[1]:
+                # Wheels that slip turn as commands ask, and report that.
+                return f"the poses are wrong or the wheels slip, as commands ask for {asked}"
+            return f"the reported speed is more likely wrong, as commands ask for {asked}"
     return "nothing tells which is wrong"
 
 

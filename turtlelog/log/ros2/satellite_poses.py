@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count
+from turtlelog.display import describe_count, format_short
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.ros2.joined_messages import join_messages
@@ -28,6 +28,9 @@ _NOISES: Final = 10.0
 _LONGEST_S: Final = 10.0
 """Time in which a receiver that moves comes so far [s]: at 0.05 m/s half a metre. One that stands
 wanders by metres in minutes."""
+
+_FEWEST: Final = 3
+"""Fixes that a course needs: its own, one behind and one ahead."""
 
 _MEDIAN_OF_SECOND: Final = 2.884
 """Median length of second differences of positions in the plane, in standard deviations of the
@@ -63,10 +66,10 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
     place_m = project_fixes(latitude_deg[rows], longitude_deg[rows], height_m)
     heading_rad, way_m, held = find_courses(messages.motion_s[rows], place_m[:, :2])
     if np.isnan(heading_rad).any():
-        extent_m = float(np.ptp(place_m[:, :2], axis=0).max())
+        found = _describe_standing(messages.motion_s[rows], place_m)
         raise LogError(
             f"topic {messages.topic}: expected a receiver that moves by {way_m:.2g} m within"
-            f" {_LONGEST_S:g} s, found one that stays within {extent_m:.2g} m: it has no heading"
+            f" {_LONGEST_S:g} s, found {found}: it has no heading"
         )
     columns = {"x": place_m[:, 0], "y": place_m[:, 1], "theta": heading_rad}
     if np.isfinite(altitude_m[rows]).all():
@@ -74,8 +77,8 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
     lost = len(messages) - len(rows)
     notes = {
         "heading": (
-            f"the course over {way_m:.2g} m, as a receiver has no heading; held where it"
-            f" stands, for {held} of {len(rows)} poses"
+            f"the course over {way_m:.2g} m, as a receiver has no heading; held at either end and"
+            f" where it stands, for {held} of {len(rows)} poses"
         ),
         "origin": (
             f"x is east and y north of {latitude_deg[rows[0]]:.7f} deg,"
@@ -85,6 +88,17 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
     if lost:
         notes["heading"] += f"; {describe_count(lost, 'message')} without a fix left out"
     return messages.make_poses(rows, columns), notes
+
+
+def _describe_standing(time_s: Values, place_m: Values) -> str:
+    """Return what a receiver without a course does instead."""
+    if len(time_s) < _FEWEST:
+        return f"fewer than {_FEWEST} fixes"
+    step_s = float(np.median(np.diff(time_s)))
+    if step_s > _LONGEST_S / 2.0:
+        return f"fixes {step_s:.3g} s apart, which is too seldom"
+    extent_m = format_short(float(np.ptp(place_m[:, :2], axis=0).max()), "m")
+    return f"a slower one, within {extent_m} in all"
 
 
 def project_fixes(latitude_deg: Values, longitude_deg: Values, height_m: Values) -> Values:

@@ -156,7 +156,7 @@ def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
     """Return why stamps are not usable, empty where they are."""
     count, zeros = len(stamp_ns), int((stamp_ns <= 0).sum())
     if zeros == count:
-        return "all stamps are 0"
+        return "all stamps are 0 or before 1970" if stamp_ns.any() else "all stamps are 0"
     if count == 1:
         return "one message tells no clock"
     if len(rows) < _LEAST_STAMPED * count:

@@ -113,8 +113,13 @@ def _pick(
 
 
 def _unwrap(turned_rad: Values) -> tuple[Values, int]:
-    """Return angles without wraps of a joint that stays within half a turn, and how many."""
-    is_wrapped = (np.abs(turned_rad) <= np.pi * (1.0 + 1e-9)).all()
+    """Return angles without wraps of joints that stay within one turn, and how many there were."""
+    # From -180 to 180 deg or from 0 to 360 deg: what an encoder of one turn tells.
+    low_rad, high_rad = (float(end) for end in (turned_rad.min(), turned_rad.max()))
+    most_rad = np.pi * (1.0 + 1e-6)  # positions may have 32 bits
+    is_wrapped = max(-low_rad, high_rad) <= most_rad or (
+        low_rad >= 0.0 and high_rad <= 2.0 * most_rad
+    )
     wraps = int((np.abs(np.diff(turned_rad, axis=0)) > np.pi).sum()) if is_wrapped else 0
     return (np.unwrap(turned_rad, axis=0) if wraps else turned_rad), wraps
 
