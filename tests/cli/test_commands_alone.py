@@ -83,6 +83,7 @@ def test_plot_draws_the_commands_and_does_not_say_that_they_rest(call: Call, bag
     answer = call("plot", bag, "-o", "panel.svg")
     assert answer.code == 0
     assert "drive: commands for 10 s, no poses." in answer.out
+    assert "of drive: Path, errors and commands, as far as recorded." in answer.flat
     text = Path("panel.svg").read_text(encoding="utf-8")
     assert "time from the first command [s]" in text
     assert "at rest" not in text

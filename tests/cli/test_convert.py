@@ -101,7 +101,7 @@ def test_poses_alone_become_a_recording_of_poses(call: Call, kp4: Path, tmp_path
     alone = tmp_path / "alone.csv"
     alone.write_text("".join(poses.read_text().splitlines(keepends=True)[:2]))
     answer = call("convert", alone, "-o", tmp_path / "alone.mcap")
-    assert answer.flat.startswith(f"{tmp_path / 'alone.mcap'}: 1 pose of ")
+    assert answer.flat.startswith("alone.mcap: 1 pose of alone.csv")
     info, of_recording = call("info", poses, again, "--json").json
     assert info["duration_s"] == of_recording["duration_s"] == 11.264
 

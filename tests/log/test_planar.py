@@ -29,6 +29,19 @@ def test_tilt_is_said() -> None:
     assert "varies by 2 m (0 to 2 m) and it tilts by 0 to 28.6 deg" in both
 
 
+@pytest.mark.parametrize(
+    ("varies_rad", "words"),
+    [
+        (0.0, "the robot or its frame is tilted by 177 deg throughout"),
+        (0.099, "the robot or its frame is tilted by 171 to 177 deg throughout"),
+        (0.101, "the robot leaves the plane: it tilts by 171 to 177 deg"),
+    ],
+)
+def test_a_tilt_that_stays_may_be_of_the_frame(varies_rad: float, words: str) -> None:
+    told = describe_plane(np.zeros(2), np.array([3.09 - varies_rad, 3.09]))
+    assert told == f"{words}; most metrics are seen from above"
+
+
 @pytest.mark.parametrize("axis", [(1.0, 0.0), (0.0, 1.0), (0.6, 0.8)])
 @pytest.mark.parametrize("tilt_rad", [0.0, 1e-9, 0.3, math.pi])
 def test_tilt_is_the_angle_about_a_level_axis(axis: tuple[float, float], tilt_rad: float) -> None:

@@ -120,7 +120,7 @@ def test_jumps_are_ranked_by_what_exceeds_driving() -> None:
     assert alone == "1 jump, 0.15 m ahead and +0.286 deg at 2.5 s, 0.1 m more than it drove"
 
 
-@pytest.mark.parametrize("turned_rad", [0.5, -1.5, 3.0])
+@pytest.mark.parametrize("turned_rad", [0.09, 0.5, -1.5, 3.0])
 def test_a_jump_of_the_heading_alone_has_no_way(turned_rad: float) -> None:
     told = describe_breaks(move(make_robot(0.5), 100, turned_rad=turned_rad))["jumps"]
     assert told == f"1 jump, {np.degrees(turned_rad) + 0.286:+.3g} deg at 5.0 s"

@@ -313,10 +313,10 @@ def _align(pair: Associated, align: AlignIn, name: str, reference: str) -> Align
             scales=align.startswith("sim"),
         )
     except DegenerateError as err:
-        other = "--align origin" if align.endswith("2") or "still" in str(err) else "--align se2"
+        other = "origin" if align.endswith("2") or "still" in str(err) else "se2"
         raise CompareError(
             f"{name}: not aligned to {reference}: {err}, so the rotation of an alignment in"
-            f" {NAMES[align]} is not determined; take {other} or --align none"
+            f" {NAMES[align]} is not determined; align by {other} or none"
         ) from err
 
 

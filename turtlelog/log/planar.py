@@ -33,11 +33,18 @@ def describe_plane(z_m: Values | None, tilt_rad: Values | None) -> str | None:
         low_m, high_m = float(heights.min()), float(heights.max())
         found.append(f"its height varies by {height:.3g} m ({low_m:.3g} to {high_m:.3g} m)")
     if len(tilts) and float(tilts.max()) > MOST_TILT_RAD:
-        low, high = math.degrees(tilts.min()), math.degrees(tilts.max())
-        found.append(f"it tilts by {low:.3g} to {high:.3g} deg")
+        ends = (f"{math.degrees(end):.3g}" for end in (tilts.min(), tilts.max()))
+        tilt = f"{' to '.join(dict.fromkeys(ends))} deg"
+        if not found and float(np.ptp(tilts)) <= MOST_TILT_RAD:
+            # As in a frame whose z points down, or that of a camera.
+            return f"the robot or its frame is tilted by {tilt} throughout; {_SEEN}"
+        found.append(f"it tilts by {tilt}")
     if not found:
         return None
-    return f"the robot leaves the plane: {' and '.join(found)}; most metrics are seen from above"
+    return f"the robot leaves the plane: {' and '.join(found)}; {_SEEN}"
+
+
+_SEEN: Final = "most metrics are seen from above"
 
 
 def lift_poses(z_m: Values | None, tilt_rad: Values | None) -> dict[str, Values]:

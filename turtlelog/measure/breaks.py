@@ -217,8 +217,9 @@ def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int, *, is_north: bool)
     signed = (largest.moved_m, -largest.moved_m, largest.aside_m, -largest.aside_m)
     way_m = float(np.hypot(largest.moved_m, largest.aside_m))
     least_m = _ROUNDING
-    if largest.excess_rad > _TURNED_RAD and largest.excess_m <= _TOLD * way_m:
-        least_m = np.inf  # of a turn on the way, the way is no part
+    beyond_s2 = largest.excess_m / ACCELERATION[0], largest.excess_rad / ACCELERATION[1]
+    if largest.excess_m <= _TOLD * way_m and beyond_s2[0] < beyond_s2[1]:
+        least_m = np.inf  # of a heading that jumps on the way, the way is no part
     parts = [f"{way:.3g} {name}" for name, way in zip(names, signed, strict=True) if way > least_m]
     if abs(largest.turned_rad) > _ROUNDING:
         parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")

@@ -421,7 +421,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = MappingProxyType(
             needs="poses",
         ),
         "panel": FigureKind(
-            title="Errors and commands of both loops",
+            title="Path, errors and commands, as far as recorded",
             paper="",
             panels=(
                 _panel("heading"),

@@ -66,10 +66,10 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
     place_m = project_fixes(latitude_deg[rows], longitude_deg[rows], height_m)
     heading_rad, way_m, held = find_courses(messages.motion_s[rows], place_m[:, :2])
     if np.isnan(heading_rad).any():
-        found = _describe_standing(messages.motion_s[rows], place_m)
+        standing = _describe_standing(messages.motion_s[rows], place_m)
         raise LogError(
             f"topic {messages.topic}: expected a receiver that moves by {way_m:.2g} m within"
-            f" {_LONGEST_S:g} s, found {found}: it has no heading"
+            f" {_LONGEST_S:g} s, found {standing}: it has no heading"
         )
     columns = {"x": place_m[:, 0], "y": place_m[:, 1], "theta": heading_rad}
     if np.isfinite(altitude_m[rows]).all():
