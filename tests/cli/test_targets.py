@@ -28,7 +28,7 @@ INPUT = "this is the input; name another file to write"
 RUN = ("run", "paper", "--realtime")  # would take 20 s before it failed
 TARGETS = [
     ([*RUN, "--rrd", "a.mcap"], "a.mcap: the name must end in .rrd"),
-    ([*RUN, "--rrd", "no/a.rrd"], "no/a.rrd: there is no such folder to write to"),
+    ([*RUN, "--rrd", "no/a.rrd"], "no/a.rrd: there is no such folder to write to; create it first"),
     ([*RUN, "--rrd", "folder.rrd"], f"folder.rrd: {FOLDER}"),
     ([*RUN, "--rrd", f"{LONG}.rrd"], f"{LONG}.rrd: cannot be written: "),
     ([*RUN, "-o", "folder.mcap"], f"folder.mcap: {FOLDER}"),

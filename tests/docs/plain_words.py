@@ -12,11 +12,8 @@ from statistics import median
 from typing import Final, Literal
 
 ROOT: Final = Path(__file__).parents[2]
-PAGES: Final = [
-    ROOT / "README.md",
-    *(page for page in sorted((ROOT / "docs").glob("*.md")) if page.name != "json.md"),
-]
-"""Pages that people write; json.md is generated."""
+PAGES: Final = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+"""README and docs. The words of json.md are those of the answers' docstrings."""
 
 LONGEST: Final = 35
 """Words of a sentence: readers lose the subject of a longer one."""

@@ -43,7 +43,7 @@ class RobotTopics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InfoAnswer:
-    """What is in a file.
+    """Contents of a file.
 
     Attributes:
         file: Name of the file as given.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandReplayAnswer:
-    """Where recorded commands lead a plant.
+    """Motion of a plant that recorded commands drive.
 
     Attributes:
         file: Name of the file as given.

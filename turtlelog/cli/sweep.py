@@ -235,7 +235,7 @@ def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepAnswer:
-    """What a sweep came to.
+    """Results of a sweep.
 
     Attributes:
         output: The table.

@@ -35,9 +35,9 @@ class Departure:
     """The earliest difference of two runs.
 
     Attributes:
-        part: Part that differs first: `start` (the first pose), `robot` (it moves otherwise after
-            equal commands), `sensor` (the pose as sensed), `controller` (it answers an equal pose
-            otherwise), `timing` (when a sample or command occurs) or `end` (one run is longer).
+        part: Part that differs first. `start`: the first pose. `robot`: it moves otherwise after
+            equal commands. `sensor`: the pose as sensed. `controller`: it answers an equal pose
+            otherwise. `timing`: the time of a sample or command. `end`: one run is longer.
         signal: Name of the signal that differs.
         unit: Unit of the values; empty for a name or a count.
         time_s: Time of the difference from the first pose [s].

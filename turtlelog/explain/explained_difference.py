@@ -24,9 +24,9 @@ class Side:
         as_logged: The metric of the log; None if it has no value.
         resimulated: The metric, simulated again with the run's own seed; None likewise.
         reason: Why the metric has no value; empty if it has one.
-        basis: Scenario that reproduces the run: `recorded`, the scenario that it holds, which
-            reproduces every sample; `identified`, one that is identified from its samples; `robot`,
-            the model of a robot that its recorded commands drive; None if nothing does.
+        basis: Scenario that reproduces the run. `recorded`: the run's own, which reproduces every
+            sample. `identified`: one that is identified from its samples. `robot`: the model of a
+            robot that its recorded commands drive. None if nothing does.
         note: Accuracy with which the recorded scenario reproduces the run, or why no scenario does.
         is_exact: Whether that scenario reproduces every sample.
         unknown: Keys that are not identified: the other run's values are used.
