@@ -49,7 +49,8 @@ def test_a_bag_is_compared_with_the_robot_of_a_scenario(
     assert words.startswith("robot beside the scenario robot: median position error ")
     assert "errors lie within the central 95 % of" in words
     assert "is driven with the recorded commands. Each motion is simulated with 39 seeds." in words
-    lines = [line for line in found.out.splitlines() if str(bag) not in line]
+    paths = str(bag), str(scenario)
+    lines = [line for line in found.out.splitlines() if not any(one in line for one in paths)]
     assert len(lines) <= 40
     assert max(map(len, lines)) <= 80
     assert plot.read_bytes().startswith(b"\x89PNG")
@@ -86,7 +87,9 @@ def test_without_noise_there_is_no_share(call: Call, bag: Path, tmp_path: Path) 
     quiet = write_scenario(tmp_path / "quiet.TOML", PLANT)
     (run,) = call("compare", bag, quiet, "--json").json["runs"]
     assert {error["within_share"] for error in run["errors"]} == {None}
-    assert "there is no band" in " ".join(call("compare", bag, quiet).out.split())
+    words = " ".join(call("compare", bag, quiet).out.split())
+    assert "there is no band" in words
+    assert words.endswith(f"Curves: turtlelog compare {bag} {quiet} --plot FILE.pdf")
 
 
 def test_several_bags_have_their_rows_and_one_that_cannot_be_read_is_told(

@@ -309,3 +309,14 @@ def test_topics_and_parameters_are_listed_where_they_are_asked_for(call: Call, k
     assert short.endswith("Topics: --topics    Scenario: --parameters\n")
     for text in ("/turtle1/control  turtlelog_msgs/msg/ControlSample", "  law.kp_linear = 4.0\n"):
         assert (text in short, text in long) == (False, True)
+
+
+@pytest.mark.parametrize(("step_ns", "rate"), [(1_000, "1e+06 Hz, "), (999, "")])
+def test_poses_of_one_time_have_no_rate(
+    call: Call, tmp_path: Path, step_ns: int, rate: str
+) -> None:
+    said = [replace(pose, time_ns=step_ns * row) for row, pose in enumerate(make_poses(40))]
+    assert (
+        f"/turtle1/pose, {rate}40 messages"
+        in call("info", write_mcap(tmp_path / "a.mcap", said)).out
+    )

@@ -301,7 +301,7 @@ def list_errors(errors: "Mapping[str, PathDeviation]", reference: str) -> Iterat
         yield f"{name}: {path if len(errors) > 1 else ''}{apart}, RMS {_show(error.rms_apart_m)}."
 
 
-def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str]) -> str:
+def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scenario: str) -> str:
     """Return how far recorded robots are from a simulated one, what that means, and the table."""
     found = [
         one if len(one.name) <= _LONGEST else replace(one, name=tl.compare.name_file(file))
@@ -325,7 +325,7 @@ def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str]) -> s
             fill_lines(
                 [
                     f"The simulated robot is driven with the recorded commands. {means}",
-                    f"Curves: turtlelog compare {shlex.quote(files[0])} SCENARIO --plot FILE.pdf",
+                    f"Curves: turtlelog compare {shlex.join([files[0], scenario])} --plot FILE.pdf",
                 ]
             ),
         ]

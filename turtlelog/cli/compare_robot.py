@@ -92,7 +92,7 @@ def _print(found: "Sequence[tuple[Path, RobotComparison]]", scenario: Path, kind
         return
     robots = [one for _, one in found]
     if kind == "txt":
-        print_text(format_robots(robots, [str(file) for file, _ in found]))
+        print_text(format_robots(robots, [str(file) for file, _ in found], str(scenario)))
     else:
         print_tables([tl.compare.tabulate_robots(robots)], kind)
 

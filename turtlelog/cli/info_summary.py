@@ -34,6 +34,9 @@ _HEAD_BYTES: Final = 64
 _FEWEST_RATED: Final = 20
 """Fewer messages are counted, without a rate."""
 
+_SHORTEST_NS: Final = 1_000
+"""Nothing is published at 1 MHz: such steps are between poses that were given one time [ns]."""
+
 _STEADY: Final = 3.0
 """Messages whose quick and slow steps (a tenth of them each) differ by more have no rate."""
 
@@ -430,7 +433,7 @@ def _describe_rate(time_ns: "NDArray[Any]") -> str:
         return ""
     step_ns = np.diff(time_ns)
     quick, slow = np.quantile(step_ns, [0.1, 0.9])
-    if quick <= 0 or slow > _STEADY * quick:
+    if quick < _SHORTEST_NS or slow > _STEADY * quick:
         return ""
     # Without gaps and bursts; a step that was long makes the next one short.
     usual_ns = step_ns[(step_ns >= quick) & (step_ns <= slow)]

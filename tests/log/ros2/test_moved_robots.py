@@ -274,6 +274,15 @@ def test_steering_turns_a_car_with_its_wheelbase(tmp_path: Path, *, stamped: boo
     assert "--wheelbase L" in bare.notes["chosen"]
 
 
+@pytest.mark.parametrize(("angle", "kept"), [(1.57, 6), (math.pi / 2 + 1e-3, 5), (-3.0, 5)])
+def test_a_wheel_that_stands_across_turns_no_car(tmp_path: Path, angle: float, kept: int) -> None:
+    said = [say_steering(row, stamped=True) for row in range(5)]
+    bag = write_robot(tmp_path, say_odometry(), said, say_steering(5, stamped=True, angle=angle))
+    run = tl.read_run(bag, wheelbase=0.33)
+    assert len(run.commands) == kept
+    assert run.notes.get("dropped_nan") == (None if kept == 6 else "1 command")
+
+
 def test_steering_comes_first_where_a_wheelbase_is_given(tmp_path: Path) -> None:
     twists = [say_twist(0.1, row=row) for row in range(5)]
     said = [say_steering(row, stamped=True) for row in range(5)]

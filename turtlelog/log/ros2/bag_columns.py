@@ -138,12 +138,14 @@ def extract_commands(
         kind: Type of the messages.
         fields: Their fields.
         wheelbase_m: Distance of the axles [m], which Ackermann commands need: a car turns with
-            speed * tan(steering angle) / wheelbase.
+            speed * tan(steering angle) / wheelbase. The turn rate is nan from 90 deg on.
     """
     if kind in ACKERMANN_TYPES and wheelbase_m is not None:
         drive = "drive." if kind.endswith("Stamped") else ""
         speed_m_s = _widen(fields[f"{drive}speed"])
         steering_rad = _widen(fields[f"{drive}steering_angle"])
+        is_aside = np.abs(steering_rad) >= np.pi / 2.0  # A wheel that stands across turns no car.
+        steering_rad = np.where(is_aside, np.nan, steering_rad)
         return {
             "speed": speed_m_s,
             "lateral_speed": np.zeros_like(speed_m_s),
