@@ -94,7 +94,7 @@ def test_the_command_that_writes_a_report_again_reads_as_it_was_read(
     assert "--time=auto" not in again
     first = path.read_bytes()
     assert run(capsys, *again)[0] == 0
-    assert f"ends {format_length(math.hypot(3.9, 2.0))} from its goal" in path.read_text("utf-8")
+    assert f"ended {format_length(math.hypot(3.9, 2.0))} from the goal" in path.read_text("utf-8")
     assert len(first) == path.stat().st_size
     assert run(capsys, "check", spec, table, "--report", path, *words)[0] == 0
     told = re.search("<pre><code>turtlelog (.*?)</code>", path.read_text("utf-8"))

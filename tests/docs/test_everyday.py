@@ -186,6 +186,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
             os.link(folder / f"{name}.mcap", folder / below / f"{name}.mcap")
     (folder / "cut.mcap").write_bytes((folder / "kp4.mcap").read_bytes()[:-2000])
     (folder / "spec.toml").write_text(SPEC, "utf-8")
+    for name in ("truth", "estimate"):
+        tl.log.export_tum(tl.read_recording(folder / "kp4.mcap"), folder / f"{name}.tum")
     short = tl.override_scenario(tl.load_scenario("paper"), {"max_duration_s": 3.0})
     (folder / "mine.toml").write_text(tl.format_scenario(short), "utf-8")
     write_json(make_log(), folder).rename(folder / "kp1_210.json")
