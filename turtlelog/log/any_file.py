@@ -77,13 +77,22 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
     pairs = (choice.pose_topic, POSE.name), (choice.command_topic, COMMAND.name)
     asked = [None if name is None else match_topic(name, {usual}) for name, usual in pairs]
     is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
-    others = choice.path_topic, choice.pose_frame, choice.world_frame
+    robot = None if choice.robot == _OWN_ROBOT else choice.robot
+    others = (
+        *(choice.path_topic, choice.pose_frame, choice.world_frame, robot),
+        *(choice.wheel_joints, choice.wheels),
+    )
+    is_usual = is_usual and all(one is None for one in others)
     # What should be a recording, and is no MCAP file, is told so.
-    if (is_usual and others == (None, None, None)) or not (is_folder or is_bag_file(path)):
+    if is_usual or not (is_folder or is_bag_file(path)):
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
             return _note_unused(_aim(path, own, choice), choice)
     return _note_unused(ros2.read_bag(path, **_list_options(choice)), choice)
+
+
+_OWN_ROBOT: Final = POSE.name.split("/")[1]
+"""The robot of a recording of ours; any other one is looked for as in a bag."""
 
 
 def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -290,6 +291,23 @@ def test_steering_comes_first_where_a_wheelbase_is_given(tmp_path: Path) -> None
     assert tl.read_run(bag).commands.speed_m_s[0] == 0.1
     assert tl.read_run(bag, wheelbase=0.33).commands.speed_m_s[0] == 2.0
     assert tl.read_run(bag, wheelbase=1.0, command_topic="/cmd_vel").commands.speed_m_s[0] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"robot": "bob"}, "robot bob: no topic below that name"),
+        ({"wheel_joints": "a,b", "wheels": (0.1, 0.3)}, "JointState"),
+    ],
+)
+def test_a_recording_of_ours_does_not_pass_over_what_it_lacks(
+    tmp_path: Path, options: dict[str, Any], message: str
+) -> None:
+    path = tmp_path / "a.mcap"
+    tl.write_recording(tl.simulate_run("textbook", changes={"max_duration_s": 0.5}), path)
+    assert len(tl.read_run(path, robot="turtle1").samples)
+    with pytest.raises(tl.LogError, match=message):
+        tl.read_run(path, **options)
 
 
 def test_steering_alone_needs_a_wheelbase(tmp_path: Path) -> None:
