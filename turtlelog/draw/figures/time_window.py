@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from turtlelog.charts.axis_ranges import find_rest
+from turtlelog.charts.time_axes import find_rest
 from turtlelog.draw.figures.page import Page
 from turtlelog.errors import ShowError
 from turtlelog.run import Run

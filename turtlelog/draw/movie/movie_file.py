@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from turtlelog.charts.phase_timelines import TIMELINE
+from turtlelog.charts.time_axes import TIMELINE
 from turtlelog.compare import order_by_gain
 from turtlelog.draw.movie.encoding import PICTURES_PER_S, encode_movie, require_encoder
 from turtlelog.draw.movie.film import LONGEST_S, SHORTEST_S, plan_film

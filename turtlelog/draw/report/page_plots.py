@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.charts.axis_ranges import find_range
+from turtlelog.charts.captions import describe_plot
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.curves import Values
@@ -19,15 +19,15 @@ from turtlelog.charts.plotted_curves import (
     CurveKind,
     PlottedCurve,
     TimePlot,
+    group_states,
     has_own,
     leaves_out,
     list_own,
     list_plot_levels,
     list_plotted,
 )
-from turtlelog.charts.pose_gaps import list_seen_gaps
-from turtlelog.charts.state_groups import group_states
-from turtlelog.charts.text_alternatives import describe_plot
+from turtlelog.charts.robot_curves import list_seen_gaps
+from turtlelog.charts.time_axes import find_range
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.draw.report.drawn import (

@@ -5,17 +5,18 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.charts.captions import describe_plane
 from turtlelog.charts.close_up import CloseUp, format_length
 from turtlelog.charts.looks import choose_turtle_size
-from turtlelog.charts.plane_scene import is_in_world, list_goals
-from turtlelog.charts.robot_curves import find_break_rows, part_path
-from turtlelog.charts.run_ends import (
+from turtlelog.charts.plane_scene import (
     MEDIAN_LABEL,
     OUTLINE_LABEL,
     find_gain_ends,
     has_grey_paths,
+    is_in_world,
+    list_goals,
 )
-from turtlelog.charts.text_alternatives import describe_plane
+from turtlelog.charts.robot_curves import find_break_rows, part_path
 from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin, to_hex
 from turtlelog.libraries import load_library
