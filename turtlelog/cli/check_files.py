@@ -330,7 +330,7 @@ def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
 
 def read_to_judge(path: Path, choice: "ReadChoice") -> "tuple[Run, dict[str, str]]":
     """Return a run, whole or not, and what to tell of reading it."""
-    from turtlelog.log.recording.recovery_note import LOSS_NOTES
+    from turtlelog.log.recording.head import LOSS_NOTES
 
     # A recording that is not whole fails its check, which says so.
     run = tl.log.read_as_chosen(path, replace(choice, allow_partial=True, allow_no_poses=True))

@@ -143,7 +143,7 @@ def convert(
         for path in written:  # what stands, though another does not
             print_note(f"wrote {path}")
         raise
-    from turtlelog.log.recording.shared_topics import list_unshared
+    from turtlelog.log.recording.run_writer import list_unshared
 
     kept = {name: text for name, text in run.notes.items() if name != tl.log.CHOSEN}
     notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items()]

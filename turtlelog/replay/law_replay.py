@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line
 from turtlelog.errors import ReplayError as ReplayError
 from turtlelog.laws import Law, Pose, find_law
-from turtlelog.log.recording.recovery_note import LOSS_NOTES
+from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.bag_reader import NOT_READ
 from turtlelog.plants import find_plant

@@ -22,8 +22,7 @@ from turtlelog.log.engine.blocks import Block
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.parsing import COUNTED_HEAD, HEADING, MESSAGE_HEAD
-from turtlelog.log.engine.sqlite_file import open_connection
-from turtlelog.log.engine.sqlite_tables import describe_topics, list_tables
+from turtlelog.log.engine.sqlite_file import describe_topics, list_tables, open_connection
 from turtlelog.log.error_boundary import DamageError
 
 if TYPE_CHECKING:

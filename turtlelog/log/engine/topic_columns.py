@@ -21,8 +21,7 @@ from turtlelog.log.engine.decode import (
 )
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
-from turtlelog.log.engine.selection import EVER, Selection
-from turtlelog.log.engine.source import Piece, Source, count_rows, iterate_pieces
+from turtlelog.log.engine.source import EVER, Piece, Selection, Source, count_rows, iterate_pieces
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.run.tabular import Tabular
 

@@ -21,8 +21,7 @@ from turtlelog.log.engine.framing import MCAP0_MAGIC, check_start
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import NoMcapError, open_mcap
-from turtlelog.log.engine.selection import Selection
-from turtlelog.log.engine.source import read_piece
+from turtlelog.log.engine.source import Selection, read_piece
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
 from turtlelog.log.error_boundary import DamageError, UnfinishedError, name_file, open_file
@@ -41,9 +40,9 @@ from turtlelog.log.recording.head import (
     Head,
     add_lost,
     declare_format1,
+    describe_damages,
     parse_scenario_file,
 )
-from turtlelog.log.recording.recovery_note import describe_damages
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,

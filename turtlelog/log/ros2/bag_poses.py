@@ -34,8 +34,7 @@ from turtlelog.log.ros2.bag_transforms import (
     collect_links,
     trace_frame,
 )
-from turtlelog.log.ros2.satellite_poses import locate_fixes
-from turtlelog.log.ros2.wheel_odometry import integrate_wheels
+from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
 
 Found = list[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""

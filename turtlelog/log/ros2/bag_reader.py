@@ -38,6 +38,7 @@ from turtlelog.log.ros2.bag_columns import (
 )
 from turtlelog.log.ros2.bag_commands import (
     NEVER_IN_BAGS,
+    add_samples,
     build_commands,
     choose_commands,
     name_bag,
@@ -47,20 +48,21 @@ from turtlelog.log.ros2.bag_commands import (
 from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_references import Track, add_references
 from turtlelog.log.ros2.bag_robots import BagRobot, describe_robots, require_robot, select_robot
-from turtlelog.log.ros2.bag_samples import add_samples
 from turtlelog.log.ros2.bag_topics import (
     TRANSFORMS,
     NoPosesError,
     Pick,
     describe_unread_topics,
 )
-from turtlelog.log.ros2.reported_path import (
+from turtlelog.log.ros2.reported_motion import (
+    LATERAL,
     PATH_NOTE,
+    SPEED,
     describe_paths,
     describe_small_leaps,
+    judge_rates,
     measure_paths,
 )
-from turtlelog.log.ros2.reported_rates import LATERAL, SPEED, judge_rates
 from turtlelog.run import PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
