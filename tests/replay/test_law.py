@@ -12,7 +12,7 @@ from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.log import read_recording, read_run, write_recording
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay import LawReplay, ReplayError, replay_law
-from turtlelog.replay.sample_pairs import count_missing
+from turtlelog.replay.run_pairs import count_missing
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import (
     PAPER_RUNS,

@@ -1,4 +1,4 @@
-"""What a plot over time is: its curves, what kind each is of, and how they are read of a run."""
+"""What a plot over time is: its curves and their kinds, and states of a law shown together."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace

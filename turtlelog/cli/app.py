@@ -15,7 +15,6 @@ from typing import Any, Final
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
-from turtlelog.cli.help import HelpFormatter, show_default
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_DEFECT,
@@ -27,7 +26,7 @@ from turtlelog.cli.output import (
     print_note,
 )
 from turtlelog.cli.progress import end_progress
-from turtlelog.cli.usage_errors import describe_usage_error, find_split_pair
+from turtlelog.cli.usage import HelpFormatter, describe_usage_error, find_split_pair, show_default
 from turtlelog.errors import TurtlelogError, UsageError, describe_unknown
 from turtlelog.files.urls import RemoteNote, limit_downloads
 from turtlelog.version import __version__

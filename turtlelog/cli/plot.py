@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog import draw
-from turtlelog.cli.asked_figures import AskedOptions
+from turtlelog.cli.figure_options import TIMELESS, AskedOptions, PageOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.map import ViewOptions, draw_table, find_table
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
@@ -26,7 +26,6 @@ from turtlelog.cli.options import (
     split_names,
 )
 from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
-from turtlelog.cli.page_options import TIMELESS, PageOptions
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.display import describe_count, join_words
@@ -35,7 +34,7 @@ from turtlelog.files.urls import RemotePath
 
 if TYPE_CHECKING:
     from turtlelog import Run
-    from turtlelog.cli.asked_figures import Only
+    from turtlelog.cli.figure_options import Only
     from turtlelog.draw import Page
 
 

@@ -32,8 +32,12 @@ from turtlelog.cli.replay_choice import (
     require_sound,
     settle_file,
 )
-from turtlelog.cli.replay_commands import CommandReplayAnswer, replay_commands
-from turtlelog.cli.replay_plant import build_plant, format_plant
+from turtlelog.cli.replay_plant import (
+    CommandReplayAnswer,
+    build_plant,
+    format_plant,
+    replay_commands,
+)
 from turtlelog.cli.scenario_options import ScenarioOptions
 from turtlelog.cli.targets import require_new_target
 

@@ -14,13 +14,13 @@ from turtlelog.replay.differences import (
 )
 from turtlelog.replay.run_pairs import (
     compare_ends,
+    count_missing,
     count_recorded_rows,
     find_count_difference,
     has_ticks,
     pair_by_sample,
     pair_by_tick,
 )
-from turtlelog.replay.sample_pairs import count_missing
 from turtlelog.run import Run
 
 Part = Literal["start", "robot", "sensor", "controller", "timing", "end"]

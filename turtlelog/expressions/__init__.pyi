@@ -13,10 +13,8 @@ from .operands import (
     compare_operands as compare_operands,
 )
 from .parser import (
-    parse_expression as parse_expression,
-)
-from .printing import (
     format_expression as format_expression,
+    parse_expression as parse_expression,
 )
 from .tokens import (
     draw_caret as draw_caret,

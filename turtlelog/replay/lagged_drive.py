@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import ReplayError
 from turtlelog.plants import PLANTS, find_plant
 from turtlelog.replay.plant_ticks import Gap
-from turtlelog.replay.run_pairs import has_ticks
-from turtlelog.replay.sample_pairs import has_all_commands
+from turtlelog.replay.run_pairs import has_all_commands, has_ticks
 from turtlelog.replay.taken_commands import CommandUse
 from turtlelog.run import CommandColumns, Run
 from turtlelog.scenario import Scenario, Start, restore_scenario

@@ -24,15 +24,16 @@ from turtlelog.replay.differences import (
     require_tolerance,
 )
 from turtlelog.replay.plant_ticks import advise_other_mode
-from turtlelog.replay.run_pairs import compare_last_answer, has_ticks
-from turtlelog.replay.sample_pairs import (
+from turtlelog.replay.run_pairs import (
     COMMANDS,
     PUBLISHED,
     Answers,
     compare_declarations,
+    compare_last_answer,
     count_missing,
     has_all_commands,
     has_published,
+    has_ticks,
     list_absent,
     pair_published,
     pair_samples,

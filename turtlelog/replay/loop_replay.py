@@ -22,15 +22,17 @@ from turtlelog.replay.plant_ticks import advise_other_mode
 from turtlelog.replay.run_pairs import (
     SENSED,
     TIME_IS_UP,
+    Answers,
     RowCount,
+    compare_declarations,
     compare_ends,
     count_recorded_rows,
     find_count_difference,
     has_ticks,
+    list_absent,
     pair_by_sample,
     pair_by_tick,
 )
-from turtlelog.replay.sample_pairs import Answers, compare_declarations, list_absent
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import simulate_run

@@ -1,4 +1,4 @@
-"""Maps of a sweep: metrics over two keys, with theory's limits of the gain over them."""
+"""Maps of a sweep: metrics over two keys, their colours, and limits of the gain over them."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

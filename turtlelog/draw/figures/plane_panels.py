@@ -1,4 +1,4 @@
-"""The plane: paths from start to goal, and how each run ends or leaves its path."""
+"""The plane: paths from start to goal or along a reference, and how each run ends or leaves it."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial

@@ -1,4 +1,4 @@
-"""Panels over time: the curves of `charts.time_plots`, their level lines, gaps and outliers."""
+"""Panels over time, and how panels stand in a figure: curves, level lines, gaps and outliers."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence

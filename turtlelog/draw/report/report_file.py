@@ -1,4 +1,4 @@
-"""Runs -> one file of HTML that opens from a disk, without a network."""
+"""Runs -> one file of HTML that opens from a disk: its sentences, plots and tables."""
 
 import json
 import platform

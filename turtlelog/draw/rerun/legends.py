@@ -1,4 +1,4 @@
-"""What names several runs: a legend in their colours, or of many the bar of a gain."""
+"""Legends in the colours of runs: of one, of several, or of many the bar of a gain."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

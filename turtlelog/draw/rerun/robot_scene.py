@@ -1,4 +1,4 @@
-"""How a robot follows its commands as a Rerun recording: command, motion, model and residual."""
+"""How a robot follows its commands as a Rerun recording, alone or beside a simulated one."""
 
 from pathlib import Path
 from typing import Final

@@ -1,4 +1,4 @@
-"""One run as a Rerun recording."""
+"""One run as a Rerun recording, in a file or in the widget of a notebook."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

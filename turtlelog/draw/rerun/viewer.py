@@ -1,4 +1,4 @@
-"""Rerun's native viewer, as a child process that ends with its block, and where it answers."""
+"""Rerun's viewers: the native one as a child process, and the one of a browser on this machine."""
 
 import os
 import re

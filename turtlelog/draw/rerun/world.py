@@ -1,4 +1,4 @@
-"""What the runs of a picture share in the plane: border, starts, goals, how close each run ends."""
+"""What runs share in the plane: border, walls that a robot saw, starts, goals, how each ends."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

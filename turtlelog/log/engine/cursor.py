@@ -1,4 +1,8 @@
-"""Messages that differ in size -> columns: field by field over all at once, or few one by one."""
+"""Messages that differ in size -> columns: field by field over all at once, or few one by one.
+
+A usual recording has one goal and three events: the some hundred calls of numpy that thousands of
+messages are worth take longer than to read these one by one.
+"""
 
 import struct
 from collections.abc import Callable, Iterator, Sequence

@@ -1,4 +1,8 @@
-"""Where bytes are MCAP records or messages that follow each other, and the next after damage."""
+"""Where bytes are MCAP records or messages that follow each other, and the next after damage.
+
+Topics take turns, so the lengths of messages repeat. A turn is taken from the messages before, and
+all that it foretells is held against the bytes; where it fails, steps are made one by one again.
+"""
 
 import struct
 from collections.abc import Iterator, Mapping

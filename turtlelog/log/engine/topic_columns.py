@@ -23,7 +23,7 @@ from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
 from turtlelog.log.engine.source import EVER, Piece, Selection, Source, count_rows, iterate_pieces
 from turtlelog.log.engine.sqlite_source import SqliteSource
-from turtlelog.run.tabular import Tabular
+from turtlelog.run.tables import Tabular
 
 _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
 

@@ -1,4 +1,4 @@
-"""Run -> messages, topic by topic -> file."""
+"""Run -> messages, topic by topic -> file, with /odom, /tf and /path for other programs."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -21,14 +21,12 @@ from .neighbourhood import (
     explore_best as explore_best,
 )
 from .search import (
+    SearchedKey as SearchedKey,
     Tuned as Tuned,
     find_best as find_best,
+    parse_searched_keys as parse_searched_keys,
     search_best as search_best,
     sum_up as sum_up,
-)
-from .searched_keys import (
-    SearchedKey as SearchedKey,
-    parse_searched_keys as parse_searched_keys,
 )
 from .tune_scenario import (
     FEWEST as FEWEST,

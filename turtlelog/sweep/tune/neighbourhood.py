@@ -6,8 +6,7 @@ from statistics import median
 from typing import Final, Literal
 
 from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point
-from turtlelog.sweep.tune.search import Tuned, sum_up
-from turtlelog.sweep.tune.searched_keys import SearchedKey
+from turtlelog.sweep.tune.search import SearchedKey, Tuned, sum_up
 
 WORSE: Final = 0.1
 """Share of the best objective by which it may become worse: what one rounds a gain for."""
