@@ -73,7 +73,7 @@ NO_SPEC = (
             " FILE.mcap makes one of a scenario",
         ),
         (
-            ["info", "folder"],
+            ["explain", "folder"],
             "folder: a folder of 2 recordings, not one bag (it has no readable metadata.yaml): name"
             " one of them: a.mcap, b.mcap",
         ),

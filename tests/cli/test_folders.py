@@ -60,6 +60,15 @@ def test_a_reference_below_the_folder_is_not_compared_with_itself(call: Call, fo
     assert [Path(one["file"]).name for one in runs] == ["a.mcap", "c.mcap"]
 
 
+def test_info_and_plot_take_the_recordings_below_a_folder(call: Call, folder: Path) -> None:
+    (folder / "cut.mcap").unlink()
+    assert [Path(one["file"]).name for one in call("info", "runs", "--json").json] == [
+        *("a.mcap", "b.mcap", "c.mcap")
+    ]
+    answer = call("plot", "runs", "-o", "plane.svg", "--only", "plane", "--json")
+    assert [Path(one).name for one in answer.json["files"]] == ["a.mcap", "b.mcap", "c.mcap"]
+
+
 @pytest.mark.parametrize(
     "words",
     [

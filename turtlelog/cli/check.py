@@ -11,8 +11,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.check_answers import print_marks, print_results
 from turtlelog.cli.check_files import ReportOptions, check_files, check_into_table, read_to_judge
-from turtlelog.cli.folders import find_files, list_files
-from turtlelog.cli.options import Output, Place, ReadingOptions
+from turtlelog.cli.options import Output, Place, ReadingOptions, find_files, list_files
 from turtlelog.cli.output import (
     EXIT_FAILED,
     EXIT_FINE,

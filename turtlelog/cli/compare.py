@@ -23,7 +23,6 @@ from turtlelog.cli.compare_trajectories import (
     compare_with_trajectory,
 )
 from turtlelog.cli.compare_why import WhyOptions, WhyPlace, compare_why
-from turtlelog.cli.folders import list_files
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
     Files,
@@ -31,6 +30,7 @@ from turtlelog.cli.options import (
     Place,
     ReadingOptions,
     count_jobs,
+    list_files,
     read_runs,
     split_names,
     watch_summaries,

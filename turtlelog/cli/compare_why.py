@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.folders import list_files
 from turtlelog.cli.options import (
     ReadingOptions,
     count_jobs,
+    list_files,
     read_chosen_run,
     require_jobs,
     watch_summaries,

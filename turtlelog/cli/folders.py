@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Output, WorkOptions
+from turtlelog.cli.options import Output, WorkOptions, find_files, list_files
 from turtlelog.cli.output import print_note
 from turtlelog.cli.progress import show_progress
-from turtlelog.errors import LogError
 from turtlelog.processes import FILE_S
 
 if TYPE_CHECKING:
@@ -37,30 +36,6 @@ class FolderOptions(WorkOptions):
     def list_files(self, paths: Sequence[Path]) -> list[Path]:
         """Return the files that are given, or those below folders."""
         return list_files(self.name_files(paths))
-
-
-def list_files(paths: Sequence[Path], *, without: Path | None = None) -> list[Path]:
-    """Return what is given, and in place of a folder that is no bag the recordings below it."""
-    files: list[Path] = []
-    for path in paths:
-        # Files alone, which are most of what is given, load no room that walks folders.
-        if not path.is_dir() or tl.sweep.is_one_recording(path):
-            files.append(path)
-            continue
-        try:
-            files += [Path(one.path) for one in find_files([path], without)]
-        except LogError:
-            if len(paths) == 1:
-                raise
-            files.append(path)  # beside others: whoever reads the folder says that it is empty
-    return files
-
-
-def find_files(paths: Sequence[Path], without: Path | None) -> "list[FoundRecording]":
-    """Return what is given, or what is below it, without one file: a table that is written."""
-    with show_progress("looking for recordings"):
-        left_out = [] if without is None else [without]
-        return tl.sweep.find_recordings(paths, without=left_out)
 
 
 def tabulate(

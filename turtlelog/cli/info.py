@@ -16,6 +16,7 @@ from turtlelog.cli.options import (
     Json,
     TopicOptions,
     count_jobs,
+    list_files,
     require_files,
     watch_files,
 )
@@ -79,6 +80,7 @@ def info(
     """
     options = options or InfoOptions()
     require_files(files)
+    files = list_files(files)
     describe = partial(
         _read,
         choice=(reading or TopicOptions()).build_choice(),

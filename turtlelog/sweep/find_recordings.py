@@ -84,8 +84,7 @@ def find_recordings(
                 size, mtime_ns = stat_recording(one)
                 found[place] = FoundRecording(str(one), label, size, mtime_ns)
         if not count:
-            endings = ", ".join(ENDINGS)
-            raise LogError(f"{path}: no recordings in this folder ({endings} or bags)")
+            raise LogError(f"{path}: no recordings in this folder")
     return list(found.values())
 
 
