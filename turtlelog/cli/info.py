@@ -17,6 +17,7 @@ from turtlelog.cli.options import (
     Json,
     TopicOptions,
     count_jobs,
+    list_files,
     require_files,
     watch_files,
 )
@@ -85,6 +86,7 @@ def info(
     """
     options = options or InfoOptions()
     require_files(files)
+    files = list_files(files)
     describe = partial(
         _read,
         choice=(reading or TopicOptions()).build_choice(),

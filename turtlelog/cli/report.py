@@ -15,6 +15,7 @@ from turtlelog.cli.options import (
     Json,
     Place,
     ReadingOptions,
+    list_files,
     list_reading_words,
     read_runs,
     require_files,
@@ -72,6 +73,7 @@ def report(
     """
     require_files(files)
     require_there(files)
+    files = list_files(files)
     inputs = [*files, *([] if spec is None else [spec])]
     require_new_target(output, inputs, suffix=".html")
     runs = read_runs(files, topics)

@@ -126,9 +126,9 @@ def replay_loop(
     by_tick = has_ticks(run)
     if not by_tick and not len(run.samples):
         raise ReplayError(
-            f"{run.name}: expected a pose per tick of exactly"
-            f" {find_plant(run).period_ns / 1e6:g} ms, or the samples of a controller, found"
-            f" neither: {run.source}; {advise_other_mode(run)}"
+            f"{run.name}: replay needs turtlesim's pose of each tick"
+            f" ({find_plant(run).period_ns / 1e6:g} ms) or the samples of a controller; this"
+            f" recording has neither; {advise_other_mode(run)}"
         )
     is_own = scenario is None
     scenario = restore_scenario(run) if scenario is None else scenario

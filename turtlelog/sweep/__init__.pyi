@@ -2,6 +2,7 @@ from . import tune as tune
 from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,
+    is_one_recording as is_one_recording,
 )
 from .gain_borders import (
     Border as Border,

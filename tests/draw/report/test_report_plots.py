@@ -81,6 +81,13 @@ def test_no_more_than_six_failed_checks_have_a_plot() -> None:
 
 
 @pytest.mark.thorough
+def test_many_runs_of_which_few_have_one_gain_end_in_dots_without_a_legend() -> None:
+    some = [read(gain) for gain in (1, 2, 4, 10)]
+    few, many = (draw(*some * count).roots["plane"] for count in (7, 12))
+    assert len(few.legend) == 0
+    assert len(many.legend) == 1
+
+
 def test_the_marks_of_one_run_are_named_and_those_of_many_are_left_out() -> None:
     run = read(10)
     figure = draw(run).roots["plot-heading"]

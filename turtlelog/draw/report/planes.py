@@ -74,7 +74,9 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
             _draw_ends(figure, drawn, shown)
         if is_grey:
             _draw_many_ends(figure, drawn)
-            figure.legend.update(visible=shown is None, location="bottom_left")
+            # There is no legend where each gain has too few runs for an outline.
+            for legend in figure.legend:
+                legend.update(visible=shown is None, location="bottom_left")
         figure.x_range.renderers = figure.y_range.renderers = still
         size_m = 0.07 * shown.half_m if shown else 0.045 * _measure_size(drawn)
         size_m *= choose_turtle_size(len(drawn))

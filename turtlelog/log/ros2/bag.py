@@ -3,10 +3,11 @@
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Final
 
+from turtlelog.display import split_numbers
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.engine.opening import BAG_SUFFIXES
@@ -80,6 +81,12 @@ def open_bag(path: str | Path) -> Bag:
 _PART: Final = re.compile(r"_[0-9]+(?:\.[A-Za-z0-9]+)+$")
 """How the names of a bag's parts end."""
 
+_MOST_NAMED: Final = 6
+"""Files that an error names: one line of a terminal."""
+
+_MOST_OVERLAP: Final = 0.5
+"""Of the shorter of two parts: queued messages overlap by seconds, two recordings wholly."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagFiles:
@@ -117,17 +124,19 @@ def _find_bag_files(path: str | Path) -> BagFiles:
         return BagFiles(files=(path,))
     present = _list_present(path)
     place = path / METADATA_FILE
+    is_described = True
     try:
         metadata = read_bag_metadata(path)
     except LogError as err:
-        found = _take_present(path, present, str(err))
-        _require_one_bag(path, found.files)
+        is_described, found = False, _take_present(path, present, str(err))
     else:
         with name_file(place, expected="the description of a bag"):
             found = _find_named(path, metadata, present)
     with name_file(path, expected="a bag"):
         _require_one_kind(found.files)
         _require_distinct(found.files)
+    if not is_described:
+        _require_one_bag(path, found.files)
     return found
 
 
@@ -145,7 +154,8 @@ def list_present_files(folder: Path) -> tuple[Path, ...]:
 
 def _list_present(folder: Path) -> tuple[Path, ...]:
     with name_file(folder, expected="a bag"):
-        return tuple(sorted(filter(_is_bag_file, folder.iterdir()), key=_rank))
+        files = filter(_is_bag_file, folder.iterdir())
+        return tuple(sorted(files, key=lambda file: split_numbers(file.name)))
 
 
 def read_compression(folder: Path) -> str:
@@ -161,12 +171,6 @@ def _is_bag_file(file: Path) -> bool:
     return file.name.lower().endswith(BAG_SUFFIXES) and file.is_file()
 
 
-def _rank(file: Path) -> tuple[object, ...]:
-    """Return the place of a file among others: numbers in names count, so that _10 follows _9."""
-    parts = re.split(r"([0-9]+)", file.name)
-    return (*((int(part), "") if part.isdecimal() else (-1, part) for part in parts), file.name)
-
-
 def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFiles:
     """Return the files that are there, where nothing that can be read names them.
 
@@ -176,9 +180,11 @@ def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFi
     if not present:
         if not (folder / METADATA_FILE).exists():
             ros1 = next(iter(sorted(folder.glob("*.bag"))), None)
-            found = f"the bag of ROS 1 {ros1.name}: name that file" if ros1 else "a folder without"
-            ending = "" if ros1 else f" {METADATA_FILE}, .mcap or .db3 files"
-            raise LogError(f"{folder}: expected a bag, found {found}{ending}")
+            if ros1 is not None:
+                raise LogError(f"{folder}: a folder with the ROS 1 bag {ros1.name}: name that file")
+            raise LogError(
+                f"{folder}: no recordings in this folder (no {METADATA_FILE}, .mcap or .db3 files)"
+            )
         raise LogError(reason)
     names = ", ".join(file.name for file in present)
     if not (folder / METADATA_FILE).exists():
@@ -235,14 +241,40 @@ def _find_file(folder: Path, name: str, base: str) -> Path | None:
 
 
 def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
-    """Refuse several files that no name makes one bag: rosbag2 numbers its parts (drive_0.db3)."""
+    """Refuse several files that are no parts of one bag: rosbag2 numbers them (drive_0.db3)."""
+    if len(files) < 2:
+        return
     stems = {_PART.sub("", file.name) for file in files}
-    if len(files) > 1 and (len(stems) > 1 or not all(_PART.search(file.name) for file in files)):
-        names = ", ".join(file.name for file in files)
+    are_numbered = len(stems) == 1 and all(_PART.search(file.name) for file in files)
+    if not are_numbered or not _follow_each_other(files):
+        names = ", ".join(file.name for file in files[:_MOST_NAMED])
+        more = f" and {len(files) - _MOST_NAMED} more" if len(files) > _MOST_NAMED else ""
         raise LogError(
-            f"{folder}: a folder of several recordings, not one bag (it has no readable"
-            f" {METADATA_FILE}): name one of them: {names[:200]}"
+            f"{folder}: a folder of {len(files)} recordings, not one bag (it has no readable"
+            f" {METADATA_FILE}): name one of them: {names}{more}"
         )
+
+
+def _follow_each_other(files: tuple[Path, ...]) -> bool:
+    """Return whether one file begins about when the one before ends, as parts of a bag do.
+
+    Neighbours may overlap by messages that waited when the bag was split. Recordings by turtlelog
+    begin at 0 each, and none has parts.
+    """
+    spans: list[tuple[int, int]] = []
+    for file in files:
+        try:
+            info = read_info(file)
+        except LogError:  # whoever reads the file says what is wrong
+            continue
+        if info.format_version is not None:
+            return False
+        if info.span_ns is not None:
+            spans.append(info.span_ns)
+    return all(
+        one[1] - other[0] <= _MOST_OVERLAP * min(one[1] - one[0], other[1] - other[0])
+        for one, other in pairwise(sorted(spans))
+    )
 
 
 def _require_one_kind(files: tuple[Path, ...]) -> None:

@@ -16,7 +16,7 @@ from turtlelog.log.ros2.bag_topics import (
     is_another_thing,
     is_measured,
     list_names,
-    split_numbers,
+    list_numbers,
 )
 
 _NUMBER: Final = re.compile(r"\d+")
@@ -108,7 +108,7 @@ def select_robot(
         if len({_NUMBER.sub("#", one) for one in names}) > 1:
             raise LogError(f"{len(names)} robots, {list_names(names)}: choose with --robot NAME")
         posed = [robot.name for robot in robots if robot.poses and robot.poses.count > 1]
-        name = min(posed or names, key=split_numbers)
+        name = min(posed or names, key=list_numbers)
     if name not in names:
         return topics, robots
     others = {topic for robot in robots if robot.name != name for topic in robot.topics}
@@ -157,7 +157,7 @@ def _choose_names(words: dict[str, set[bool]]) -> list[str]:
         for word, kinds in words.items()
         if len(kinds) == 2 or (counts[_NUMBER.sub("#", word)] > 1 and _NUMBER.search(word))
     ]
-    return sorted(names, key=lambda name: (_NUMBER.sub("#", name), split_numbers(name)))
+    return sorted(names, key=lambda name: (_NUMBER.sub("#", name), list_numbers(name)))
 
 
 def _collect(name: str, place: _Place, held: Sequence[TopicInfo]) -> BagRobot:
