@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.curves import Command, Curve, read_curve, select_rows
+from turtlelog.charts.curves import Command, Curve, read_curve, select_curve_rows
 from turtlelog.display import describe_count
 from turtlelog.errors import ReplayError
 from turtlelog.measure import find_outliers
@@ -54,8 +54,8 @@ def read_measured(run: Run, command: Command) -> MeasuredRate | None:
     rest = np.delete(np.arange(len(curve.values)), outliers)
     return MeasuredRate(
         command=command,
-        curve=part_curve(run, select_rows(curve, rest)),
-        outliers=select_rows(curve, outliers),
+        curve=part_curve(run, select_curve_rows(curve, rest)),
+        outliers=select_curve_rows(curve, outliers),
     )
 
 

@@ -114,7 +114,7 @@ class WhyAnswer:
     explanation: "ExplainedDifference | None"
 
 
-def take_metric(options: WhyOptions, files: Sequence[Path]) -> tuple[str | None, list[Path]]:
+def split_metric(options: WhyOptions, files: Sequence[Path]) -> tuple[str | None, list[Path]]:
     """Return the metric and the files: the word after --why may be the first file."""
     word = options.why
     if not isinstance(word, str):
@@ -135,7 +135,7 @@ def compare_why(
     kind: str,
 ) -> int:
     """Print why the metric of the second run is another one than that of the first."""
-    metric, files = take_metric(options, files)
+    metric, files = split_metric(options, files)
     require_pictures(place.plot, None, files, drawn=(), of="")
     topics = topics or ReadingOptions()
     code = EXIT_FINE

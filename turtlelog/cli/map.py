@@ -59,7 +59,7 @@ class ViewOptions:
         return tl.scenario.parse_assignments(self.at or [], source="--at")
 
 
-def find_table(files: Sequence[Path], view: ViewOptions) -> Path | None:
+def find_sweep_table(files: Sequence[Path], view: ViewOptions) -> Path | None:
     """Return the table of a sweep among the files; None if there are recordings.
 
     Raises:

@@ -13,7 +13,7 @@ import turtlelog as tl
 from turtlelog import draw
 from turtlelog.cli.figure_options import TIMELESS, AskedOptions, PageOptions
 from turtlelog.cli.list_names import complete_figures
-from turtlelog.cli.map import ViewOptions, draw_table, find_table
+from turtlelog.cli.map import ViewOptions, draw_table, find_sweep_table
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import (
     Jobs,
@@ -105,7 +105,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     jobs = require_jobs(jobs)
     require_there(files or [])
     movie, asked, view = movie or MovieOptions(), asked or AskedOptions(), view or ViewOptions()
-    table = find_table(files or [], view)
+    table = find_sweep_table(files or [], view)
     files = list_files(files or [])
     if table is not None:
         _require_no_figures(table, {"--only": only, "--format": formats, "--movie": movie.movie})

@@ -214,7 +214,7 @@ class CommandReplayAnswer:
     output: str | None
 
 
-def replay_commands(
+def replay_commands_alone(
     file: Path,
     run: "Run",
     mode: ReplayOptions,

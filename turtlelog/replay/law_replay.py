@@ -30,11 +30,11 @@ from turtlelog.replay.run_pairs import (
     Answers,
     compare_declarations,
     compare_last_answer,
-    count_missing,
+    count_missing_samples,
     has_all_commands,
     has_published,
     has_ticks,
-    list_absent,
+    list_unrecorded,
     pair_published,
     pair_samples,
 )
@@ -150,7 +150,7 @@ def replay_law(
         name=run.name,
         scenario=scenario,
         samples=len(answers),
-        missing_samples=count_missing(run.samples),
+        missing_samples=count_missing_samples(run.samples),
         signals=signals,
         commands=others[0],
         stop=stop,
@@ -159,7 +159,7 @@ def replay_law(
         first_command_difference=find_earliest(
             signal.first_difference for signal in signals if signal.signal in COMMANDS
         ),
-        absent=(*list_absent(recorded, found), *(() if has_published(run) else PUBLISHED)),
+        absent=(*list_unrecorded(recorded, found), *(() if has_published(run) else PUBLISHED)),
         answers=answers,
     )
 
@@ -212,7 +212,7 @@ def _iterate_answers(run: Run, loop: PlainLoop) -> Iterator[tuple[SampleRow, tup
 
 def _count_published(run: Run) -> Difference | None:
     """Return how many commands there are beside how many samples, where no row is lost."""
-    is_lossy = count_missing(run.samples) or not run.notes.keys().isdisjoint(LOSS_NOTES)
+    is_lossy = count_missing_samples(run.samples) or not run.notes.keys().isdisjoint(LOSS_NOTES)
     if has_published(run) or is_lossy or "commands" in run.absent:
         return None
     samples, commands = len(run.samples), len(run.commands)

@@ -29,7 +29,7 @@ from turtlelog.replay.run_pairs import (
     count_recorded_rows,
     find_count_difference,
     has_ticks,
-    list_absent,
+    list_unrecorded,
     pair_by_sample,
     pair_by_tick,
 )
@@ -181,7 +181,7 @@ def _list_absent(run: Run, replayed: Run) -> tuple[str, ...]:
     was = Answers(run.samples, run.declaration)
     is_lacking = run.poses.sensed_xy_m is None and replayed.poses.sensed_xy_m is not None
     sensed = tuple(SENSED) if is_lacking else ()
-    return (*sensed, *list_absent(was, Answers(replayed.samples, replayed.declaration)))
+    return (*sensed, *list_unrecorded(was, Answers(replayed.samples, replayed.declaration)))
 
 
 def _list_missing(names: Sequence[str], signals: Sequence[SignalDifference]) -> tuple[str, ...]:

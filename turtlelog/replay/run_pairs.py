@@ -90,7 +90,7 @@ def find_count_difference(run: Run, name: str, count: RowCount) -> Difference | 
 
 def _has_holes(run: Run) -> bool:
     ticks = run.poses.time_ns // find_plant(run).period_ns
-    return bool(count_missing(run.samples)) or (
+    return bool(count_missing_samples(run.samples)) or (
         has_ticks(run) and int(ticks[-1]) + 1 != len(run.poses)
     )
 
@@ -407,13 +407,13 @@ def has_published(run: Run) -> bool:
     return count - 1 <= len(run.commands) <= count
 
 
-def list_absent(recorded: Answers, replayed: Answers) -> tuple[str, ...]:
+def list_unrecorded(recorded: Answers, replayed: Answers) -> tuple[str, ...]:
     """Return the names of the signals that a replay has, and its recording does not."""
     held = _read_numbers(recorded)
     return tuple(name for name in _read_numbers(replayed) if name not in held)
 
 
-def count_missing(samples: SampleColumns) -> int:
+def count_missing_samples(samples: SampleColumns) -> int:
     """Return how many samples are missing before the last one, by their numbers from 0."""
     return int(samples.sequence[-1]) + 1 - len(samples) if len(samples) else 0
 
@@ -421,4 +421,6 @@ def count_missing(samples: SampleColumns) -> int:
 def has_all_commands(run: Run) -> bool:
     """Whether the n-th command is that of the n-th sample; the last may not have gone out."""
     samples, commands = len(run.samples), len(run.commands)
-    return not samples or (not count_missing(run.samples) and samples - 1 <= commands <= samples)
+    return not samples or (
+        not count_missing_samples(run.samples) and samples - 1 <= commands <= samples
+    )

@@ -15,7 +15,7 @@ from turtlelog.cli.check import build_spec
 from turtlelog.draw.report.drawn import Drawn, Plots
 from turtlelog.draw.report.marked_plots import MOST_MARKED
 from turtlelog.draw.report.page_plots import Violation, draw_plots
-from turtlelog.draw.report.report_file import conclude
+from turtlelog.draw.report.report_file import conclude_runs
 from turtlelog.draw.report.violation_plots import MOST_VIOLATIONS, RED
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
@@ -164,8 +164,8 @@ def test_the_state_of_one_law_is_plotted_of_its_runs_alone() -> None:
 def test_equal_runs_are_said_to_be_equal() -> None:
     runs, names = [read(4), read(10), read(4)], ["a", "b", "c"]
     metrics = [tl.measure_run(run) for run in runs]
-    assert "a and c are equal in every row." in conclude(runs, names, metrics)
-    assert not any("equal" in text for text in conclude(runs[:2], names[:2], metrics[:2]))
+    assert "a and c are equal in every row." in conclude_runs(runs, names, metrics)
+    assert not any("equal" in text for text in conclude_runs(runs[:2], names[:2], metrics[:2]))
 
 
 def test_a_pose_that_no_axis_reaches_is_an_error(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
         return
     labels, handles = zip(*_join_alike(named), strict=True)
     width, height = figure.get_size_inches()
-    columns = count_columns(labels, width * _POINTS_PER_INCH)
+    columns = count_legend_columns(labels, width * _POINTS_PER_INCH)
     lines = ceil(len(labels) / columns)
     line_points = _LINE_HEIGHT * rcParams["legend.fontsize"]
     figure.set_size_inches(width, height + (lines + 0.5) * line_points / _POINTS_PER_INCH)
@@ -101,7 +101,7 @@ def _describe_looks(label: str, handle: Any) -> Any:
     return (alike, handle.get_color(), handle.get_linewidth(), handle.get_marker())
 
 
-def count_columns(labels: Sequence[str], width_points: float) -> int:
+def count_legend_columns(labels: Sequence[str], width_points: float) -> int:
     """Return how many columns of the widest entry there is room for."""
     size = rcParams["legend.fontsize"]
     font = FontProperties(family=rcParams["font.family"], size=size)

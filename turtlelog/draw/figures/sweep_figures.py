@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from turtlelog.charts.map_values import label_metric, scale_values
-from turtlelog.draw.figures.legend import count_columns
+from turtlelog.draw.figures.legend import count_legend_columns
 from turtlelog.draw.figures.map_figure import draw_map_panel, group_reasons
 from turtlelog.draw.figures.page import LOOKS, REFERENCE, Page, choose_colors, use_looks
 from turtlelog.draw.figures.swept_curves import draw_curves
@@ -203,7 +203,7 @@ def _add_legend(figure: Figure, named: dict[str, Any], view: SweptView) -> None:
     if words:
         _write_below(figure, [", ".join(words)])
     if named:
-        columns = count_columns(list(named), width * 72.0)
+        columns = count_legend_columns(list(named), width * 72.0)
         lines = math.ceil(len(named) / columns)
         figure.set_size_inches(width, height + 0.16 * lines)
         figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=columns)

@@ -32,7 +32,7 @@ from turtlelog.draw.figures.legend import add_gain_bar, add_legend
 from turtlelog.draw.figures.marked_panels import mark_panels
 from turtlelog.draw.figures.page import Page, use_looks
 from turtlelog.draw.figures.plane_panels import has_one_plane, stress_window
-from turtlelog.draw.figures.time_window import cut_time_axes, find_window, require_window
+from turtlelog.draw.figures.time_window import cut_time_axes, find_shown_times, require_window
 from turtlelog.draw.output_files import replace_file, replace_together
 from turtlelog.draw.table_formats import format_latex
 from turtlelog.errors import ShowError, describe_unknown, make_portable
@@ -101,7 +101,7 @@ def draw_figure(
         figure = ShownFigure(figsize=size, layout="constrained")
         kind.draw_on(figure, order_by_gain(runs))
         cut_time_axes(figure, runs, page)
-        stress_window(figure, order_by_gain(runs), find_window(runs, page))
+        stress_window(figure, order_by_gain(runs), find_shown_times(runs, page))
         add_legend(figure, without=add_gain_bar(figure, order_by_gain(runs)))
         page.fit(figure)
         if page.has_marks:

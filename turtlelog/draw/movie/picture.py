@@ -24,7 +24,7 @@ from turtlelog.charts.close_up import (
     list_miss_labels,
 )
 from turtlelog.charts.curves import Curve, choose_rows
-from turtlelog.charts.many_runs import shorten_names
+from turtlelog.charts.many_runs import shorten_run_names
 from turtlelog.charts.plane_scene import (
     find_origin,
     label_coordinate,
@@ -381,7 +381,7 @@ def _name_runs_above(
     if len(runs) > _MOST_NAMED:
         chosen = np.linspace(0, len(runs) - 1, 4).round().astype(int).tolist()
     names = label_runs(runs)
-    short = shorten_names(runs, names)
+    short = shorten_run_names(runs, names)
     named, end = 0, left
     for words, points in ((names, 17.0), (short, 17.0), (short, 13.0), (short, 10.0)):
         told = [(words[number], colors[number]) for number in chosen]

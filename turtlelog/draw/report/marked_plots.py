@@ -32,7 +32,7 @@ _SHAPES: Final[Mapping[MarkShape, str]] = {"disc": "circle", "square": "square",
 """Marks as Bokeh has them."""
 
 
-def draw_marks(
+def mark_plots(
     plots: Plots,
     figure: Any,
     drawn: Sequence[Drawn],

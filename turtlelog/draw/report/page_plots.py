@@ -39,7 +39,7 @@ from turtlelog.draw.report.drawn import (
     thin,
     to_hex,
 )
-from turtlelog.draw.report.marked_plots import draw_marks
+from turtlelog.draw.report.marked_plots import mark_plots
 from turtlelog.draw.report.planes import draw_planes
 from turtlelog.draw.report.violation_plots import RED, draw_violations
 from turtlelog.libraries import load_library
@@ -214,7 +214,7 @@ def _draw_plot(
     _set_height(figure, drawn, plot, source.data["ys"])
     _shade_gaps(figure, drawn)
     signals = {entry.signal for entry in plot.curves if entry.signal}
-    draw_marks(plots, figure, drawn, signals, marked[0])
+    mark_plots(plots, figure, drawn, signals, marked[0])
     for found in marked[1]:
         if found.first_s is not None and _concerns(found, name):
             figure.add_layout(

@@ -186,7 +186,7 @@ def _write_conclusion(
     explanation: Explanation | None,
     checks: Sequence[CheckLine],
 ) -> str:
-    sentences = conclude(runs, names, metrics)
+    sentences = conclude_runs(runs, names, metrics)
     sentences.append(conclude_checks([(line.run, line.check, line.verdict) for line in checks]))
     if explanation is not None and explanation.attribution is not None:
         name = names[next(n for n, run in enumerate(runs) if run is explanation.run)]
@@ -310,7 +310,7 @@ _MOST_NAMED: Final = 4
 """Runs or checks that a sentence names; of more it says how many there are."""
 
 
-def conclude(
+def conclude_runs(
     runs: Sequence[Run], names: Sequence[str], metrics: Sequence[Mapping[str, Metric]]
 ) -> list[str]:
     """Return which run ends nearest to its goal and which furthest, which are equal, or cut.

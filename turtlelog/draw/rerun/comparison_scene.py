@@ -19,7 +19,7 @@ from turtlelog.charts.many_runs import (
     find_restless,
     group_equal,
     join_run_names,
-    shorten_names,
+    shorten_run_names,
 )
 from turtlelog.charts.palette import Color, choose_run_colors
 from turtlelog.charts.plane_scene import has_grey_paths, move_near
@@ -208,7 +208,7 @@ def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[s
     """Return a name for each group of equal runs: one is drawn, and says that it is all of them."""
     names = name_runs(runs)
     firsts = [runs[first] for first, *_ in groups]
-    brief = shorten_names(firsts, [names[first] for first, *_ in groups])
+    brief = shorten_run_names(firsts, [names[first] for first, *_ in groups])
     return [
         name if len(group) == 1 else _name_equal(name, [names[number] for number in group])
         for name, group in zip(brief, groups, strict=True)

@@ -45,7 +45,7 @@ _LETTERS: Final = 100
 """Of a line of text."""
 
 
-def draw_waterfall(
+def draw_waterfall_picture(
     stream: rr.RecordingStream, waterfall: Waterfall, more: Sequence[str] = ()
 ) -> None:
     """Draw the bars from top to bottom over an axis.

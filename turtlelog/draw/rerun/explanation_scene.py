@@ -25,7 +25,7 @@ from turtlelog.draw.rerun.explanation_pictures import (
     draw_luck_ends,
     draw_luck_picture,
     draw_reason,
-    draw_waterfall,
+    draw_waterfall_picture,
 )
 from turtlelog.draw.rerun.ghosts import (
     Ghost,
@@ -138,7 +138,7 @@ def write_explanation_rrd(
         else:
             waterfall = draw_up_attribution(found)
             ghosts = dict(zip(what_ifs, metrics[1:], strict=False))
-            draw_waterfall(stream, waterfall, _tell_ghosts(found, ghosts))
+            draw_waterfall_picture(stream, waterfall, _tell_ghosts(found, ghosts))
         if picture is not None:
             draw_luck_picture(stream, picture)
             draw_luck_ends(stream, picture, content.goal)

@@ -24,11 +24,11 @@ from turtlelog.log.engine.decode import (
     LOG_TIME,
     FixedColumns,
     Rows,
+    decode_rows,
     fill_rows,
     keep_columns,
-    read_rows,
+    pick_rows,
     rewrite_ros1,
-    select_rows,
     unpack_messages,
 )
 from turtlelog.log.engine.framing import RECORD
@@ -348,10 +348,10 @@ def read_piece(
             first = block.before.get(topic, 0)
             if fill_rows(plan, unpacked, starts, wholes[topic], first):
                 continue
-        rows = keep_columns(read_rows(plan, unpacked, starts), selection.kept.get(topic))
+        rows = keep_columns(decode_rows(plan, unpacked, starts), selection.kept.get(topic))
         if not selection.is_ever:
             times = rows[LOG_TIME]
-            rows = select_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
+            rows = pick_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
         if len(rows[LOG_TIME]):
             found[topic] = rows
     counts = {channel: len(starts) for channel, starts in offsets.items()}

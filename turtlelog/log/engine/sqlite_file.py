@@ -236,7 +236,7 @@ def _describe_table(execute: _Execute, table: str, needed: Collection[str]) -> B
     return BagTable(columns, free[0])
 
 
-def describe_topics(
+def read_channels(
     execute: _Execute,
     tables: Mapping[str, BagTable],
     catalogue: Catalogue,

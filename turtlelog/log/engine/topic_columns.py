@@ -17,7 +17,7 @@ from turtlelog.log.engine.decode import (
     FixedColumns,
     Rows,
     make_empty_rows,
-    select_rows,
+    pick_rows,
 )
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
@@ -70,7 +70,7 @@ class TopicColumns(Tabular):
             log_time_ns=self.log_time_ns[rows],
             publish_time_ns=self.publish_time_ns[rows],
             sequence=self.sequence[rows],
-            fields=select_rows(self.fields, rows),
+            fields=pick_rows(self.fields, rows),
         )
 
     def _tabulate(self) -> Mapping[str, Any]:
@@ -223,7 +223,7 @@ def _join_rows(parts: list[Rows]) -> Rows:
         rows = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     times = rows[LOG_TIME]
     if len(times) > 1 and (times[1:] < times[:-1]).any():
-        rows = select_rows(rows, np.argsort(times, kind="stable"))
+        rows = pick_rows(rows, np.argsort(times, kind="stable"))
     return rows
 
 
@@ -296,5 +296,5 @@ class _RowStore:
     @property
     def parts(self) -> list[Rows]:
         """All rows, in one part where their number was right."""
-        whole = [select_rows(self._whole, slice(self._used))] if self._used else []
+        whole = [pick_rows(self._whole, slice(self._used))] if self._used else []
         return [*whole, *self._others]

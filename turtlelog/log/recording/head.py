@@ -164,7 +164,7 @@ def format_head(head: Head) -> dict[str, str]:
     if head.goal_heading_rad is not None:
         record["goal_heading_rad"] = repr(float(head.goal_heading_rad))
     # MCAP has no checksum for a metadata record that is read without the rest of the file.
-    return {**record, CHECKSUM: sum_up(record)}
+    return {**record, CHECKSUM: sum_up_record(record)}
 
 
 def parse_head(record: Mapping[str, str]) -> Head:
@@ -180,7 +180,7 @@ def parse_head(record: Mapping[str, str]) -> Head:
         raise LogError(f"format version {version}: this turtlelog reads up to {_FORMAT_VERSION}")
     if version < 1:
         raise LogError(f"format version {version}: expected 1 to {_FORMAT_VERSION}")
-    if _get(record, CHECKSUM) != sum_up(record):
+    if _get(record, CHECKSUM) != sum_up_record(record):
         raise LogError(f"metadata {HEAD}: expected checksum {record[CHECKSUM]}: it is damaged")
     heading = _decode(record, "goal_heading_rad", float) if "goal_heading_rad" in record else None
     return Head(
@@ -291,7 +291,7 @@ def _list_more_topics(run: "Run") -> list[str]:
     ]
 
 
-def sum_up(record: Mapping[str, str]) -> str:
+def sum_up_record(record: Mapping[str, str]) -> str:
     """Return the checksum of the entries, that of `CHECKSUM` left out."""
     rest = {key: value for key, value in sorted(record.items()) if key != CHECKSUM}
     return f"{zlib.crc32(msgspec.json.encode(rest)):08x}"
@@ -376,7 +376,7 @@ def format_recovery(
     """Return the metadata record: each entry as JSON, and the checksum of all."""
     entries = {"lost": lost, "missing": missing, "unchecked": unchecked}
     record = {name: msgspec.json.encode(value).decode() for name, value in entries.items()}
-    return {**record, CHECKSUM: sum_up(record)}
+    return {**record, CHECKSUM: sum_up_record(record)}
 
 
 def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
@@ -397,7 +397,7 @@ def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
 
 
 def _describe(record: Mapping[str, str]) -> str:
-    if record.get(CHECKSUM) != sum_up(record):
+    if record.get(CHECKSUM) != sum_up_record(record):
         raise LogError(f"metadata {RECOVERY}: damaged, its checksum does not match")
     lost = _decode_loss(record, "lost", tuple[Loss, ...])
     missing = _decode_loss(record, "missing", dict[str, int] | None)

@@ -113,7 +113,7 @@ def describe_pose(time_ns: int, x_m: float, y_m: float, heading_rad: float | Non
     }
 
 
-def describe_event(event: Event) -> Values:
+def tabulate_event(event: Event) -> Values:
     """Return the fields of an event's message."""
     seconds, nanoseconds = divmod(event.time_ns, 1_000_000_000)
     return {
@@ -278,7 +278,7 @@ def _build_phases(run: Run) -> TopicColumns:
 
 
 def _build_events(events: tuple[Event, ...]) -> TopicColumns:
-    return _collect_rows(EVENT, [(event.time_ns, describe_event(event)) for event in events])
+    return _collect_rows(EVENT, [(event.time_ns, tabulate_event(event)) for event in events])
 
 
 def _stamp(time_ns: int) -> dict[str, int]:

@@ -13,7 +13,7 @@ from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.file_info import RecordingInfo, TopicInfo
-from turtlelog.log.planar import describe_plane, lift_poses
+from turtlelog.log.planar import describe_height, lift_poses
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -245,7 +245,7 @@ def _build_run(
         **times.notes,
         **rate_notes,
     }
-    plane = describe_plane(columns.get("z"), columns.get("tilt"))
+    plane = describe_height(columns.get("z"), columns.get("tilt"))
     if plane is not None or vertical:
         notes["plane"] = f"{plane or 'the robot leaves the plane'}{_tell_vertical(vertical)}"
     notes |= {} if leaps is None else {"leaps": leaps}

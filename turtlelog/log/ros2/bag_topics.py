@@ -106,7 +106,7 @@ _MOST_LISTED: Final = 100
 """Names in one note; a file of 400 kB can have 65,000 topics."""
 
 
-def list_names(names: Sequence[str]) -> str:
+def list_first_names(names: Sequence[str]) -> str:
     """Return names for a note; of very many the first, and how many more there are."""
     few = ", ".join(names[:_MOST_LISTED])
     more = len(names) - _MOST_LISTED

@@ -456,7 +456,7 @@ def _normalise(turn: Values) -> Values:
     return np.asarray(turn / np.where(length == 0.0, 1.0, length))
 
 
-def build_columns(link: Link, topic: str) -> TopicColumns:
+def build_link_columns(link: Link, topic: str) -> TopicColumns:
     """Return a link as messages of TransformStamped, as if a topic had held it alone."""
     numbers = {
         **{f"transform.{name}": link.place_m[:, k] for k, name in enumerate(_NUMBERS)},
