@@ -4,7 +4,7 @@ import math
 from typing import Any, Final, NoReturn, cast
 
 from turtlelog.errors import suggest_names
-from turtlelog.expressions.operands import ARGUMENTS, describe_arguments
+from turtlelog.expressions.evaluation import ARGUMENTS, describe_arguments
 from turtlelog.expressions.tokens import Token, build_error, split_tokens
 from turtlelog.expressions.tree import (
     Arithmetic,

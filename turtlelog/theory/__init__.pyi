@@ -28,9 +28,6 @@ from .loop_models import (
     read_gains as read_gains,
     read_process as read_process,
 )
-from .pid_gains import (
-    PidGains as PidGains,
-)
 from .pid_loop import (
     PidLoop as PidLoop,
     analyse_pid_loop as analyse_pid_loop,
@@ -48,6 +45,7 @@ from .pid_response import (
 )
 from .pid_stability import (
     Margins as Margins,
+    PidGains as PidGains,
 )
 from .process import (
     INTEGRATOR as INTEGRATOR,

@@ -29,12 +29,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.theory.pid_gains import PidGains, build_shape
 from turtlelog.theory.pid_loop import find_stable_gains
 from turtlelog.theory.pid_response import StepMotion, measure_step_motion
 from turtlelog.theory.pid_stability import (
     LoopShape,
     Margins,
+    PidGains,
+    build_shape,
     evaluate_open_loop,
     find_margins,
     find_sign_changes,

@@ -23,8 +23,8 @@ from turtlelog.run.loops import (
     read_number,
 )
 from turtlelog.scenario import Scenario, flatten_scenario
-from turtlelog.theory.pid_gains import PidGains
 from turtlelog.theory.pid_loop import PidLoop, analyse_pid_loop, is_pid_stable
+from turtlelog.theory.pid_stability import PidGains
 from turtlelog.theory.process import Process
 
 _SCENARIO: Final = "from the scenario"

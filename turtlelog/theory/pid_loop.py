@@ -34,11 +34,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
 from turtlelog.theory.inputs import require_period, require_times
-from turtlelog.theory.pid_gains import PidGains, build_shape
 from turtlelog.theory.pid_response import measure_pid_step
 from turtlelog.theory.pid_stability import (
     LoopShape,
     Margins,
+    PidGains,
+    build_shape,
     evaluate_open_loop,
     find_margins,
     find_stable_intervals,

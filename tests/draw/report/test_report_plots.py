@@ -13,10 +13,9 @@ from tests.draw.rerun.rrds import make_foreign_run
 from turtlelog.check.violation import find_violated_signal
 from turtlelog.cli.check import build_spec
 from turtlelog.draw.report.drawn import Drawn, Plots
-from turtlelog.draw.report.marked_plots import MOST_MARKED
+from turtlelog.draw.report.marked_plots import MOST_MARKED, MOST_VIOLATIONS, RED
 from turtlelog.draw.report.page_plots import Violation, draw_plots
 from turtlelog.draw.report.report_file import conclude_runs
-from turtlelog.draw.report.violation_plots import MOST_VIOLATIONS, RED
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 

@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from matplotlib.text import Text
+from numpy.typing import NDArray
 
 from turtlelog.charts.close_up import (
     CloseUp,
@@ -44,9 +45,11 @@ from turtlelog.charts.time_axes import TIMELINE, find_range, locate_run
 from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
 from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.figures.page import LOOKS, choose_lines, label_runs, use_looks
-from turtlelog.draw.movie.encoding import Picture
 from turtlelog.draw.movie.film import Film, Values
 from turtlelog.run import Run
+
+Picture = NDArray[np.uint8]
+"""Height times width times red, green and blue."""
 
 _INCH: Final = (12.8, 7.2)
 _LOOKS: Final = {

@@ -39,9 +39,8 @@ from turtlelog.draw.report.drawn import (
     thin,
     to_hex,
 )
-from turtlelog.draw.report.marked_plots import mark_plots
+from turtlelog.draw.report.marked_plots import RED, draw_violations, mark_plots
 from turtlelog.draw.report.planes import draw_planes
-from turtlelog.draw.report.violation_plots import RED, draw_violations
 from turtlelog.libraries import load_library
 from turtlelog.measure import Metric
 from turtlelog.run import Run

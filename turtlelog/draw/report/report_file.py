@@ -27,8 +27,7 @@ from turtlelog.compare import (
 )
 from turtlelog.display import describe_count, join_words
 from turtlelog.draw.documents import choose_essentials
-from turtlelog.draw.output_files import replace_file
-from turtlelog.draw.page_policy import write_policy_tag
+from turtlelog.draw.output_files import replace_file, write_policy_tag
 from turtlelog.draw.report.drawn import Drawn, Plots
 from turtlelog.draw.report.page_plots import Violation, draw_plots
 from turtlelog.draw.report.sections import (

@@ -21,7 +21,7 @@ from urllib.error import URLError
 from urllib.parse import quote, urlencode, urlsplit
 from urllib.request import ProxyHandler, build_opener
 
-from turtlelog.draw.page_policy import write_policy
+from turtlelog.draw.output_files import write_policy
 from turtlelog.errors import ShowError
 
 if TYPE_CHECKING:
