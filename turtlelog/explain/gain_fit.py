@@ -15,7 +15,7 @@ from turtlelog.explain.identification import (
     fit_value,
     miss,
 )
-from turtlelog.explain.trace import estimate_trace_noise, find_resolution
+from turtlelog.explain.trace import estimate_trace_noise, find_pose_resolution
 
 Values = NDArray[np.float64]
 
@@ -199,7 +199,7 @@ def measure_pose_noise(values: Values) -> PoseNoise:
     return PoseNoise(
         size=estimate_trace_noise(values),
         least=estimate_trace_noise(values, order=4),
-        grain=max(find_resolution(column) for column in values.T),
+        grain=max(find_pose_resolution(column) for column in values.T),
     )
 
 
@@ -356,7 +356,7 @@ def _shows_clipping(error: Values, noise: float) -> bool:
     return change > _BEYOND * noise * math.sqrt(2.0 / third)
 
 
-def describe_gain(fit: CommandFit) -> Finding:
+def describe_fitted_gain(fit: CommandFit) -> Finding:
     """Return the gain, or by how much or why the commands do not tell it."""
     if fit.gain is None:
         return miss(
