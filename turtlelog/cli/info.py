@@ -43,7 +43,7 @@ class InfoOptions:
 
     Attributes:
         topics: List the topics.
-        parameters: List what is known of the scenario.
+        parameters: List what is known of the scenario, and the versions that simulated it.
         clock: Read the poses of large bags, too.
     """
 
