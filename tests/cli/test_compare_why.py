@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import shutil
 from pathlib import Path
 
 import pytest
@@ -108,6 +109,51 @@ def test_a_series_without_such_a_pair_says_so(
     assert (answer.code, answer.out.strip()) == (0, told)
     found = call("compare", kp4, kp4, "--first", condition, "--why", "--json").json
     assert (found["explanation"], found["condition"]) == (None, condition)
+
+
+@pytest.mark.parametrize(
+    ("unread", "case"),
+    [
+        ("n0", ("run.duration > 1", "and no recording that can be read comes before it.")),
+        ("n0", ("run.duration < 1", "None of 2 recordings that can be read meets run.duration <")),
+        ("n1", ("run.duration < 1", "n2.mcap does not meet run.duration < 1.")),
+        (
+            "n15",
+            (
+                "final.position_error > 0.1",
+                "n2.mcap is the first that meets final.position_error > 0.1, after n1.mcap. 1"
+                " earlier recording cannot be read and may meet it, too: n15.mcap.",
+            ),
+        ),
+        ("n3", ("final.position_error > 0.1", "after n1.mcap. gains")),
+        ("n1 n2", ("run.duration < 1", "")),
+    ],
+)
+def test_what_cannot_be_read_of_a_series_leaves_the_answer_open(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path, unread: str, case: tuple[str, str]
+) -> None:
+    """Takes some 3 s: two recordings are explained."""
+    condition, told = case
+    shutil.copy(kp4, tmp_path / "n1.mcap")
+    shutil.copy(kp10, tmp_path / "n2.mcap")
+    for name in unread.split():
+        (tmp_path / f"{name}.mcap").write_bytes(kp4.read_bytes()[:3000])
+    answer = call("compare", tmp_path, "--first", condition, "--why", "--jobs", 1)
+    assert answer.code == 2
+    assert len(answer.err.splitlines()) == len(unread.split())
+    assert told in answer.flat
+    assert "cannot be read" in told or "cannot be read" not in answer.flat
+
+
+def test_a_series_in_an_empty_folder_or_of_one_recording(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    words = ["--first", "run.duration < 1", "--why"]
+    empty = call("compare", tmp_path, *words)
+    assert (empty.code, empty.out, empty.err.count("\n")) == (2, "", 1)
+    assert "no recordings in this folder" in empty.err
+    answer = call("compare", kp4, *words)
+    assert (answer.code, answer.out) == (0, "kp4.mcap does not meet run.duration < 1.\n")
 
 
 @pytest.mark.thorough
