@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from turtlelog import Run, Spec
     from turtlelog.check import ArtifactWriter, CheckResult
+    from turtlelog.check.reference import MetricsFile
     from turtlelog.check.verdict_rows import CheckedFile
     from turtlelog.check.vocabulary import TrajectoryJudge
     from turtlelog.log import ReadChoice
@@ -167,18 +168,21 @@ class _Judge:
     """Holds one file after the other to a specification, in this process or another."""
 
     spec: "Spec"
-    reference: "Run | None"
+    reference: "Run | MetricsFile | None"
     trajectories: "TrajectoryJudge | None"
     choice: "ReadChoice"
     allow_partial: bool
     is_described: bool
     keeps_runs: bool
 
-    def read_reference(self) -> "Run | None":
+    def read_reference(self) -> "Run | MetricsFile | None":
         """Return the reference, also if nothing is held to it."""
         if self.reference is not None or self.spec.reference is None:
             return self.reference
-        return tl.log.read_as_chosen(self.spec.reference, self.choice)
+        from turtlelog.check.reference import read_metrics_file
+
+        metrics = read_metrics_file(self.spec.reference)
+        return metrics or tl.log.read_as_chosen(self.spec.reference, self.choice)
 
     def look_closer(self, path: Path, file: _Judged) -> _Judged:
         """Return what was found of a file with its run, where a check fails."""

@@ -10,6 +10,7 @@ from turtlelog.explain.attribution import is_clear
 from turtlelog.explain.explained_difference import ROBOT, SEED
 from turtlelog.explain.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
+from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes
 
 if TYPE_CHECKING:
     from turtlelog.explain.attribution import ValueSet
@@ -64,6 +65,12 @@ _PARTS: Final = {
     "end": "All that both contain is equal",
 }
 """What the first difference tells of the cause, by the part that differs."""
+
+
+_CODE: Final = (
+    "Until then the controller reads equal poses, so the cause lies in the controller, whose code"
+    " differs"
+)
 
 
 def write_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
@@ -260,11 +267,17 @@ def _write_obstacle(found: "ExplainedDifference") -> list[str]:
         return []
     if found.has_same_settings:
         alike = [side.name for side in (found.first, found.second) if side.basis == "recorded"]
-        return [f"Simulated again, that scenario reproduces {one} alone." for one in alike]
+        return [f"Simulated again, that scenario reproduces {one} alone." for one in alike] or [
+            f"That scenario is not known to reproduce either run: {found.withheld}."
+        ]
     names = [name_change(one) for one in found.changes]
     who = "robots" if found.first.basis == ROBOT else "runs"
     differ = f" The {who} differ in {join_words(names)}." if names else ""
-    return [f"Why is not known: {found.withheld}.{differ}"]
+    others = list_software_changes(found.first.simulated_by, found.second.simulated_by)
+    if any(one.name == "law" for one in found.changes):
+        others = tuple(one for one in others if one.name != LAW)
+    software = f" The software differs, too: {describe_changes(others)}." if others else ""
+    return [f"Why is not known: {found.withheld}.{differ}{software}"]
 
 
 def _name_set(case: "ValueSet", changes: "dict[str, Change]") -> str:
@@ -347,10 +360,32 @@ def _write_departure(found: "ExplainedDifference") -> list[str]:
     values = join_words(format_pair(one.first, one.second, one.unit), "then")
     samples = describe_count(one.samples, "equal sample")
     return [
-        f"No setting differs. The runs depart at {one.time_s:.3f} s, after {samples}, in"
+        f"{_write_software(found)} The runs depart at {one.time_s:.3f} s, after {samples}, in"
         f" {one.signal.replace('_', ' ')}: {values}.",
-        f"{_PARTS[one.part]}.",
+        f"{_CODE if one.part == 'controller' and _has_other_code(found) else _PARTS[one.part]}.",
     ]
+
+
+def _has_other_code(found: "ExplainedDifference") -> bool:
+    """Return whether both recordings name the code of the law, and it differs."""
+    codes = [side.simulated_by.get(LAW) for side in (found.first, found.second)]
+    return None not in codes and codes[0] != codes[1]
+
+
+def _write_software(found: "ExplainedDifference") -> str:
+    """Return what differs before the runs depart: no setting, but versions, platform or code."""
+    first, second = found.first.simulated_by, found.second.simulated_by
+    silent = [side.name for side in (found.first, found.second) if not side.simulated_by]
+    if silent:
+        names = f"{join_words(silent)} {'does' if len(silent) == 1 else 'do'} not name"
+        return f"No setting differs, and {names} the versions used."
+    changes = list_software_changes(first, second)
+    if [one.name for one in changes] == [LAW]:
+        return "No setting differs, but the code of the law does."
+    if changes:
+        return f"No setting differs, but the software does: {describe_changes(changes)}."
+    code = ", by the same code of the law" if LAW in first else ""
+    return f"No setting differs: both ran with {describe_software(first)}{code}."
 
 
 def _write_effects(found: "ExplainedDifference") -> str:

@@ -318,7 +318,7 @@ class Departure:
             otherwise. `timing`: the time of a sample or command. `end`: one run is longer.
         signal: Name of the signal that differs.
         unit: Unit of the values; empty for a name or a count.
-        time_s: Time of the difference from the first pose [s].
+        time_s: Time of the difference from the first sample, or else pose [s].
         first: The value of the first run; None if it has none there.
         second: The value of the second run.
         samples: Samples before it, which are equal in both runs.
@@ -349,7 +349,7 @@ def find_departure(first: Run, second: Run) -> Departure | None:
         part=_name_part(found, first),
         signal=found.signal,
         unit=units.get(found.signal, ""),
-        time_s=float(found.time_ns - first.poses.time_ns[0]) / 1e9,
+        time_s=float(found.time_ns - first.start_ns) / 1e9,
         first=found.recorded,
         second=found.replayed,
         samples=int(np.searchsorted(first.samples.time_ns, found.time_ns)),

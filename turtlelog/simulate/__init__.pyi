@@ -27,3 +27,6 @@ from .scenario_notes import (
 from .settings import (
     needs_time as needs_time,
 )
+from .versions import (
+    find_software as find_software,
+)

@@ -20,6 +20,7 @@ from turtlelog.simulate.settings import bound_rows, build_settings
 from turtlelog.simulate.step_budget import WatchedCode
 from turtlelog.simulate.streams import STREAMS, draw_events, list_of, list_streams
 from turtlelog.simulate.twins import as_record
+from turtlelog.simulate.versions import find_software
 
 
 class CompiledRunner:
@@ -119,6 +120,7 @@ def _build_run(
         scenario_is_complete=True,
         stop_reason=name_stop(law, int(now["stop"])),
         events=tuple(_describe_events(events, plant.period_ns, law)),
+        simulated_by=find_software(scenario.law.kind),
     )
 
 

@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,6 +18,7 @@ from turtlelog.run import Clock
 from turtlelog.run.declaration_json import format_declaration, parse_declaration
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW, nest_parameters
+from turtlelog.simulate import find_software
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:
@@ -78,6 +79,7 @@ class Head:
         declaration: As in `Run`; None in format 1.
         notes: As in `Run`.
         clock: As in `Run`.
+        simulated_by: As in `Run`.
     """
 
     format_version: int
@@ -91,6 +93,7 @@ class Head:
     declaration: Declaration | None
     notes: Mapping[str, str]
     clock: Clock | None = None
+    simulated_by: Mapping[str, str] = field(default_factory=dict)
 
 
 def describe_run(run: "Run") -> Head:
@@ -106,6 +109,7 @@ def describe_run(run: "Run") -> Head:
         more_topics=frozenset(_list_more_topics(run)),
         declaration=run.declaration,
         clock=run.clock,
+        simulated_by=run.simulated_by,
         notes={name: text for name, text in run.notes.items() if name != CHOSEN},
     )
 
@@ -130,6 +134,7 @@ def describe_scenario(
         nan_columns=frozenset(nan_columns),
         more_topics=frozenset(more_topics),
         declaration=declaration,
+        simulated_by=find_software(scenario.law.kind),
         notes=notes,
     )
 
@@ -159,6 +164,8 @@ def format_head(head: Head) -> dict[str, str]:
         record["more_topics"] = _encode(sorted(head.more_topics))
     if head.clock is not None:
         record["clock"] = _encode(head.clock)
+    if head.simulated_by:
+        record["simulated_by"] = _encode(dict(head.simulated_by))
     if head.stop_reason is not None:
         record["stop_reason"] = head.stop_reason
     if head.goal_heading_rad is not None:
@@ -197,6 +204,9 @@ def parse_head(record: Mapping[str, str]) -> Head:
         declaration=None if version == 1 else _parse_declaration(record),
         notes=_decode(record, "notes", dict[str, str]),
         clock=_decode(record, "clock", Clock) if "clock" in record else None,
+        simulated_by=_decode(record, "simulated_by", dict[str, str])
+        if "simulated_by" in record
+        else {},
     )
 
 
