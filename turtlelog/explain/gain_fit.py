@@ -8,13 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.explain.identification import (
-    Finding,
-    bound_value,
-    find_exactly,
-    fit_value,
-    miss,
-)
+from turtlelog.explain.identification import Finding, bound_value, find_exactly, fit_value, miss
 from turtlelog.explain.trace import estimate_trace_noise, find_pose_resolution
 
 Values = NDArray[np.float64]
