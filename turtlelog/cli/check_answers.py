@@ -18,7 +18,7 @@ from turtlelog.cli.check_tables import (
     tabulate_values,
 )
 from turtlelog.cli.output import fill_lines, fit_table, print_json, print_tables, print_verdicts
-from turtlelog.display import format_number, format_short
+from turtlelog.display import describe_count, format_number, format_short
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -145,7 +145,9 @@ def print_marks(results: "Iterable[CheckResult]") -> "Verdict":
         counted.append(found.verdict)
         passed = found.verdicts[tl.check.Verdict.PASS]
         total = found.verdicts.total()
-        print_verdicts(f"{found.verdict}  {file}: {passed} of {_count(total, 'check')} passed")
+        print_verdicts(
+            f"{found.verdict}  {file}: {passed} of {describe_count(total, 'check')} passed"
+        )
     return decide_verdict(Counter(counted))
 
 
@@ -218,13 +220,13 @@ def conclude(counted: "CountedResults", files: int) -> str:
         verb = "fails" if failed == 1 else "fail"
         lacking = f", {counted.valueless} of them without a value" if counted.valueless else ""
         names = _name_failing(counted)
-        text = f"{failed} of {_count(total, 'check')} {verb} ({names}){lacking}{rest}"
+        text = f"{failed} of {describe_count(total, 'check')} {verb} ({names}){lacking}{rest}"
     elif verdict == "SKIPPED":
         return f"{verdict}: no check was judged in {place}: {skipped} {_is_or_are(skipped)} skipped"
     elif skipped:
         passed = verdicts[tl.check.Verdict.PASS]
         verb = "passes" if passed == 1 else "pass"
-        text = f"{passed} of {_count(total, 'check')} {verb}{rest}"
+        text = f"{passed} of {describe_count(total, 'check')} {verb}{rest}"
     elif total == 1:
         text = ", ".join(["the check passes", *map(_tell_value, counted.nearest.values())])
     else:
@@ -245,10 +247,6 @@ def _tell_value(result: "CheckResult") -> str:
     if result.value is None:
         return "it has no value"
     return f"value {format_short(result.value, result.unit)}"
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _is_or_are(number: int) -> str:

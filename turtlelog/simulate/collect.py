@@ -272,10 +272,10 @@ class SampleRows:
             sequence=sequence,
             pose_sequence=pose_sequence,
             phase=phase,
-            bearing_rad=_if_whole(bearing),
-            heading_error_rad=_if_whole(heading_error),
-            error_xy_m=_if_whole(np.column_stack([error_x, error_y])),
-            distance_m=_if_whole(distance),
+            bearing_rad=keep_whole(bearing),
+            heading_error_rad=keep_whole(heading_error),
+            error_xy_m=keep_whole(np.column_stack([error_x, error_y])),
+            distance_m=keep_whole(distance),
             wanted_speed_m_s=wanted_speed,
             wanted_turn_rate_rad_s=wanted_turn_rate,
             speed_m_s=speed,
@@ -296,6 +296,6 @@ def _split_rows(
     return words[:integers].copy(), words[integers:].copy().view("<f8")
 
 
-def _if_whole(values: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def keep_whole(values: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Return a column, None if a row holds no number: without a goal there are no errors."""
     return None if np.isnan(values).any() else values

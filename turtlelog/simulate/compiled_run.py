@@ -14,6 +14,7 @@ from turtlelog.run.loops import Declaration
 from turtlelog.run.path_pieces import PathPiece
 from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
+from turtlelog.simulate.collect import keep_whole
 from turtlelog.simulate.compiled_loop import PIECE, CompiledLoop
 from turtlelog.simulate.rows import MAX_DURATION, describe_event
 from turtlelog.simulate.settings import bound_rows, build_settings
@@ -167,10 +168,10 @@ def _build_samples(
         sequence=rows["sequence"].copy(),
         pose_sequence=rows["pose_sequence"].copy(),
         phase=rows["phase"].copy(),
-        bearing_rad=if_whole(rows["bearing_rad"].copy()),
-        heading_error_rad=if_whole(rows["heading_error_rad"].copy()),
-        error_xy_m=if_whole(errors),
-        distance_m=if_whole(rows["distance_m"].copy()),
+        bearing_rad=keep_whole(rows["bearing_rad"].copy()),
+        heading_error_rad=keep_whole(rows["heading_error_rad"].copy()),
+        error_xy_m=keep_whole(errors),
+        distance_m=keep_whole(rows["distance_m"].copy()),
         wanted_speed_m_s=rows["wanted_speed_m_s"].copy(),
         wanted_turn_rate_rad_s=rows["wanted_turn_rate_rad_s"].copy(),
         speed_m_s=rows["speed_m_s"].copy(),
@@ -182,8 +183,3 @@ def _build_samples(
         reference_xy_m=_pair(rows, "reference_x_m", "reference_y_m") if moves else None,
         reference_heading_rad=rows["reference_heading_rad"].copy() if moves else None,
     )
-
-
-def if_whole(values: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return a column, None where a row holds no number: without a goal there are no errors."""
-    return None if np.isnan(values).any() else values
