@@ -1,31 +1,32 @@
 """A run in Rerun's viewer as a widget of a notebook."""
 
-import rerun as rr
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 from rerun.notebook import Viewer
 
-from turtlelog.draw.rerun.entities import APPLICATION_ID
-from turtlelog.draw.rerun.layout import build_run_layout
-from turtlelog.draw.rerun.rrd_file import require_enabled, strict_mode
-from turtlelog.draw.rerun.run_scene import build_run_scene
+from turtlelog.draw.rerun.run_scene import write_run_rrd
+from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
 
 def build_run_widget(run: Run, size: tuple[int, int]) -> Viewer:
     """Return a widget of this width and height [pixels] that holds all of a run.
 
+    The page gets the recording in one message. Rerun's own way is a message for each part: of
+    hundreds at once a browser without a graphics card shows nothing.
+
     Raises:
         ShowError: Where the environment switches Rerun off.
     """
-    scene = build_run_scene(run, size=size)
-    with strict_mode():
-        # The properties that Rerun would send hold the wall-clock time.
-        stream = rr.RecordingStream(APPLICATION_ID, send_properties=False)
-        require_enabled(stream, run.name)
-        stream.set_log_time_enabled(False)
-        width, height = size
-        layout = build_run_layout(scene.content)
-        viewer = Viewer(width=width, height=height, recording=stream, blueprint=layout)
-        stream.send_recording_name(run.name)
-        scene.draw(stream)
-        stream.flush()
+    with TemporaryDirectory(prefix="turtlelog-") as folder:
+        file = Path(folder, "run.rrd")
+        try:
+            write_run_rrd(run, file, size=size)
+        except ShowError as err:
+            raise ShowError(str(err).replace(str(file), run.name)) from err
+        data = file.read_bytes()
+    width, height = size
+    viewer = Viewer(width=width, height=height, use_global_recording=False)
+    viewer._viewer.send_rrd(data)
     return viewer
