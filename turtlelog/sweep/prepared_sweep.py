@@ -147,9 +147,9 @@ def _sum_up_code(kinds: Sequence[str]) -> str:
     return hashlib.sha256(b"".join(parts)).hexdigest() if parts else ""
 
 
-def has_given_law(sweep: Sweep) -> bool:
-    """Return whether a row may have a law that only this process and its forks find."""
+def list_given_laws(sweep: Sweep) -> tuple[str, ...]:
+    """Return the laws of the rows that only this process and its forks find."""
     kinds = [parse_scenario(sweep.base).law.kind]
     for one in (*sweep.plan.grid, *sweep.plan.zipped):
         kinds += [*one.values] if one.key == "law.kind" else []
-    return any(map(is_given, kinds))
+    return tuple(dict.fromkeys(filter(is_given, kinds)))

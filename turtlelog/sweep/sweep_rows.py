@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Final, overload
 
 from turtlelog.errors import LogError, SweepError
 from turtlelog.files.urls import RemotePath, has_files, make_path
+from turtlelog.laws import WorkWithLaws
 from turtlelog.log.complete_files import remove_leftovers
 from turtlelog.log.error_boundary import name_file
 from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes
 from turtlelog.scenario import parse_scenario
 from turtlelog.sweep.batch import find_batch
 from turtlelog.sweep.kept_parts import KeptParts, has_results, name_partial, require_same
-from turtlelog.sweep.prepared_sweep import Sweep, has_given_law
+from turtlelog.sweep.prepared_sweep import Sweep, list_given_laws
 from turtlelog.sweep.result_table import write_result_table
 from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
 from turtlelog.sweep.stored_table import open_result_table
@@ -167,14 +168,13 @@ def _simulate(
             jobs, threads = 1, jobs
     else:
         size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // count)))
-    is_forked = has_given_law(sweep)
-    if is_forked and isinstance(jobs, int) and not CAN_FORK:
+    laws = list_given_laws(sweep)
+    if laws and isinstance(jobs, int) and not CAN_FORK:
         jobs = 1
+    work = WorkWithLaws(simulate_rows, () if isinstance(jobs, int) else laws)
     cut = partial_call(sweep.cut_chunk, ahead=rest // count, threads=threads)
     chunks = _Chunks(cut, rows.list_gaps(sweep.plan.row_count), size)
-    for results in map_in_processes(
-        simulate_rows, chunks, jobs, name=_name_chunk, is_forked=is_forked
-    ):
+    for results in map_in_processes(work, chunks, jobs, name=_name_chunk, is_forked=bool(laws)):
         rows.add(results)
         watch(rows.count, results)
 

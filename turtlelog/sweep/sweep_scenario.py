@@ -111,7 +111,8 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
             are of all gains of the law together.
         metrics: Ids or patterns; None: the essential ones of the law but `dead_time`.
         law: Law to use instead of the scenario's law, as in `simulate_run`. Processes beside this
-            one find a law of a notebook on Linux; elsewhere there is one process for it.
+            one find a law of a notebook on Linux; elsewhere there is one process for it. A cluster
+            gets it with the work.
         changes: Values by dotted key that all rows have.
         output: The .parquet file, which the same call goes on with where it was interrupted; None:
             no file is kept.
