@@ -11,8 +11,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.check_answers import print_marks, print_results
 from turtlelog.cli.check_files import ReportOptions, check_files, check_into_table, read_to_judge
-from turtlelog.cli.folders import find_files, list_files
-from turtlelog.cli.options import Output, Place, ReadingOptions
+from turtlelog.cli.options import Output, Place, ReadingOptions, find_files, list_files
 from turtlelog.cli.output import (
     EXIT_FAILED,
     EXIT_FINE,
@@ -39,11 +38,11 @@ class FirstSpecOptions:
     """Other things to ask for.
 
     Attributes:
-        expect: Hold recordings to this formula instead of a specification; may be repeated.
-        init: Write a first specification from this good run; see -o.
-        output: The .toml file that --init writes. Default: print it. Without --init the
-            .parquet table of verdicts: files that have not changed since it was written, and are
-            held to the same specification, are not read again.
+        expect: Check this formula instead of a specification. Can be repeated.
+        init: Write a first specification from this good run, to the file of -o.
+        output: With --init: the .toml file to write (default: print it). Otherwise: a .parquet
+            table of verdicts. Files that did not change since the table was written with the same
+            specification are not read again.
         schema: Print the JSON Schema of specification files, for editors.
     """
 
@@ -65,13 +64,12 @@ def check(
 ) -> int:
     """Check recordings against a specification: bounds, temporal-logic formulas, tolerances.
 
-    The exit code is 0 where nothing fails, 1 where a check fails or cannot be
-    decided, and 2 where the specification or its reference cannot be read. A
-    metric without a value fails; so does a recording that cannot be read;
-    incomplete recordings fail unless --partial is given.
+    The exit code is 0 if all checks pass, 1 if a check fails or cannot be decided, and 2 if the
+    specification or its reference cannot be read. A metric without a value fails. A recording that
+    cannot be read fails, and an incomplete recording fails unless --partial is given.
 
-    The first line is the verdict. Below it stand the checks that fail; with --all every check of
-    every recording.
+    The first line is the verdict. The checks that fail follow; with --all, every check of every
+    recording.
 
     Example: turtlelog check --init good.mcap -o spec.toml
 
@@ -79,14 +77,14 @@ def check(
 
     Example: turtlelog check run.mcap --expect "always(abs(speed) <= 1.5)"
 
-    Example: turtlelog check spec.toml runs --recursive -o verdicts.parquet
+    Example: turtlelog check spec.toml runs -o verdicts.parquet
 
     Example: turtlelog check spec.toml handed-in/*.mcap --marks
 
     Args:
         words: A specification (.toml) and recordings; with --expect, recordings alone.
-        reference: Take tolerances from this recording, not from the file's own; also the trajectory
-            that ate.* and rpe.* in --expect are measured beside.
+        reference: Reference recording, instead of the one in SPEC; also the reference trajectory of
+            ate.* and rpe.* in --expect.
     """
     kind = (formats or FormatOptions()).choose()
     reports, first = reports or ReportOptions(), first or FirstSpecOptions()
@@ -108,12 +106,12 @@ def check(
     _require_use(spec, reference if expect else None)
     topics = topics or ReadingOptions()
     if first.output is not None:
-        found = find_files(files, first.output, is_recursive=reports.recursive)
+        found = find_files(files, first.output)
         files = [Path(one.path) for one in found]
         _require_known(spec, files, topics)
         results = check_into_table(first.output, spec, found, reports, topics)
     else:
-        files = list_files(files, is_recursive=reports.recursive)
+        files = list_files(files)
         _require_known(spec, files, topics)
         results = check_files(spec, files, reports, topics)
     if reports.marks:
@@ -131,7 +129,7 @@ def _require_use(spec: "Spec", reference: Path | None) -> None:
         UsageError: Where there is one.
     """
     from turtlelog.check.judge_formula import list_names
-    from turtlelog.check.trajectory_values import TRAJECTORY_VALUES
+    from turtlelog.check.vocabulary import TRAJECTORY_VALUES
 
     if reference is not None and list_names(spec.checks).isdisjoint(TRAJECTORY_VALUES):
         raise UsageError(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.folders import Recursive, summarise_table, tabulate
+from turtlelog.cli.folders import summarise_table, tabulate
 from turtlelog.cli.options import (
     Place,
     ReadingOptions,
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
     from turtlelog import Run, Spec
     from turtlelog.check import ArtifactWriter, CheckResult
-    from turtlelog.check.junit import CheckedFile
     from turtlelog.check.reference import MetricsFile
-    from turtlelog.check.trajectory_values import TrajectoryJudge
+    from turtlelog.check.verdict_rows import CheckedFile
+    from turtlelog.check.vocabulary import TrajectoryJudge
     from turtlelog.log import ReadChoice
     from turtlelog.sweep import FoundRecording
 
@@ -45,21 +45,20 @@ class ReportOptions(WorkOptions):
     """What to write beside the answer, and where to find it.
 
     Attributes:
-        junit: Write JUnit XML, every metric a property, to this .xml file.
-        artifacts: Put a Rerun view, a picture and the cut recording of what fails into this folder.
-        report: Write a report on the recordings and their checks to this .html file. It needs all
-            that is read, which one process then reads.
-        recursive: Take every recording below the folders given.
+        junit: Write JUnit XML to this .xml file, with each metric as a property.
+        artifacts: Write a Rerun view, a picture and a shortened recording of each failure to this
+            folder.
+        report: Write a report on the recordings and their checks to this .html file. One process
+            reads all recordings then.
         all_: Print the checks that pass, too.
-        no_why: Do not explain recordings that fail. Default: with a reference, the first three that
-            fail are explained, each within 10 s: why they differ from it.
+        no_why: Do not explain failures. Default: with a reference, the first three failing
+            recordings are explained by their difference from the reference, each within 10 s.
         marks: Print one line for each recording: its verdict, and how many of its checks pass.
     """
 
     junit: Place | None = None
     artifacts: Place | None = None
     report: Place | None = None
-    recursive: Recursive = False
     all_: Annotated[bool, Parameter(name="--all")] = False
     no_why: Annotated[bool, Parameter(negative=())] = False
     marks: bool = False
@@ -120,7 +119,7 @@ def _check_files(
     *,
     place: "int | Executor",
 ) -> "Iterator[CheckResult]":
-    from turtlelog.check.junit import CheckedFile, format_junit
+    from turtlelog.check.verdict_rows import CheckedFile, format_junit
 
     jobs = 1 if reports.report is not None else place
     keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
@@ -205,7 +204,7 @@ class _Judge:
 
     def __call__(self, path: Path) -> _Judged:
         from turtlelog.check.judge_run import fail_recording, judge_run
-        from turtlelog.check.junit import CheckedFile
+        from turtlelog.check.verdict_rows import CheckedFile
 
         file, started, clock = str(path), datetime.now(UTC), _Clock()
         try:
@@ -334,7 +333,7 @@ def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
 
 def read_to_judge(path: Path, choice: "ReadChoice") -> "tuple[Run, dict[str, str]]":
     """Return a run, whole or not, and what to tell of reading it."""
-    from turtlelog.log.recording.recovery_note import LOSS_NOTES
+    from turtlelog.log.recording.head import LOSS_NOTES
 
     # A recording that is not whole fails its check, which says so.
     run = tl.log.read_as_chosen(path, replace(choice, allow_partial=True, allow_no_poses=True))

@@ -14,16 +14,16 @@ from turtlelog.cli.compare_reference import (
     Manner,
     MetricBeside,
     compare_with_reference,
+    compare_with_robot,
+    list_scenario_files,
     take_metric,
 )
-from turtlelog.cli.compare_robot import compare_with_robot, list_scenario_files
 from turtlelog.cli.compare_trajectories import (
     TrajectoryOptions,
     TrajectoryPlace,
     compare_with_trajectory,
 )
 from turtlelog.cli.compare_why import WhyOptions, WhyPlace, compare_why
-from turtlelog.cli.folders import Recursive, describe_unread, list_files
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
     Files,
@@ -31,6 +31,7 @@ from turtlelog.cli.options import (
     Place,
     ReadingOptions,
     count_jobs,
+    list_files,
     read_runs,
     split_names,
     watch_summaries,
@@ -61,20 +62,18 @@ class ReferenceOptions(WhyOptions):
     """The reference, and how to compare with it. `turtlelog check` gives verdicts.
 
     Attributes:
-        reference: The run that differences are taken from.
+        reference: Run with which the others are compared.
         align: Common time zero: first_sample, phase:NAME (the start of a phase), recorded (times as
             they are), sample (samples by their number). Default: first_sample. With --ate or --rpe
             the transformation that is fitted: se3, se2, sim3, sim2 (with scale), origin, none.
-        recursive: Take every recording below the folders given, but for the reference.
-        jobs: Number of processes. Default: one per core if that is faster; 1 with --rrd or the
-            scenario of a robot.
-        details: Beside a reference: show the signals of several runs, too.
+        jobs: Number of processes. Default: one per core if that is faster; 1 with --rrd or with a
+            robot's scenario.
+        details: With --reference: also show the signals of several runs.
     """
 
     reference: Place | None = None
     tolerances: Annotated[Place | None, Parameter(show=False)] = None
     align: Annotated[str | None, Parameter(metavar="HOW")] = None
-    recursive: Recursive = False
     jobs: Jobs = None
     details: bool = False
     trajectories: TrajectoryOptions = field(default_factory=TrajectoryOptions)
@@ -87,12 +86,12 @@ class ChoiceOptions:
 
     Attributes:
         metric: Columns, separated by commas: metrics, patterns (translate.*), parameters.
-        sort: Metric or parameter to sort by, name, or Kp as the column is called. A minus before it
-            sorts in falling order. Example: -run.duration. Default: rising gain.
+        sort: Metric, parameter or column (name, Kp) to sort by. A minus sign sorts in falling
+            order. Example: -run.duration. Default: rising gain.
         where: Condition for the runs. Example: "law.kp_linear >= 2 and run.duration < 20".
-        varied: Keys that were varied on purpose, separated by commas, for example limits.speed_m_s;
-            or goal, path, start, plant or limits. If another of these differs, no run is called
-            the best. Gains are always on purpose.
+        varied: Keys that were varied on purpose, separated by commas: limits.speed_m_s, or a group
+            such as goal, path, start, plant or limits. If another group differs, no run is called
+            the best. Gains may always differ.
     """
 
     metric: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
@@ -118,9 +117,8 @@ class DrawingOptions:
     """Pictures of what is compared.
 
     Attributes:
-        plot: Draw paths, errors and rates of a robot and its scenario, with --why the
-            contributions, or with --ate trajectories and their errors, into this .pdf, .png or
-            .svg file.
+        plot: Write a figure to this .pdf, .png or .svg file: paths, errors and rates of a robot and
+            its scenario; with --why the contributions; with --ate trajectories and their errors.
         rrd: Write all runs, or a recorded robot beside a simulated one, into one Rerun recording.
     """
 
@@ -138,29 +136,29 @@ def compare(
     pictures: DrawingOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> int:
-    """Compare runs: which is best at what. With --reference: how far each is from it.
+    """Compare runs: which is best at what. With --reference: how much each differs.
 
-    With --why: why a metric of the second run is another one than that of the first. The settings
-    in which their scenarios differ are exchanged in every combination, and the difference of the
-    metric is divided among them: contributions are Shapley values. Without a recorded scenario that
-    reproduces a run, an identified scenario stands for it. If no setting differs, the answer is the
-    first sample at which the runs depart.
+    With --why: why a metric of the second run differs from the first run. The settings in which
+    their scenarios differ are exchanged in every combination, and the difference of the metric is
+    divided among them by Shapley values. If no recorded scenario reproduces a run, an identified
+    scenario is used. If no setting differs, the answer is the first sample at which the runs
+    depart.
 
-    If the scenario of a robot is among the files (its plant is lagged), each recorded robot is
-    compared with the simulated one, driven with the recorded commands. The answer is the error of
-    the pose 1 s and 5 s after both were equal, and how many errors lie within the central 95 % of
-    simulated ones, over 39 seeds of its noise.
+    If one file is the scenario of a robot (its plant is lagged), each recorded robot is compared
+    with the simulated robot, which gets the recorded commands. The answer is the error of the
+    simulated pose 1 s and 5 s after both poses were equal. It also counts how many errors lie
+    within the central 95 % of the errors that 39 seeds of the robot's noise give.
 
-    With --ate or --rpe files are trajectories: those of TUM, KITTI and EuRoC, or anything that is
-    read as a run, FILE:TOPIC for a topic of a bag. The answer is the absolute trajectory error of
-    each after alignment to the reference, and the relative pose error over a length.
+    With --ate or --rpe, files are trajectories: in TUM, KITTI or EuRoC format, or any recording or
+    bag (FILE:TOPIC for one topic of a bag). The answer is the absolute trajectory error of each
+    trajectory after alignment to the reference, and the relative pose error over a length.
 
     Without a reference, files that cannot be read are reported on stderr. The others are compared
     if there are two or more, and the exit code is 2.
 
     Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort run.duration
 
-    Example: turtlelog compare runs --recursive
+    Example: turtlelog compare runs
 
     Example: turtlelog compare --reference good.mcap new.mcap
 
@@ -180,13 +178,12 @@ def compare(
     kind = (formats or FormatOptions()).choose()
     pictures = pictures or DrawingOptions()
     rrd = pictures.rrd
-    is_recursive = against.recursive
     if against.is_why:
         _require_why_sense(against, choice, rrd)
         paths = [*([] if against.reference is None else [against.reference]), *files]
-        folders = WhyPlace(plot=pictures.plot, jobs=against.jobs, is_recursive=is_recursive)
+        folders = WhyPlace(plot=pictures.plot, jobs=against.jobs)
         return compare_why(against, paths, folders, topics=topics, kind=kind)
-    files = list_files(files, is_recursive=is_recursive, without=against.reference)
+    files = list_files(files, without=against.reference)
     jobs = count_jobs(against.jobs, files)
     trajectories = against.trajectories
     if trajectories.require_sense():
@@ -213,7 +210,7 @@ def compare(
     only = _choose_needed(choice, kind)
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
     for err in errors:
-        print_error(describe_unread(err, is_recursive=is_recursive))
+        print_error(str(err))
     # One run alone is beside no other.
     if not errors or len(summaries) > 1:
         _compare_across(summaries, choice, kind)
@@ -227,7 +224,10 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
             f" turtlelog check {against.tolerances} RUN --reference {against.reference or 'RUN'}"
         )
     if len(paths) < 2:
-        raise UsageError(_describe_too_few(paths, against))
+        raise UsageError(
+            f"compare needs at least two runs, but {len(paths)} was given; add another file, or"
+            " --reference FILE"
+        )
     if against.reference is None and against.align is not None:
         raise UsageError("--align: needs --reference FILE")
     for name in () if against.reference is None else ("metric", "sort", "where", "varied"):
@@ -255,14 +255,6 @@ def _require_trajectory_sense(choice: ChoiceOptions, rrd: Path | None) -> None:
     for name, value in given.items():
         if value is not None:
             raise UsageError(f"--{name}: leave it out beside --ate and --rpe")
-
-
-def _describe_too_few(paths: Sequence[Path], against: ReferenceOptions) -> str:
-    """Return what to add to a command that names fewer than two runs."""
-    hint = "add another file, or --reference FILE"
-    if not against.recursive and any(path.is_dir() for path in paths):
-        hint = "--recursive takes every recording below a folder"
-    return f"compare needs at least two runs, but {len(paths)} was given; {hint}"
 
 
 def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> None:

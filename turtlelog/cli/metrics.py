@@ -12,7 +12,6 @@ import turtlelog as tl
 from turtlelog.cli.folders import (
     FolderOptions,
     build_table_answer,
-    describe_unread,
     summarise_table,
     tabulate,
 )
@@ -127,19 +126,19 @@ def metrics(
     formats: FormatOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> int:
-    """Measure recordings: where each ends, and how its loops answer.
+    """Measure recordings: where each run ends, and how its loops respond.
 
-    One run has its loops side by side. Several runs have a row each, in order of the gains.
-    A cell without a value shows a status, and the reason is below the table. With --all or --metric
-    metrics have their ids, and up to six runs are side by side. JSON and CSV have every metric,
-    file by file in the order given. A file that cannot be read is reported on stderr; the others
-    are measured, and the exit code is 2.
+    For one run, its loops are side by side. For several runs, each has a row, in order of their
+    gains. A cell without a value shows a status, and the reason is below the table. With --all or
+    --metric, metrics are listed by their ids, up to six runs side by side. JSON and CSV contain
+    every metric of each file, in the order given. A file that cannot be read is reported on stderr;
+    the others are measured, and the exit code is 2.
 
     Example: turtlelog metrics kp1.mcap kp4.mcap
 
     Example: turtlelog metrics kp4.mcap --metric "translate.*" --band 0.05
 
-    Example: turtlelog metrics runs --recursive -o table.parquet
+    Example: turtlelog metrics runs -o table.parquet
 
     Args:
         files: Recordings (.mcap), ROS 2 bags, tables (.csv, .parquet, .tum), or the paper's logs
@@ -187,7 +186,7 @@ def metrics(
             else:
                 print_chosen(held, kind)
     for err in errors:
-        print_error(describe_unread(err, is_recursive=folders.recursive))
+        print_error(str(err))
     return EXIT_BAD_INPUT if errors else EXIT_FINE
 
 

@@ -4,30 +4,25 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
-from turtlelog.cli.options import (
-    Connect,
-    Json,
-    Output,
-    Place,
-    StepBudgetMs,
-    choose_step_budget,
-)
+from turtlelog.cli.options import Connect, Json, Output, Place, StepBudgetMs, choose_step_budget
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
+    describe_metrics,
+    fill_lines,
+    fit_table,
     flush_stdout,
     print_json,
     print_note,
     print_text,
 )
 from turtlelog.cli.progress import Progress, show_progress, watch_ticks
-from turtlelog.cli.run_answer import build_answer, format_run, write_end
 from turtlelog.cli.scenario_options import (
     LawOptions,
     RowOptions,
@@ -37,6 +32,7 @@ from turtlelog.cli.scenario_options import (
 )
 from turtlelog.cli.targets import require_new_target
 from turtlelog.cli.watch import describe_change, list_watched, watch_runs
+from turtlelog.display import describe_count
 from turtlelog.errors import SimulationError, UsageError
 from turtlelog.files.urls import make_path
 
@@ -45,6 +41,7 @@ if TYPE_CHECKING:
     from turtlelog.draw.rerun.viewer import ViewerProcess
     from turtlelog.log.live_run import Sink
     from turtlelog.simulate import Tick
+
 
 ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]
 
@@ -61,13 +58,13 @@ class LiveOptions:
 
     Attributes:
         watch: Run again when the file of the law or the scenario file is saved, and show what
-            changed. Ctrl-C, or closing the window of --live, ends it.
+            changed. Ctrl-C, or closing the window of --live, ends the command.
         realtime: Run at the speed of the wall clock.
         live: Show the run in a viewer while it runs, and until its window is closed.
         connect: Show the run in a viewer that is already open. Example:
             rerun+http://127.0.0.1:9876/proxy.
-        step_budget_ms: End the run if the law computes longer in one step, by the clock. Default:
-            10000. Unit: ms. Built-in laws have no default.
+        step_budget_ms: End the run if the law computes longer than this in one step (wall-clock
+            time). Default: 10000. Unit: ms. Without the option, built-in laws have no limit.
     """
 
     watch: bool = False
@@ -85,9 +82,10 @@ class RecordOptions:
     Attributes:
         output: Write the recording to this .mcap file.
         rrd: Write a Rerun recording to this .rrd file.
-        strip_scenario: Leave the scenario out of what is written, and name the run after its file.
-            Use it to try `turtlelog explain` on a run whose settings are unknown.
-        trust_law: Run the code of the law that a recording or table names, if it is not built in.
+        strip_scenario: Leave the scenario out of the recording, and name the run after its file.
+            Use it to try `turtlelog explain` on a run with unknown settings.
+        trust_law: Run the code of the law that a recording or table names, if the law is not built
+            in.
     """
 
     output: Output = None
@@ -110,14 +108,14 @@ def run(
 
     Example: turtlelog run paper-kp10 --set loop.queue_policy=newest -o kp10.mcap
 
-    With --realtime the recording is written while the loop runs, to a new file. That file is
-    readable up to the last second however the run ends. Ctrl-C or a terminal that closes ends the
+    With --realtime, the recording is written to a new file while the loop runs. That file is
+    readable up to the last second, however the run ends. Ctrl-C or a terminal that closes ends the
     run and completes the file (exit code 130). With --live a viewer shows the run; closing the
     viewer does not end it. If a law fails, the samples before the failure are written (exit code
     2).
 
-    Notes on stderr name a gain above the stability limit of the theory, at the dead time that the
-    settings imply, and a goal, goal heading or path that the law ignores.
+    Notes on stderr report a gain above the theory's stability limit at the dead time of these
+    settings, and a goal, goal heading or path that the law ignores.
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose
@@ -149,13 +147,13 @@ def scenario(
 ) -> None:
     """Print the scenario of a preset, file or recording as a whole file, to edit and run.
 
-    The code of a law of your own is not loaded: of its keys those that were given are printed.
+    The code of a law of your own is not loaded: only those of its keys that were given are printed.
 
     Example: turtlelog scenario paper-kp10 > mine.toml
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
-            Without one paper, and with --law textbook.
+            Default: paper, or textbook with --law.
     """
     chosen = load_changed_scenario(scenario, options)
     print_text(tl.format_scenario(chosen))
@@ -229,8 +227,8 @@ def _answer(
     if json:
         print_json(build_answer(result, output=record.output, rrd=record.rrd))
     else:
-        table = format_run(result) if before is None else describe_change(result, before)
-        print_text(f"{write_end(result)}\n\n{table}")
+        table = _format_run(result) if before is None else describe_change(result, before)
+        print_text(f"{_write_end(result)}\n\n{table}")
     return code
 
 
@@ -329,3 +327,62 @@ class _Watcher:
 
     def close(self, notes: Mapping[str, str]) -> None:  # noqa: ARG002
         self._progress.close()
+
+
+_LONGEST: Final = 24
+"""Of a name [characters]: of a longer one the changes have a line of their own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunAnswer:
+    """How a simulated run ended.
+
+    Attributes:
+        name: Name of the run.
+        file: The recording that was written; None without one.
+        rrd: The Rerun recording that was written; None without one.
+        samples: Number of samples.
+        stop_reason: Why it ended.
+        metrics: All its metrics.
+    """
+
+    name: str
+    file: str | None
+    rrd: str | None
+    samples: int
+    stop_reason: str | None
+    metrics: list[dict[str, Any]]
+
+
+def build_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAnswer:
+    """Return the answer."""
+    return RunAnswer(
+        name=run.name,
+        file=None if output is None else str(output),
+        rrd=None if rrd is None else str(rrd),
+        samples=len(run.samples),
+        stop_reason=run.stop_reason,
+        metrics=describe_metrics(tl.measure_run(run)),
+    )
+
+
+def _write_end(run: "Run") -> str:
+    """Return how far from the goal a run ended and when, and why it ended."""
+    name, changes = _split_name(run)
+    lines = [f"{name}: {tl.charts.describe_end(run)}."]
+    lines += [f"Changed: {changes}"] if changes else []
+    lines += [f"{describe_count(len(run.samples), 'sample')}. {run.events[-1].text}"]
+    return fill_lines(lines)
+
+
+def _split_name(run: "Run") -> tuple[str, str]:
+    """Return a name that fits a table, and the changes that a longer one tells."""
+    base, _, changes = run.name.partition(" ")
+    return (run.name, "") if len(run.name) <= _LONGEST or not changes else (base, changes)
+
+
+def _format_run(run: "Run") -> str:
+    """Return the essential metrics as a table."""
+    only = tl.measure.list_essential_metrics(run.declaration)
+    named = replace(run, name=_split_name(run)[0])
+    return fit_table(tl.compare.tabulate_metrics([named], only=only))

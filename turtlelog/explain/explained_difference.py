@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from turtlelog.display import fit_line, format_answer, format_html
 from turtlelog.explain.attribution import Resolution, Together, ValueSet
-from turtlelog.explain.departure import Departure
+from turtlelog.explain.resimulation import Departure
 
 SEED: Final = "seed"
 """The line of what the seeds of the two runs make, compared with the means over seeds."""

@@ -16,7 +16,6 @@ from turtlelog.explain.attribution import (
     find_resolution,
 )
 from turtlelog.explain.causes import draws_random
-from turtlelog.explain.departure import find_departure
 from turtlelog.explain.explained_difference import (
     SEED,
     Change,
@@ -28,9 +27,10 @@ from turtlelog.explain.explained_difference import (
 from turtlelog.explain.game import SEEDS, Play, Work, iterate_outcomes
 from turtlelog.explain.hypothesis import LONGEST_S, check_recorded_scenario, require_trust
 from turtlelog.explain.identify_scenario import identify_run
+from turtlelog.explain.resimulation import find_departure
 from turtlelog.explain.robot_difference import explain_robots, is_robot_log
 from turtlelog.explain.run_changes import ChangeGame, find_changes, set_values
-from turtlelog.explain.sampled_orders import ORDERS, sample_game
+from turtlelog.explain.shapley import ORDERS, sample_game
 from turtlelog.explain.starts import (
     find_steady_span,
     ranges_over,
@@ -38,8 +38,7 @@ from turtlelog.explain.starts import (
     subtract_values,
     turn_start,
 )
-from turtlelog.explain.trace import trace_run
-from turtlelog.explain.trace_breaks import mark_breaks
+from turtlelog.explain.trace import mark_breaks, trace_run
 from turtlelog.laws import LAWS
 from turtlelog.measure import Metric, describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run

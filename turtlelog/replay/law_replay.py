@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line
 from turtlelog.errors import ReplayError as ReplayError
 from turtlelog.laws import Law, LawPart, Pose, find_law
-from turtlelog.log.recording.recovery_note import LOSS_NOTES
+from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.bag_reader import NOT_READ
 from turtlelog.plants import find_plant
@@ -25,16 +25,17 @@ from turtlelog.replay.differences import (
     require_tolerance,
 )
 from turtlelog.replay.plant_ticks import advise_other_mode
-from turtlelog.replay.run_pairs import compare_last_answer, has_ticks
-from turtlelog.replay.sample_pairs import (
+from turtlelog.replay.run_pairs import (
     COMMANDS,
     PUBLISHED,
     Answers,
     compare_declarations,
-    count_missing,
+    compare_last_answer,
+    count_missing_samples,
     has_all_commands,
     has_published,
-    list_absent,
+    has_ticks,
+    list_unrecorded,
     pair_published,
     pair_samples,
 )
@@ -46,7 +47,7 @@ from turtlelog.scenario import (
     restore_scenario,
 )
 from turtlelog.simulate import PlainLoop, SampleRow, SampleRows
-from turtlelog.simulate.scenario_law import is_built_in
+from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.step_budget import (
     STEP_BUDGET_S,
     LimitedLoop,
@@ -160,7 +161,7 @@ def replay_law(
         name=run.name,
         scenario=scenario,
         samples=len(answers),
-        missing_samples=count_missing(run.samples),
+        missing_samples=count_missing_samples(run.samples),
         signals=signals,
         commands=others[0],
         stop=stop,
@@ -169,7 +170,7 @@ def replay_law(
         first_command_difference=find_earliest(
             signal.first_difference for signal in signals if signal.signal in COMMANDS
         ),
-        absent=(*list_absent(recorded, found), *(() if has_published(run) else PUBLISHED)),
+        absent=(*list_unrecorded(recorded, found), *(() if has_published(run) else PUBLISHED)),
         answers=answers,
     )
 
@@ -222,7 +223,7 @@ def _iterate_answers(run: Run, loop: PlainLoop) -> Iterator[tuple[SampleRow, tup
 
 def _count_published(run: Run) -> Difference | None:
     """Return how many commands there are beside how many samples, where no row is lost."""
-    is_lossy = count_missing(run.samples) or not run.notes.keys().isdisjoint(LOSS_NOTES)
+    is_lossy = count_missing_samples(run.samples) or not run.notes.keys().isdisjoint(LOSS_NOTES)
     if has_published(run) or is_lossy or "commands" in run.absent:
         return None
     samples, commands = len(run.samples), len(run.commands)

@@ -1,3 +1,7 @@
+from .class_law import (
+    build_law as build_law,
+    declare_scenario as declare_scenario,
+)
 from .collect import (
     RunCollector as RunCollector,
     SampleRows as SampleRows,
@@ -16,10 +20,6 @@ from .plain_loop import (
 from .rows import (
     SampleRow as SampleRow,
     TickRow as TickRow,
-)
-from .scenario_law import (
-    build_law as build_law,
-    declare_scenario as declare_scenario,
 )
 from .scenario_notes import (
     list_scenario_notes as list_scenario_notes,

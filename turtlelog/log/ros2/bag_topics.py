@@ -36,7 +36,7 @@ a satellite receiver tells no heading."""
 
 POSE_TYPES: Final = tuple(_TIERS)
 _POSES_IN_SHORT: Final = (
-    "turtlesim's, Odometry, a Pose with or without stamp, a Pose2D, transforms on /tf, or NavSatFix"
+    "turtlesim/msg/Pose, Odometry, Pose with or without stamp, Pose2D, /tf, and NavSatFix"
 )
 TWIST_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 ACKERMANN_TYPES: Final = (
@@ -106,7 +106,7 @@ _MOST_LISTED: Final = 100
 """Names in one note; a file of 400 kB can have 65,000 topics."""
 
 
-def list_names(names: Sequence[str]) -> str:
+def list_first_names(names: Sequence[str]) -> str:
     """Return names for a note; of very many the first, and how many more there are."""
     few = ", ".join(names[:_MOST_LISTED])
     more = len(names) - _MOST_LISTED
@@ -152,7 +152,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     best = _list_first(fitting, lambda topic: _rank_poses(topic, homes))
     if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
         # Robots that are told apart by number alone: the first.
-        best = [min(best, key=lambda topic: split_numbers(topic.topic))]
+        best = [min(best, key=lambda topic: list_numbers(topic.topic))]
     chosen = _require_one(best, "pose_topic", "--pose-topic")
     others = [topic for topic in fitting if topic != chosen and topic.type not in TRANSFORM_TYPES]
     return Pick(topic=chosen, others=tuple(topic.topic for topic in others))
@@ -284,7 +284,7 @@ def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) 
     unread = [topic for topic in held if topic not in present]
     if reasons := _join_reasons([topic for topic in unread if _is_of_a_run(topic)]):
         return reasons, True
-    found = f"expected poses ({_POSES_IN_SHORT}), found {_describe(held)}"
+    found = f"no poses; it contains {_describe(held)}; poses are read from {_POSES_IN_SHORT}"
     has_joints = any(topic.type == JOINTS for topic in present)
     parts = [found, NEEDS_WHEELS if has_joints else "", _join_reasons(unread)]
     return "; ".join(filter(None, parts)), False
@@ -451,7 +451,7 @@ def _take_last(topic: str) -> str:
     return topic.rpartition("/")[2]
 
 
-def split_numbers(name: str) -> list[tuple[int, str]]:
+def list_numbers(name: str) -> list[tuple[int, str]]:
     """Return the numbers in a name, to sort by; of any length, which Python makes no number of."""
     digits = (found.lstrip("0") for found in _NUMBER.findall(name))
     return [(len(found), found) for found in digits]

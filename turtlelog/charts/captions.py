@@ -1,0 +1,116 @@
+"""Runs and pictures in sentences: how runs ended, and what a picture shows who cannot see it."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.compare import name_runs
+from turtlelog.display import describe_count, format_short
+from turtlelog.explain import choose_metric
+from turtlelog.measure import Metric, measure_run
+from turtlelog.run import Run
+from turtlelog.run.ending import describe_goal_end
+
+_ERROR: Final = "final.position_error"
+_DURATION: Final = "run.duration"
+
+
+def describe_runs(runs: Sequence[Run]) -> str:
+    """Return how a run ended, or between what distances from the goal several did."""
+    names = name_runs(runs)
+    if len(runs) == 1:
+        return f"{names[0]}: {describe_end(runs[0])}."
+    errors = [_measure(run, _ERROR)[_ERROR].value for run in runs]
+    known = [(value, name) for value, name in zip(errors, names, strict=True) if value is not None]
+    if len(known) == len(runs):
+        return f"{len(runs)} runs end {_describe_range(known, 'm')} from the goal."
+    lengths = [(run.duration_s, name) for run, name in zip(runs, names, strict=True)]
+    return f"{describe_count(len(runs), 'run')} last {_describe_range(lengths, 's')}."
+
+
+def _describe_range(values: Sequence[tuple[float, str]], unit: str) -> str:
+    (low, lowest), (high, highest) = min(values), max(values)
+    least, most = format_short(low, unit), format_short(high, unit)
+    return f"all {least}" if low == high else f"{least} ({lowest}) to {most} ({highest})"
+
+
+def describe_end(run: Run) -> str:
+    """Return the distance to the goal at the end; of a run without a goal what it did."""
+    if not len(run.poses):
+        return f"commands for {run.duration_s:.3g} s, no poses"
+    metric = choose_metric(run.declaration)
+    found = _measure(run, metric, _DURATION, "run.path_length")
+    value, duration_s = found[metric].value, found[_DURATION].value
+    after = "" if duration_s is None else f" after {duration_s:.3g} s"
+    if value is None:
+        length_m = found["run.path_length"].value
+        if not len(run.samples) and length_m is not None:
+            return f"drove {format_short(length_m, 'm')} in {duration_s:.3g} s"
+        return f"ended{after}; {metric} has no value: {found[metric].reason}"
+    size = format_short(value, found[metric].unit)
+    if metric != _ERROR:
+        return f"ended{after}, {metric} {size}"
+    return describe_goal_end(run, value, duration_s)
+
+
+def _measure(run: Run, *names: str) -> Mapping[str, Metric]:
+    return measure_run(run, only=names)
+
+
+_MOST_NAMED: Final = 6
+"""Runs that are described one by one; of more a listener loses the first."""
+
+
+def describe_plot(title: str, curves: Sequence[tuple[str, NDArray[np.float64]]]) -> str:
+    """Return what a plot over time shows: where each curve begins and ends, and its range.
+
+    Args:
+        title: Of the plot, with the unit of its values.
+        curves: Name and values of what each run did, shape (n,); values that are not finite are
+            gaps.
+    """
+    finite = [(name, values[np.isfinite(values)]) for name, values in curves]
+    known = [(name, values) for name, values in finite if len(values)]
+    if not known:
+        return f"{title}: no values."
+    if len(known) <= _MOST_NAMED:
+        said = [f"{name}: {_describe_values(values)}" for name, values in known]
+        return f"{title} over time. {'; '.join(said)}."
+    values = np.concatenate([values for _, values in known])
+    return (
+        f"{title} over time of {describe_count(len(known), 'run')},"
+        f" between {_write(values.min())} and {_write(values.max())}."
+    )
+
+
+def _describe_values(values: NDArray[np.float64]) -> str:
+    return (
+        f"from {_write(values[0])} to {_write(values[-1])},"
+        f" between {_write(values.min())} and {_write(values.max())}"
+    )
+
+
+def _write(value: float) -> str:
+    return f"{value + 0.0:.4g}"  # no negative zero
+
+
+def describe_plane(title: str, ends: Sequence[tuple[str, NDArray[np.float64]]]) -> str:
+    """Return what a plane shows: where each run begins and ends.
+
+    Args:
+        title: Of the plane.
+        ends: Name of each run, and its poses [m], shape (n, 2).
+    """
+    if len(ends) > _MOST_NAMED:
+        return f"{title}: the paths of {describe_count(len(ends), 'run')} in the plane."
+    said = [
+        f"{name} drives from {_write_place(xy_m[0])} to {_write_place(xy_m[-1])} m"
+        for name, xy_m in ends
+    ]
+    return f"{title}. {'; '.join(said)}."
+
+
+def _write_place(xy_m: NDArray[np.float64]) -> str:
+    return f"({xy_m[0]:.4g}, {xy_m[1]:.4g})"

@@ -1,0 +1,121 @@
+"""The axes of plots over time: what they span, and the timelines of compared runs."""
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.charts.curves import Level
+from turtlelog.run import Run
+from turtlelog.run.loops import DONE, PAUSE
+
+Values = NDArray[np.float64]
+
+HEADROOM: Final = 1.25
+"""End of a command's range, as a multiple of its most extreme value."""
+
+_ROOM: Final = 0.08
+"""Room above and below what was measured, as a share of its range; where all values are one, of
+that value."""
+
+_LEAST_ROOM: Final = 1e-9
+"""In the unit of the plot, at least where all values are one: a range needs a height."""
+
+_ROOM_AROUND_0: Final = 0.1
+"""In the unit of the plot, where all values are 0: ticks of a lower range are hard to read."""
+
+_AT_REST: Final = 0.01
+"""Of the height of a plot: less than the width of a line in print, where that is 40 mm high."""
+
+_LEAST_SIDE: Final = 0.15
+"""What a command's range shows at least on either side of 0, as a share of its largest limit,
+times `HEADROOM`."""
+
+
+def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float, float] | None:
+    """Return the range of a plot that holds curves and level lines, and a little more.
+
+    Of commands it ends a little beyond what they reach, whether that is their limit or not.
+
+    Returns:
+        None where no value is known.
+    """
+    known = [values[np.isfinite(values)] for values in curves]
+    spans = [(float(values.min()), float(values.max())) for values in known if len(values)]
+    if not spans:
+        return None
+    low, high = min(span[0] for span in spans), max(span[1] for span in spans)
+    limits = [level.value for level in levels if level.kind == "limit"]
+    if limits:
+        least = _LEAST_SIDE * max(limits)
+        return min(low, -least) * HEADROOM, max(high, least) * HEADROOM
+    others = [level.value for level in levels]
+    return _add_room(min([low, *others]), max([high, *others]))
+
+
+def find_rest(curves: Iterable[tuple[Values, Values]], height: float) -> float:
+    """Return from when on no curve is further from its last value than a hundredth of a height [s].
+
+    Args:
+        curves: Times [s] and values of each.
+        height: Of the plot, in the unit of the values.
+    """
+    ends_s = [0.0]
+    for time_s, values in curves:
+        known = np.isfinite(values)
+        time_s, values = time_s[known], values[known]
+        if len(values):
+            away = np.flatnonzero(np.abs(values - values[-1]) > _AT_REST * height)
+            ends_s.append(float(time_s[away[-1]]) if len(away) else 0.0)
+    return max(ends_s)
+
+
+def _add_room(low: float, high: float) -> tuple[float, float]:
+    room = _ROOM * (high - low)
+    if not room:
+        room = max(_ROOM * abs(high), _LEAST_ROOM) if high else _ROOM_AROUND_0
+    return low - room, high + room
+
+
+TIMELINE: Final = "sim_time"
+WALL_TIMELINE: Final = "wall_time"
+
+_PHASE_TIMELINE: Final = "{}_time"
+_MOST_PHASES: Final = 8
+"""Timelines of phases in a run: in a view each costs 8 bytes per row and entity."""
+
+
+def name_phase_timeline(phase: str) -> str:
+    """Return the timeline whose zero is the start of a phase; no other has its name."""
+    name = _PHASE_TIMELINE.format(phase)
+    return _PHASE_TIMELINE.format(f"phase.{phase}") if name in {TIMELINE, WALL_TIMELINE} else name
+
+
+def find_phase_zeros(run: Run) -> dict[str, int]:
+    """Return the timelines of the phases after the first that is declared, with their zeros.
+
+    Zeros are in the run's own time [ns].
+    """
+    phases = [name for name in run.declaration.phases if name not in (PAUSE, DONE)]
+    starts_ns: dict[str, int] = {}
+    for span in run.find_phase_spans():
+        starts_ns.setdefault(span.phase, span.start_ns)
+    later = phases[1 : 1 + _MOST_PHASES]
+    return {name_phase_timeline(name): starts_ns[name] for name in later if name in starts_ns}
+
+
+def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
+    """Return where a run is at times of a timeline: x and y [m], shape (n, 2), and heading [rad].
+
+    Between two poses it moves straight; before the first and after the last it stands.
+
+    Args:
+        run: With at least one pose.
+        zero_ns: Where the timeline is zero, in the run's own time [ns].
+        time_s: Times [s], shape (n,).
+    """
+    own_s = (run.poses.time_ns - zero_ns) / 1e9
+    heading_rad = np.unwrap(run.poses.heading_rad)
+    xy_m = np.column_stack([np.interp(time_s, own_s, values) for values in run.poses.xy_m.T])
+    return xy_m, np.interp(time_s, own_s, heading_rad)

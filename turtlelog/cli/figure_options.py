@@ -1,0 +1,213 @@
+"""Options of `turtlelog plot`: where figures will stand, and figures of what an option asks for."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+from cyclopts import Parameter
+
+from turtlelog import draw
+from turtlelog.cli.list_names import complete_metrics
+from turtlelog.cli.options import split_names
+from turtlelog.cli.progress import show_progress
+from turtlelog.errors import ShowError, UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import Run
+    from turtlelog.draw import Page
+    from turtlelog.draw.figures import FigureKind
+
+    Only = Collection[str] | Mapping[str, FigureKind]
+
+
+TIMELESS: Final = frozenset(
+    {
+        *("plant", "step-responses", "root-locus", "bode", "nyquist", "step"),
+        *("gains", "luck", "strips"),
+    }
+)
+"""Figures that times cannot cut: no axis shows runs over time, nor a path driven in it."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageOptions:
+    """Where figures will stand, and what they show of the runs.
+
+    Attributes:
+        kind: column is one of two columns of a paper, page its whole width, slide 16:9 with large
+            lettering; figures with panels side by side always take the page. Default: column, and
+            page for the table of a sweep.
+        text_width: Width of the paper's text [mm], 120 to 1000. Default: 181. Not for a slide.
+        dpi: Resolution of PNGs [dots per inch], 50 to 600. Default: 300; for a slide 144, which is
+            1920 by 1080 pixels.
+        from_s: Begin time axes here, from the first sample [s].
+        to_s: End time axes here [s].
+        marks: Mark rise, settling time with its band, peak and overshoot, dead time and pause on
+            the curves that loops control, and cut single panels to the phase.
+    """
+
+    kind: Annotated[Literal["column", "page", "slide"] | None, Parameter(name="--for")] = None
+    text_width: Annotated[float | None, Parameter(metavar="WIDTH")] = None
+    dpi: int | None = None
+    from_s: Annotated[float | None, Parameter(name="--from", metavar="SECONDS")] = None
+    to_s: Annotated[float | None, Parameter(name="--to", metavar="SECONDS")] = None
+    marks: Annotated[bool, Parameter(negative=())] = False
+
+    def build_page(
+        self,
+        formats: Sequence[str],
+        names: Sequence[str] | None,
+        *,
+        usual: Literal["column", "page"] = "column",
+    ) -> "Page":
+        """Return the page for figures in some formats.
+
+        Args:
+            formats: In which they are written.
+            names: Names of the figures; None for the usual ones.
+            usual: Where they will stand if that is not asked for.
+
+        Raises:
+            UsageError: If an option has nothing to act on: no format has a resolution, a slide no
+                text, or no figure a time axis.
+            ShowError: If a value is out of range.
+        """
+        if self.text_width is not None and self.kind == "slide":
+            raise UsageError("--text-width: needs --for column or page, not slide")
+        for option, bound_s in (("--from", self.from_s), ("--to", self.to_s)):
+            if bound_s is not None and not math.isfinite(bound_s):
+                raise UsageError(f"{option} {bound_s:g}: must be a finite time [s]")
+            if bound_s is not None and names and TIMELESS.issuperset(names):
+                found = ", ".join(names)
+                raise UsageError(f"{option}: needs a figure over time, not {found}")
+        if self.dpi is not None and "png" not in formats:
+            raise UsageError(f"--dpi: is for png files, not {', '.join(formats)}")
+        return draw.Page(
+            kind=self.kind or usual,
+            **({} if self.text_width is None else {"text_width_mm": self.text_width}),
+            dpi=self.dpi,
+            from_s=self.from_s,
+            to_s=self.to_s,
+            has_marks=self.marks,
+        )
+
+
+_DRAWABLE: Final = (
+    "a signal in a band (always(abs(cross_track) <= 0.05)) or a metric that is a signal's value at"
+    " a moment (final.position_error <= 0.05)"
+)
+"""What the figure violation can draw."""
+
+_OF_METRICS: Final = ("attribution", "gains", "luck", "strips")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AskedOptions:
+    """What the figures attribution, gains, luck, strips and violation show.
+
+    Attributes:
+        metric: The metric that attribution and luck are of, by its id (turtlelog list metrics); or
+            those that gains and strips show: ids, patterns, or names of metrics of any loop
+            (overshoot), separated by commas. For a table the metrics to show. Default: up to four.
+        expect: The formula whose signal violation shows, as in "always(abs(cross_track) <= 0.05)".
+    """
+
+    metric: Annotated[str | None, Parameter(metavar="ID", completer=complete_metrics)] = None
+    expect: Annotated[str | None, Parameter(metavar="FORMULA")] = None
+
+    def require_figures(self, names: Sequence[str]) -> None:
+        """Refuse options of figures that are not asked for.
+
+        Raises:
+            UsageError: If one has no figure, or a figure lacks its option.
+        """
+        if self.metric is not None and not {*names} & {*_OF_METRICS}:
+            expected = "--only attribution, gains, luck or strips"
+            raise UsageError(f"--metric: needs {expected}")
+        if self.expect is not None and "violation" not in names:
+            raise UsageError("--expect: needs --only violation")
+        if self.expect is None and "violation" in names:
+            raise UsageError("--only violation: needs --expect FORMULA")
+
+    def bind(self, names: Sequence[str], runs: "Sequence[Run]") -> "Only":
+        """Return figures by name, with what they are asked to show."""
+        kinds = draw.FIGURES
+        unknown = [name for name in names if name not in kinds]
+        if unknown or not runs:
+            return names
+        found = {name: kinds[name] for name in names}
+        for name in found:
+            if name in _BINDERS and not found[name].find_lack(runs):
+                found[name] = _BINDERS[name](self, found[name], runs)
+        return found
+
+    def list_metrics(self) -> list[str] | None:
+        """Return the metrics that are asked for; None if none are."""
+        return None if self.metric is None else split_names(self.metric, "--metric")
+
+
+def _tell(names: Sequence[str]) -> str:
+    return f"--only {','.join(names)}" if names else "none"
+
+
+def _bind_attribution(
+    asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]"
+) -> "FigureKind":
+    """Explain the run; it may take seconds."""
+    from turtlelog.draw.figures.attribution_figure import draw_attribution, explain_for_figure
+
+    with show_progress("explaining", 100.0, "%") as progress:
+        explained = explain_for_figure(runs, metric=asked.metric, report=progress.count)
+    return replace(kind, draw=partial(draw_attribution, explained=explained))
+
+
+def _bind_luck(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]") -> "FigureKind":
+    """Simulate the run from other starts; it may take seconds."""
+    from turtlelog.draw.figures.luck_figure import draw_luck, measure_luck_for_figure
+    from turtlelog.explain import Work
+
+    with show_progress("simulated", 100.0, "%") as progress:
+        work = Work(jobs=None, report=progress.count)
+        luck = measure_luck_for_figure(runs, metric=asked.metric, work=work)
+    return replace(kind, draw=partial(draw_luck, luck=luck))
+
+
+def _bind_gains(asked: AskedOptions, kind: "FigureKind", _: "Sequence[Run]") -> "FigureKind":
+    from turtlelog.draw.figures.gain_figure import draw_gains
+
+    return replace(kind, draw=partial(draw_gains, metrics=asked.list_metrics()))
+
+
+def _bind_strips(asked: AskedOptions, kind: "FigureKind", _: "Sequence[Run]") -> "FigureKind":
+    from turtlelog.draw.figures.strip_figure import draw_strips
+
+    return replace(kind, draw=partial(draw_strips, metrics=asked.list_metrics()))
+
+
+def _bind_violation(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]") -> "FigureKind":
+    """Hold the run to the formula."""
+    import turtlelog as tl
+    from turtlelog.check.violation import find_judged_signal
+    from turtlelog.cli.check import build_spec
+    from turtlelog.draw.figures.violation_figure import draw_violation
+
+    if len(runs) != 1 or asked.expect is None:
+        return kind
+    (result,) = tl.check_runs(build_spec([asked.expect]), [(runs[0].name, runs[0])])
+    found = find_judged_signal(runs[0], result)
+    if found.signal is None:
+        raise ShowError(f"figure violation: needs {_DRAWABLE}: {found.reason}")
+    return replace(kind, draw=partial(draw_violation, violated=found.signal))
+
+
+_BINDERS: Final = {
+    "attribution": _bind_attribution,
+    "gains": _bind_gains,
+    "luck": _bind_luck,
+    "strips": _bind_strips,
+    "violation": _bind_violation,
+}

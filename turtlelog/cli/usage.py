@@ -1,0 +1,293 @@
+"""How help looks, and what is wrong with the words of a command."""
+
+import re
+import textwrap
+from collections import Counter
+from collections.abc import Mapping, Sequence, Set as Collection
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, get_args, get_origin
+
+from cyclopts import CycloptsError
+from cyclopts.exceptions import (
+    CoercionError,
+    ConsumeMultipleError,
+    MissingArgumentError,
+    RepeatArgumentError,
+    UnknownCommandError,
+    UnknownOptionError,
+    UnusedCliTokensError,
+)
+
+from turtlelog.errors import find_near, join_names, quote_name
+
+if TYPE_CHECKING:
+    from cyclopts.argument import Argument
+    from cyclopts.help import HelpEntry, HelpPanel
+    from rich.console import Console, ConsoleOptions
+
+
+_WIDEST: Final = 100
+"""Longer lines are hard to read [characters]."""
+
+
+class HelpFormatter:
+    """Cyclopts' panels, of texts whose line ends are those of the source code.
+
+    It knows nothing of a command that nobody has loaded yet: those are described by summaries.
+    What draws panels is loaded where help is printed, not by every command.
+    """
+
+    shows_all: bool = False
+    """Whether to show every option and paragraph, as --help-all asks; otherwise the usual ones."""
+
+    def __init__(self, summaries: Mapping[str, str], usual: Mapping[str, Collection[str]]) -> None:
+        """Take what commands do, in one sentence each, and their usual options."""
+        self._summaries, self._usual = summaries, usual
+        self._command = ""
+
+    def __call__(self, console: "Console", options: "ConsoleOptions", panel: "HelpPanel") -> None:
+        """Print a panel."""
+        from cyclopts.help import DefaultFormatter
+
+        console.width = min(console.width, _WIDEST)
+        entries = [*filter(self._is_shown, panel.entries)]
+        described = panel.copy(entries=[*map(self._describe, entries)])
+        if entries:
+            DefaultFormatter()(console, options, described)
+
+    def _is_shown(self, entry: "HelpEntry") -> bool:
+        """Return whether help shows an option: a usual one, any where all are asked for."""
+        usual = self._usual.get(self._command)
+        if self.shows_all or usual is None or entry.positional_label or entry.required:
+            return True
+        return not usual.isdisjoint(entry.positive_names)
+
+    def render_usage(self, console: "Console", options: "ConsoleOptions", usage: Any) -> None:
+        """Print how a command is called."""
+        from cyclopts.help import DefaultFormatter
+
+        words = (usage if isinstance(usage, str) else _find_text(usage)).split()
+        # Behind `Usage: turtlelog`.
+        self._command = next((word for word in words[2:3] if word in self._usual), "")
+        DefaultFormatter().render_usage(console, options, usage)
+
+    def _describe(self, entry: "HelpEntry") -> "HelpEntry":
+        from cyclopts.help import InlineText
+
+        text = " ".join(_find_text(entry.description).split())
+        if not text and entry.positive_names:
+            text = self._summaries.get(entry.positive_names[0], "")
+        label = entry.positional_label
+        if label and get_origin(entry.type) is list:
+            label = f"{label}..."
+        description = InlineText.from_format(text, "plaintext")
+        return entry.copy(description=description, positional_label=label)
+
+    def _choose(self, paragraphs: list[str]) -> list[str]:
+        """Return the paragraphs to show: what a command does, and an example."""
+        if self.shows_all or self._command not in self._usual:
+            return paragraphs
+        examples = [text for text in paragraphs if text.startswith("Example: ")]
+        more = f"All options and examples: turtlelog {self._command} --help-all"
+        return [*paragraphs[:1], *examples[:2], more]
+
+    def render_description(
+        self,
+        console: "Console",
+        options: "ConsoleOptions",  # noqa: ARG002
+        description: Any,
+    ) -> None:
+        """Print what a command does, then its examples."""
+        width = min(console.width, _WIDEST)
+        text = "\n\n".join(
+            textwrap.fill(paragraph, width, break_long_words=False, break_on_hyphens=False)
+            for paragraph in self._choose(_list_paragraphs(description))
+        )
+        console.print(f"{text}\n", highlight=False, markup=False, soft_wrap=True)
+
+
+def show_default(value: object) -> str | None:
+    """Return how help shows a default; that an option is not given goes without saying."""
+    return None if value is False or value is None else str(value)
+
+
+def _list_paragraphs(description: Any) -> list[str]:
+    text = _find_text(description)
+    return [" ".join(paragraph.split()) for paragraph in text.split("\n\n") if paragraph.strip()]
+
+
+def _find_text(description: Any) -> str:
+    return getattr(getattr(description, "primary_renderable", description), "plain", "")
+
+
+_WORDS: Final[dict[Any, str]] = {
+    float: "a number",
+    int: "a whole number",
+}
+
+_SHORT: Final = 40
+"""Letters of a value that an error line repeats without quotes."""
+
+_OPTIONS: Final = MappingProxyType(
+    {
+        "--metrics": "--metric", "--only": "--metric", "--figures": "--only", "--figure": "--only",
+        "--columns": "--metric", "--mechanisms": "--causes", "--effects": "--causes",
+        "--vary": "--grid", "--out": "--output", "--recover": "--partial",
+        "--delay": "--dead-time-s", "--signals": "--details", "--verbose": "--details",
+        "--format": "--json", "--force": "--yes", "--gain": "--kp", "--minimize": "--minimise",
+        "--maximize": "--maximise", "--constraint": "--subject-to", "--filter": "--where",
+    }
+)  # fmt: skip
+"""Options of other commands and programs, and what they are called here."""
+
+
+def describe_usage_error(err: CycloptsError) -> str:
+    """Return an error of the command line's parser as one line: what is wrong, what to type.
+
+    Args:
+        err: What cyclopts raised.
+    """
+    for kind, describe in _DESCRIPTIONS.items():
+        if isinstance(err, kind):
+            return describe(err)
+    err.verbose = False
+    # Cyclopts writes in several lines.
+    text = " ".join(str(err).split())
+    return f"{_name_command(err)}: {text}"
+
+
+def find_split_pair(tokens: Sequence[str]) -> str | None:
+    """Return what is wrong where a goal is two words, as in `--goal 8 3`; None if none is."""
+    found = re.search(r"(?:^|\n)--goal\n([-+.\de]+)\n([-+.\de]+)(?:\n|$)", "\n".join(tokens))
+    if found is None:
+        return None
+    return f"--goal {found[1]} {found[2]}: did you mean --goal {found[1]},{found[2]}?"
+
+
+def _name_command(err: CycloptsError) -> str:
+    return " ".join(("turtlelog", *(err.command_chain or ())))
+
+
+def _describe_unknown_command(err: Any) -> str:
+    known = [name for name, app in err.app.resolved_commands().items() if app.show]
+    known = [name for name in known if not name.startswith("-")]
+    word = err.unused_tokens[0]
+    near = find_near(word, known)
+    text = f"turtlelog has no command {quote_name(word)}"
+    text += f"; did you mean {join_names(near)}?" if near else ";"
+    return f"{text} {'All' if near else 'all'} commands: turtlelog --help"
+
+
+def _describe_unknown_option(err: Any) -> str:
+    word = (err.token.keyword or err.token.value).split("=")[0]
+    known = [name for found in err.argument_collection if found.parse for name in found.names]
+    options = [name for name in known if name.startswith("--")]
+    command = _name_command(err)
+    text = f"{command} has no option {word}"
+    near = _suggest_key(word, options, err.root_input_tokens or ())
+    near = near or [one for one in options if one in {f"{word}s", word.removesuffix("s")}]
+    near = near or [one for one in options if one == _OPTIONS.get(word)]
+    near = near or find_near(word, options)
+    if not options:
+        return f"{text}; all commands: turtlelog --help"
+    if near:
+        return f"{text}; did you mean {join_names(near)}? All options: {command} --help-all"
+    return f"{text}; all options: {command} --help-all"
+
+
+def _suggest_key(word: str, options: Sequence[str], tokens: Sequence[str]) -> list[str]:
+    """Return how a key of a scenario is set that was given as an option, as `--kp-linear 2`."""
+    if "--set" not in options:
+        return []
+    from turtlelog.scenario import Scenario, flatten_scenario  # Only mistakes pay for it.
+
+    name = word.removeprefix("--").replace("-", "_")
+    keys = [key for key in flatten_scenario(Scenario()) if key.partition(".")[2] == name]
+    joined = "\n".join(tokens)
+    value = re.search(rf"^{re.escape(word)}[=\n]([^\n]+)", joined, re.MULTILINE)
+    return [f"--set {key}={'VALUE' if value is None else value[1]}" for key in keys]
+
+
+def _describe_unused(err: Any) -> str:
+    words = err.unused_tokens
+    more = f" and {len(words) - 1} more" if len(words) > 1 else ""
+    return f"{_name_command(err)} takes no word {quote_name(words[0])}{more}. {_show_usage(err)}"
+
+
+def _show_usage(err: Any) -> str:
+    """Return how the command is called, in one line."""
+    app = err.app
+    for name in err.command_chain or ():
+        if name in {command for command in app if not command.startswith("-")}:
+            app = app[name]
+    return str(app.usage or f"Usage: {_name_command(err)}")
+
+
+def _describe_missing(err: Any) -> str:
+    argument = err.argument
+    if err.keyword:
+        return f"{_name_command(err)}: {err.keyword} needs {_describe_value(argument)}"
+    name = argument.name if argument.index is None else _name_place(argument)
+    choices = f": {_describe_value(argument)}" if argument.get_choices(force=True) else ""
+    return f"{_name_command(err)} needs {name}{choices}. {_show_usage(err)}"
+
+
+def _describe_count(err: Any) -> str:
+    place, most = err.keyword or _name_place(err.argument), err.max_allowed
+    return f"{place}: takes at most {most} words, not {err.actual_count}"
+
+
+def _describe_value_error(err: Any) -> str:
+    place = err.token.keyword if err.token and err.token.keyword else _name_place(err.argument)
+    value = err.token.value if err.token else ""
+    choices = err.argument.get_choices(force=True)
+    expected = _describe_value(err.argument)
+    near = find_near(value, choices) if choices else []
+    hint = f"; did you mean {join_names(near)}?" if near else ""
+    if _takes_no_value(err.argument):
+        return f"{place}: takes no value, not {quote_name(value)}"
+    shown = value if value.isprintable() and 0 < len(value) <= _SHORT else quote_name(value)
+    return f"{place} {shown}: must be {expected}{hint}"
+
+
+def _describe_repeated(err: Any) -> str:
+    word = err.token.keyword
+    counts = Counter(token.split("=")[0] for token in err.root_input_tokens or ())
+    times = max(counts[word], 2)
+    return f"{_name_command(err)}: {word} is given {times} times, but takes one value"
+
+
+def _name_place(argument: "Argument") -> str:
+    name = argument.name
+    return name if name.startswith("-") else name.upper()
+
+
+def _takes_no_value(argument: "Argument") -> bool:
+    return argument.hint is bool or bool in get_args(argument.hint)
+
+
+def _describe_value(argument: "Argument") -> str:
+    """Return what a place takes: its choices, its metavar, or a word for its type."""
+    choices = argument.get_choices(force=True)
+    if choices:
+        return join_names(choices)
+    hint = argument.hint
+    kinds = [kind for kind in get_args(hint) if kind is not type(None)] or [hint]
+    return (
+        _WORDS.get(kinds[0])
+        or argument.parameter.metavar
+        or ("a path" if kinds[0] is Path else "a text")
+    )
+
+
+_DESCRIPTIONS: Final = {
+    UnknownCommandError: _describe_unknown_command,
+    UnknownOptionError: _describe_unknown_option,
+    UnusedCliTokensError: _describe_unused,
+    ConsumeMultipleError: _describe_count,
+    MissingArgumentError: _describe_missing,
+    CoercionError: _describe_value_error,
+    RepeatArgumentError: _describe_repeated,
+}
+"""By the kind of error; a kind stands before those that it is one of."""

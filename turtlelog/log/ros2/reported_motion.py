@@ -1,0 +1,333 @@
+"""What odometry reports as its path and its rates, held against the way that its poses tell."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import describe_count, format_short
+
+Values = NDArray[np.float64]
+_TimesNs = NDArray[np.int64]
+
+PATH_NOTE: Final = "path_by_speed"
+"""Note on poses and reported speeds that tell different paths."""
+
+_APART: Final = 0.2
+"""Share by which two paths differ: wheel odometry integrates its own speed and is within 5 %; one
+of a camera or a filter, and its speed, are within 10 %."""
+
+_LEAST_M: Final = 0.5
+"""A shorter way [m] may be noise: 5 mm from pose to pose are as much in 100 poses."""
+
+_STILL_M: Final = 1e-3
+"""Poses within this extent [m] never move: an encoder's tick is less, and noise is more."""
+
+_LONGEST_NS: Final = 1_000_000_000
+"""Steps in time that are longer [ns] count for neither: what was driven in between is not known."""
+
+_STRIDE_NS: Final = 200_000_000
+"""Time over which poses are differenced [ns]: 1 mm of noise is 7 mm/s then."""
+
+_JUMP_M: Final = 0.05
+"""From this way beyond the reported speed on [m] a step is a jump: one of 20 Hz at 1 m/s is as
+long."""
+
+_MOST_JUMPS: Final = 0.1
+"""Share of the steps that jumps are; more are how the poses go on."""
+
+_NEARER: Final = 2.0
+"""How many times nearer one path is to that of the commands for the other to be likely wrong."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Paths:
+    """Lengths of one drive [m].
+
+    Attributes:
+        is_still: Whether the poses never move.
+        by_poses: From pose to pose.
+        by_strides: From pose to pose a fifth of a second apart.
+        by_speed: The integral of the magnitude of the reported velocity; None: none is reported.
+        in_jumps: What single steps have beyond that velocity.
+        by_commands: The integral of the magnitude of the commands; None without any.
+    """
+
+    is_still: bool
+    by_poses: float
+    by_strides: float
+    by_speed: float | None
+    in_jumps: float
+    by_commands: float | None
+
+
+def measure_paths(
+    time_ns: _TimesNs,
+    columns: Mapping[str, Values],
+    commands: tuple[_TimesNs, Values] | None = None,
+) -> Paths:
+    """Return the lengths of a path.
+
+    Args:
+        time_ns: When each pose was [ns], shape (n,), not decreasing.
+        columns: x, y [m] and what is reported [m/s], each shape (n,).
+        commands: When each was published [ns], and the magnitude of its velocity [m/s].
+    """
+    xy_m = np.column_stack([columns["x"], columns["y"]])
+    step_ns = np.diff(time_ns)
+    is_known = step_ns <= _LONGEST_NS
+    way_m = np.hypot(*np.diff(xy_m, axis=0).T)[is_known]
+    rows = np.unique(np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _STRIDE_NS)))
+    strides_m = np.hypot(*np.diff(xy_m[rows], axis=0).T)
+    # Poses that all have one time tell no rate: not the way, but the times are wrong.
+    lasts = int(time_ns[-1] - time_ns[0]) >= _STRIDE_NS
+    driven_m = _integrate(step_ns, columns) if lasts else None
+    jumps_m = np.zeros(0)
+    if driven_m is not None:
+        driven_m = driven_m[is_known]
+        beyond_m = way_m - driven_m
+        jumps_m = beyond_m[beyond_m > _JUMP_M]
+    is_few = len(jumps_m) <= _MOST_JUMPS * len(way_m)
+    return Paths(
+        is_still=bool((np.ptp(xy_m, axis=0) <= _STILL_M).all()),
+        by_poses=float(way_m.sum()),
+        by_strides=float(strides_m[np.diff(time_ns[rows]) <= _LONGEST_NS].sum()),
+        by_speed=None if driven_m is None else float(driven_m.sum()),
+        in_jumps=float(jumps_m.sum()) if is_few else 0.0,
+        by_commands=None if commands is None else _hold(*commands),
+    )
+
+
+def _integrate(step_ns: _TimesNs, columns: Mapping[str, Values]) -> Values | None:
+    """Return the way that is reported from pose to pose [m], None where no speed is."""
+    speed = columns.get(SPEED)
+    if speed is None:
+        return None
+    lateral = columns.get(LATERAL)
+    if lateral is None or not np.isfinite(lateral).all():
+        lateral = np.zeros_like(speed)
+    magnitude = np.hypot(speed, lateral)
+    return np.asarray((magnitude[1:] + magnitude[:-1]) / 2.0 * step_ns / 1e9)
+
+
+def _hold(time_ns: _TimesNs, speed_m_s: Values) -> float:
+    """Return the way of commands, each held until the next, at most for a second [m]."""
+    held_s = np.minimum(np.diff(time_ns), _LONGEST_NS) / 1e9
+    return float((np.abs(speed_m_s[:-1]) * held_s).sum())
+
+
+def describe_paths(paths: Paths) -> str | None:
+    """Return one sentence on paths that differ, with what is more likely wrong; None otherwise."""
+    if paths.is_still:
+        return _describe_still(paths)
+    if paths.by_speed is None or max(paths.by_poses, paths.by_speed) < _LEAST_M:
+        return None
+    if not _differ(paths.by_poses, paths.by_speed):
+        return None
+    by_poses, by_speed = (format_short(one, "m") for one in (paths.by_poses, paths.by_speed))
+    found = f"the path is {by_poses} by the poses and {by_speed} by the reported speed"
+    return f"{found}: {_blame(paths, paths.by_speed)}"
+
+
+def _describe_still(paths: Paths) -> str | None:
+    """Return one sentence on poses that never move though something says that the robot does."""
+    if paths.by_speed is not None and paths.by_speed >= _LEAST_M:
+        way = format_short(paths.by_speed, "m")
+        return f"the poses never move, and are likely wrong: the reported speed drives {way}"
+    if paths.by_commands is not None and paths.by_commands >= _LEAST_M:
+        way = format_short(paths.by_commands, "m")
+        return (
+            f"the poses never move though commands ask for {way}: nobody computes them, or the"
+            " robot was held"
+        )
+    return None
+
+
+def _blame(paths: Paths, by_speed: float) -> str:
+    """Return which of two paths is more likely wrong, and why."""
+    if paths.in_jumps and not _differ(paths.by_poses - paths.in_jumps, by_speed):
+        jumps = format_short(paths.in_jumps, "m")
+        return f"the poses are more likely wrong, whose jumps add {jumps}"
+    if paths.by_poses > by_speed and not _differ(paths.by_strides, by_speed):
+        strides = format_short(paths.by_strides, "m")
+        return (
+            "the poses are more likely wrong from one to the next, where they scatter; over 0.2 s"
+            f" each they add up to {strides}"
+        )
+    if paths.by_commands is not None and paths.by_commands >= _LEAST_M:
+        off_m = [abs(one - paths.by_commands) for one in (paths.by_strides, by_speed)]
+        if max(off_m) > _NEARER * min(off_m):
+            asked = format_short(paths.by_commands, "m")
+            if off_m[0] > off_m[1]:
+                # Wheels that slip turn as commands ask, and report that.
+                return f"the poses are wrong or the wheels slip, as commands ask for {asked}"
+            return f"the reported speed is more likely wrong, as commands ask for {asked}"
+    return "nothing tells which is wrong"
+
+
+def _differ(one_m: float, other_m: float) -> bool:
+    return abs(one_m - other_m) > _APART * max(one_m, other_m)
+
+
+_LEAST_LEAP_M: Final = 0.01
+"""Least leap to and fro of a robot that drives [m]: positions are rounded to a centimetre at
+most, and noise of a filter is less."""
+
+_ROWS: Final = 4
+"""Poses on either side that tell how the robot drives: to and fro cancel out in them."""
+
+_SHARE: Final = 0.2
+"""Share of the steps that leap where two programs publish, one as seldom as every fourth pose."""
+
+_OPPOSITE: Final = 0.9
+"""Cosine between a leap and the reverse of the next one from which they are opposite: 26 deg."""
+
+_MOST_LEAPS: Final = 0.8
+"""Share of leaps that the next one takes back: of noise in any direction it is below 0.5."""
+
+_FAR: Final = 5.0
+"""The robot drives this many times as far as a leap: one that stands may flip between two values
+that its position is rounded to."""
+
+
+def describe_small_leaps(xy_m: Values) -> str | None:
+    """Return one sentence on poses of two programs that lie a few centimetres apart; None of one.
+
+    Args:
+        xy_m: Positions in the order in which they were received [m], shape (n, 2).
+    """
+    if len(xy_m) <= 4 * _ROWS:
+        return None
+    drive_m = (xy_m[2 * _ROWS :] - xy_m[: -2 * _ROWS]) / (2 * _ROWS)
+    steps_m = np.diff(xy_m, axis=0)[_ROWS - 1 : _ROWS - 1 + len(drive_m)]
+    beyond_m = steps_m - drive_m
+    size_m = np.hypot(*beyond_m.T)
+    least_m = max(_LEAST_LEAP_M, 0.5 * float(np.quantile(size_m, 0.9)))
+    leaps = np.flatnonzero(size_m > least_m)
+    if len(leaps) < max(_SHARE * len(size_m), 2):
+        return None
+    unit = beyond_m[leaps] / size_m[leaps, np.newaxis]
+    is_back = -(unit[1:] * unit[:-1]).sum(axis=1) >= _OPPOSITE
+    leap_m = float(np.median(size_m[leaps]))
+    driven_m = float(np.hypot(*np.diff(xy_m[:: 2 * _ROWS], axis=0).T).sum())
+    if is_back.mean() <= _MOST_LEAPS or driven_m < _FAR * leap_m:
+        return None
+    return (
+        f"poses go to and fro by {leap_m:.3g} m, {describe_count(len(leaps), 'time')}, beside the"
+        " way: two programs seem to publish them; a reported speed is more likely right than"
+        " differences of poses"
+    )
+
+
+REPORTED_RATES: Final = "reported_rates"
+"""Note on rates of odometry that are left out or turned."""
+
+SPEED: Final = "measured_speed"
+LATERAL: Final = "measured_lateral_speed"
+TURN_RATE: Final = "measured_turn_rate"
+
+MOVED_M: Final = 0.1
+"""A robot that moves as far [m] without a jump was under way: noise of standing robots is less."""
+
+TURNED_RAD: Final = 0.2
+"""Likewise of its heading [rad]."""
+
+_JUMPS: Final = 0.99
+"""Steps above this quantile may be jumps, which corrections make of a robot that stands."""
+
+_SLOWEST_M_S: Final = 0.05
+"""Differences of twist and way below this rms [m/s] may be noise."""
+
+_MUCH_BETTER: Final = 3.0
+"""How many times better twists have to fit the world's axes than the robot's to be taken as such;
+those of a robot that never turns away from the x axis fit both."""
+
+
+def judge_rates(
+    time_ns: NDArray[np.int64], columns: Mapping[str, Values]
+) -> tuple[dict[str, Values], dict[str, str]]:
+    """Return the columns of poses with rates that are the robot's own, and a note on what changed.
+
+    Twists that were never set are all zeros; such rates are left out where the poses move. Twists
+    along the axes of the world, a common fault, are turned into the robot's.
+
+    Args:
+        time_ns: When each pose was [ns], shape (n,), not decreasing.
+        columns: x, y [m], heading [rad] and what is reported [m/s or rad/s], each shape (n,).
+    """
+    left = {name: column for name, column in columns.items() if name != LATERAL}
+    lateral = columns.get(LATERAL)
+    lateral = lateral if lateral is not None and np.isfinite(lateral).all() else None
+    if len(time_ns) < 2 or not {SPEED, TURN_RATE} & set(left):
+        return left, {}
+    notes: list[str] = []
+    if unset := _find_unset(left, lateral):
+        left = {name: column for name, column in left.items() if name not in unset}
+        rates = " and ".join(name.removeprefix("measured_").replace("_", " ") for name in unset)
+        notes.append(f"{rates} of all twists are 0 though the poses move: taken as not reported")
+    if SPEED in left and lateral is not None and lateral.any():
+        forward = _turn_twists(time_ns, left, lateral)
+        if forward is not None:
+            left[SPEED] = forward
+            notes.append(
+                "twists are along the axes of the world, not the robot's, as the poses tell: the"
+                " speed is turned into the robot's axis"
+            )
+    return left, {REPORTED_RATES: "; ".join(notes)} if notes else {}
+
+
+def _find_unset(columns: Mapping[str, Values], lateral: Values | None) -> list[str]:
+    """Return the names of rates that are 0 throughout while the poses move."""
+    speeds = [column for column in (columns.get(SPEED), lateral) if column is not None]
+    no_speed = SPEED in columns and not any(column.any() for column in speeds)
+    no_turn = TURN_RATE in columns and not columns[TURN_RATE].any()
+    if not no_speed and not no_turn:
+        return []
+    moved = _measure_range(np.column_stack([columns["x"], columns["y"]])) > MOVED_M
+    turned = _measure_range(np.unwrap(columns["heading"])[:, np.newaxis]) > TURNED_RAD
+    if no_speed and no_turn:
+        return [SPEED, TURN_RATE] if moved or turned else []
+    return [SPEED] if no_speed and moved else [TURN_RATE] if no_turn and turned else []
+
+
+def _measure_range(values: Values) -> float:
+    """Return the largest extent of a way along any axis, without its few longest steps."""
+    steps = np.diff(values, axis=0)
+    length = np.hypot.reduce(steps, axis=1)
+    steps[length > np.quantile(length, _JUMPS)] = 0.0
+    way = np.vstack([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
+    return float(np.ptp(way, axis=0).max())
+
+
+def _turn_twists(
+    time_ns: NDArray[np.int64], columns: Mapping[str, Values], lateral: Values
+) -> Values | None:
+    """Return the forward speed of twists along the world's axes, None of any others."""
+    rows = np.unique(np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _STRIDE_NS)))
+    if len(rows) < 3:
+        return None
+    step_s = np.diff(time_ns[rows]) / 1e9
+    xy_m = np.column_stack([columns["x"], columns["y"]])
+    heading_rad = np.unwrap(columns["heading"])
+    twists = np.column_stack([columns[SPEED], lateral])
+    turned = _rotate(twists, heading_rad)
+    velocities = np.diff(xy_m[rows], axis=0) / step_s[:, np.newaxis]
+    as_world, as_robot = (_compare(found, rows, velocities) for found in (twists, turned))
+    if as_robot <= max(_MUCH_BETTER * as_world, _SLOWEST_M_S):
+        return None
+    return np.ascontiguousarray(_rotate(twists, -heading_rad)[:, 0])
+
+
+def _rotate(vectors: Values, by_rad: Values) -> Values:
+    x, y = vectors.T
+    cos, sin = np.cos(by_rad), np.sin(by_rad)
+    return np.column_stack([x * cos - y * sin, x * sin + y * cos])
+
+
+def _compare(twists: Values, rows: NDArray[np.int64], velocities: Values) -> float:
+    """Return the median distance between mean twists from row to row and velocities [m/s]."""
+    sums = np.vstack([np.zeros((1, 2)), np.cumsum((twists[1:] + twists[:-1]) / 2.0, axis=0)])
+    means = np.diff(sums[rows], axis=0) / np.diff(rows)[:, np.newaxis]
+    return float(np.median(np.hypot(*(means - velocities).T)))
