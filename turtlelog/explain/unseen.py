@@ -8,7 +8,7 @@ reproduces the run.
 from collections.abc import Mapping
 from typing import Final
 
-from turtlelog.explain.causes import LOOP_CAUSES
+from turtlelog.explain.causes import LOOP_CAUSES, PLANT_CAUSES
 from turtlelog.explain.identification import (
     LAW_KEYS,
     LOOP_KEYS,
@@ -26,7 +26,11 @@ _USUAL: Final = frozenset(flatten_scenario(Scenario()))
 """Keys that every scenario has."""
 
 _NAMES: Final = {
-    **{key: found.name for found in LOOP_CAUSES for key in found.neutral},
+    **{
+        key: found.name
+        for found in (*LOOP_CAUSES, *(one for causes in PLANT_CAUSES.values() for one in causes))
+        for key in found.neutral
+    },
     "loop.trigger": "a timer",
     "plant.kind": "another plant",
 }

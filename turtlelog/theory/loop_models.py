@@ -1,13 +1,14 @@
 """A declared loop with all that theory needs of it, or the reason why it is not known."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, TypedDict
 
 from turtlelog.errors import TheoryError
 from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.theory.declared_loops import (
     Parameters,
+    find_ramp_s,
     find_timing,
     list_neglected,
     read_gains,
@@ -53,6 +54,8 @@ class LoopModel:
         period_s: Sampling period T [s], None likewise.
         most_dead_time_s: Dead time that it may grow to [s]; None if it cannot grow.
         growth: Cause that may make the dead time longer, in words.
+        ramp_s: By how much limits of the acceleration make the time constant longer in large steps
+            [s], which recommended gains allow for.
         reason: Why theory does not know the loop; empty if it does.
         sources: Sources of the values, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
         left_out: Parts of the scenario that the linear loop leaves out, as `key = value`.
@@ -64,6 +67,7 @@ class LoopModel:
     period_s: float | None = None
     most_dead_time_s: float | None = None
     growth: str = "queues"
+    ramp_s: float = 0.0
     reason: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
@@ -86,6 +90,19 @@ class LoopModel:
         if self.gains is None or self.process is None or self.period_s is None:
             raise TheoryError(f"{self.loop.name}: {self.reason}")
         return self.gains, {"period_s": self.period_s, "process": self.process}
+
+    def require_slowest(self) -> Settings:
+        """Return period and process for recommended gains: with the most delay that may be.
+
+        Raises:
+            TheoryError: If they are not known; the line is the reason.
+        """
+        _, settings = self.require()
+        process, most_s = settings["process"], self.most_dead_time_s
+        late_s = process.dead_time_s if most_s is None else most_s
+        slow_s = process.lag_s + self.ramp_s
+        settings["process"] = replace(process, dead_time_s=late_s, lag_s=slow_s)
+        return settings
 
 
 def model_loops(declaration: Declaration, parameters: Parameters) -> tuple[LoopModel, ...]:
@@ -138,6 +155,7 @@ def model_loop(
         period_s=timing.period_s,
         most_dead_time_s=None if most_s is None else most_s + process.dead_time_s - dead_time_s,
         growth="the age of the poses" if is_timed else "queues",
+        ramp_s=find_ramp_s(loop, parameters),
         sources={**told, **timing.sources},
         left_out=left_out,
     )
