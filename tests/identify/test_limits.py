@@ -17,8 +17,10 @@ from tests.identify.limited_robots import (
 )
 from tests.identify.robots import Log, make_run
 from tests.known import known
-from turtlelog.identify import AxisModel, build_robot_scenario, predict_axis, read_doubts
+from turtlelog.identify import AxisModel, Estimate, build_robot_scenario, predict_axis, read_doubts
+from turtlelog.identify.doubts import cover_rivals
 from turtlelog.identify.held_response import LaggedResponse, hold_commands, limit_within
+from turtlelog.identify.robot_structure import Structure
 from turtlelog.run import Run
 
 LOG = Log(duration_s=25.0, poses_hz=25.0)
@@ -115,6 +117,41 @@ def test_where_a_limit_acts_is_told() -> None:
 def test_a_deadband_lies_between_the_commands_that_do_nothing_and_those_that_do() -> None:
     found = known(identify("deadband")[1].turn_rate.deadband)
     assert found.low < 0.3 <= found.high
+
+
+def test_a_deadband_is_found_among_many_magnitudes_of_commands() -> None:
+    log = replace(LOG, hold_s=(0.1, 0.3))
+    found = known(
+        tl.identify_robot(turn_on_the_spot(TRUTHS["deadband"], log, 3)).turn_rate.deadband
+    )
+    assert found.low < 0.3 <= found.high
+    assert found.high - found.low < 0.05
+
+
+@pytest.mark.parametrize(("off", "is_told"), [(0.0099, False), (0.0111, True)])
+def test_a_doubt_is_told_where_it_changes_a_recommended_gain(off: float, *, is_told: bool) -> None:
+    sure_s = Estimate(value=0.1, low=0.1, high=0.1)
+    found = AxisModel(
+        axis="turn_rate",
+        status="ok",
+        gain=Estimate(value=0.9, low=0.9, high=0.9, unit="1"),
+        dead_time_s=sure_s,
+        lag_s=sure_s,
+        total_delay_s=Estimate(value=0.2, low=0.2, high=0.2),
+    )
+    gain = Estimate(value=0.9, low=0.9, high=0.9 * (1.0 + off), unit="1")
+    rival = replace(found, gain=gain)
+    covered = cover_rivals(found, Structure(), [(Structure(order="second_order"), rival)])
+    assert known(covered.gain).high == gain.high
+    assert bool(covered.doubts) is is_told
+
+
+def test_limits_of_rivals_are_covered_too() -> None:
+    found = identify("acceleration")[1].turn_rate
+    limit = known(found.rate_limit)
+    other = replace(found, rate_limit=replace(limit, low=1.5, high=2.2))
+    covered = known(cover_rivals(found, Structure(), [(Structure(), other)]).rate_limit)
+    assert (covered.value, covered.low, covered.high) == (limit.value, 1.5, 2.2)
 
 
 @pytest.mark.parametrize("kind", ["acceleration", "ramp", "bound", "stop", "both", "direction"])
