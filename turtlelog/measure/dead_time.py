@@ -12,9 +12,8 @@ from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.motion import (
     LoopMotion,
     Values,
-    name_lag,
+    describe_follower,
     pushes_at_random,
-    read_lag_s,
     read_loop_motion,
 )
 from turtlelog.measure.response import describe_no_phase
@@ -135,11 +134,9 @@ def find_dead_time(
     motion = read_loop_motion(run, loop)
     if motion is None:
         return Missing(status=Status.NO_PHASE, reason=describe_no_phase(run, loop))
-    lag_s = read_lag_s(run, loop)
-    if lag_s > 0.0:
-        reason = (
-            f"it cannot be separated from the robot's time constant ({name_lag(loop)} = {lag_s:g})"
-        )
+    follower = describe_follower(run, loop)
+    if follower:
+        reason = f"it cannot be separated from {follower}"
         return Missing(status=Status.UNDETERMINED, reason=reason)
     moves = np.abs(motion.moved) > motion.rounding
     if np.count_nonzero(moves) < 2:

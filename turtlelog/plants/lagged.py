@@ -244,7 +244,7 @@ def _switch_speed(keys: Any, state: Any, rows: Any) -> None:
     axis = state.speed
     while axis.next_ns <= state.now_ns:
         command = rows.waiting[axis.waiting_first].speed
-        wanted = _want(
+        wanted = want_rate(
             command,
             keys.speed_gain,
             keys.speed_reverse_gain,
@@ -259,15 +259,17 @@ def _switch_turn(keys: Any, state: Any, rows: Any) -> None:
     axis = state.turn
     while axis.next_ns <= state.now_ns:
         command = rows.waiting[axis.waiting_first].turn_rate
-        wanted = _want(
+        wanted = want_rate(
             command, keys.turn_gain, keys.turn_reverse_gain, keys.turn_deadband, keys.turn_bound
         )
         _follow(axis, wanted, keys.turn_lag_s, keys.turn_acceleration)
         axis.next_ns = _find_next(axis, state, rows, keys.turn_dead_time_s)
 
 
-def _want(command: float, gain: float, reverse_gain: float, deadband: float, bound: float) -> float:
-    """Return the rate that a command leads to; a reverse gain of nan is the gain."""
+def want_rate(
+    command: float, gain: float, reverse_gain: float, deadband: float, bound: float
+) -> float:
+    """Return the rate that a command leads to in the end; a reverse gain of nan is the gain."""
     if abs(command) <= deadband:
         return 0.0
     if command < 0.0 and not math.isnan(reverse_gain):

@@ -204,7 +204,8 @@ def _is_of(command: str, key: str) -> bool:
     """Return whether a key belongs to a command, or to both."""
     if "turn_" in key:
         return command == "turn_rate"
-    return command == "speed" or not key.endswith(_OF_SPEED)
+    is_of_speed = key.endswith(_OF_SPEED) or key.startswith(PLANT_KEYS["speed"])
+    return command == "speed" or not is_of_speed
 
 
 def hides_stability(parameters: Parameters) -> bool:
