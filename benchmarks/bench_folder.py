@@ -18,7 +18,7 @@ import contextlib, io, resource
 from turtlelog.cli.app import main
 text = io.StringIO()
 with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
-    main(["metrics", arguments[0], "--recursive", "-o", arguments[1], "--jobs", "1"])
+    main(["metrics", arguments[0], "-o", arguments[1], "--jobs", "1"])
 said["text"] = text.getvalue()
 used = resource.getrusage(resource.RUSAGE_SELF)
 said["time"] = used.ru_utime + used.ru_stime

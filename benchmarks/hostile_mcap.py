@@ -27,7 +27,7 @@ from tests.torture.bombs import (
     text,
     whole,
 )
-from turtlelog.log.recording.head import CHECKSUM, sum_up
+from turtlelog.log.recording.head import CHECKSUM, sum_up_record
 from turtlelog.log.recording.topics import SCHEMAS
 
 
@@ -143,7 +143,7 @@ def _own_recording(scenario: bytes = b"", **entries: str) -> bytes:
     """Return a recording of turtlelog with a scenario and some entries of its head changed."""
     head = {"format_version": "1", "source": "simulation", "name": "hostile", "absent": "[]"}
     head |= {"nan_columns": "[]", "notes": "{}"} | entries
-    head[CHECKSUM] = sum_up(head)
+    head[CHECKSUM] = sum_up_record(head)
     table = b"".join(text(key) + text(value) for key, value in head.items())
     data = chunk([describe("/turtle1/pose"), make_poses(100)])
     return whole(data + metadata("turtlelog", table) + attachment("scenario.toml", scenario))

@@ -36,6 +36,15 @@ def join_words(words: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
+def split_numbers(name: str) -> list[str | tuple[int, str]]:
+    """Return a key for the natural order of names, `run2` before `run10`: text, number, text, ...
+
+    A number is how many digits it has and these: Python reads no int of many thousand.
+    """
+    parts = re.split(r"0*([0-9]+)", name)
+    return [(len(part), part) if index % 2 else part for index, part in enumerate(parts)]
+
+
 def format_number(number: float | None, unit: str = "") -> str:
     """Return a number with its unit in five digits, an angle in degrees; `-` for none."""
     if number is None:

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 import turtlelog as tl
-from turtlelog.charts.difference_steps import list_difference_steps
+from turtlelog.charts.attribution_steps import list_difference_steps
 from turtlelog.explain import Depth, ExplainedDifference, explain_difference
 from turtlelog.scenario import get_preset
 

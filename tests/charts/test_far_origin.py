@@ -7,7 +7,7 @@ import pytest
 
 import turtlelog as tl
 from tests.draw.words import list_overlapping
-from turtlelog.charts.far_origin import find_origin, label_coordinate, tell_still
+from turtlelog.charts.plane_scene import find_origin, label_coordinate, tell_still
 from turtlelog.draw.figures.page import use_looks
 from turtlelog.run import SampleColumns
 

@@ -9,7 +9,7 @@ import pytest
 import turtlelog as tl
 from tests.draw.rerun.rrds import read_static
 from turtlelog.charts.palette import choose_run_colors
-from turtlelog.charts.run_ends import MANY_PATHS, find_gain_ends, outline_points
+from turtlelog.charts.plane_scene import MANY_PATHS, find_gain_ends, outline_points
 from turtlelog.draw.figures.page import choose_lines
 from turtlelog.draw.report.drawn import Drawn
 from turtlelog.draw.report.page_plots import draw_plots

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.draw.laws import simulate_law, simulate_pid
-from turtlelog.charts.state_groups import (
+from turtlelog.charts.plotted_curves import (
     StateGroup,
     are_comparable,
     find_state_unit,

@@ -216,7 +216,7 @@ def write_unreadable(folder: Path, whole: bytes) -> dict[Path, str]:
     return {
         **{folder / name: reason for name, (_, reason) in contents.items()},
         folder / "none.mcap": "no such file",
-        folder / "folder": "expected a bag, found a folder without metadata.yaml",
+        folder / "folder": "no recordings in this folder",
     }
 
 

@@ -186,7 +186,7 @@ def test_two_logs_of_commands_are_drawn_and_measured_together(call: Call, bag: P
     both = call("metrics", bag, "other.mcap", "poses.mcap")
     assert both.code == 0
     assert "3 runs" in both.out
-    assert call("metrics", ".", "--recursive", "-o", "table.parquet").code == 0
+    assert call("metrics", ".", "-o", "table.parquet").code == 0
 
 
 def test_sideways_commands_are_refused_with_their_number(call: Call, bag: Path) -> None:

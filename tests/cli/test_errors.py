@@ -73,9 +73,9 @@ NO_SPEC = (
             " FILE.mcap makes one of a scenario",
         ),
         (
-            ["metrics", "folder"],
-            "folder: a folder of several recordings, not one bag (it has no readable"
-            " metadata.yaml): name one of them: a.mcap, b.mcap; --recursive takes what is below it",
+            ["explain", "folder"],
+            "folder: a folder of 2 recordings, not one bag (it has no readable metadata.yaml): name"
+            " one of them: a.mcap, b.mcap",
         ),
         (
             ["metrics", "kp10.mcap", "--only", "x"],

@@ -30,23 +30,24 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_metrics_takes_the_recordings_below_a_folder(call: Call, folder: Path) -> None:
-    answer = call("metrics", "runs", "--recursive", "--json", "--metric", "run.duration")
+    answer = call("metrics", "runs", "--json", "--metric", "run.duration")
     assert answer.code == 2
     assert [Path(one["file"]).name for one in answer.json] == ["a.mcap", "b.mcap", "c.mcap"]
     assert "cut.mcap: " in answer.err
     assert "notes.txt" not in answer.err
 
 
-def test_a_folder_without_recursive_names_the_option(call: Call, folder: Path) -> None:
+def test_numbered_recordings_are_no_parts_of_one_bag(call: Call, folder: Path) -> None:
+    for number, name in ((1, "a"), (2, "b"), (10, "a")):
+        shutil.copy(folder / f"{name}.mcap", folder / "deep" / f"kp_{number}.mcap")
     (folder / "deep" / "c.mcap").unlink()
-    answer = call("metrics", "runs/deep")
-    assert (answer.code, answer.out) == (2, "")
-    assert answer.err.endswith("files; --recursive takes what is below it\n")
-    assert answer.err.count("\n") == 1
+    answer = call("metrics", "runs/deep", "--json", "--metric", "run.duration")
+    names = [Path(one["file"]).name for one in answer.json]
+    assert (answer.code, names) == (0, ["kp_1.mcap", "kp_2.mcap", "kp_10.mcap"])
 
 
 def test_compare_takes_the_recordings_below_a_folder(call: Call, folder: Path) -> None:
-    answer = call("compare", "runs", "--recursive", "--json", "--metric", "run.duration")
+    answer = call("compare", "runs", "--json", "--metric", "run.duration")
     assert answer.code == 2
     assert [Path(one["file"]).name for one in answer.json["runs"]] == ["a.mcap", "b.mcap", "c.mcap"]
     assert "cut.mcap: " in answer.err
@@ -54,19 +55,18 @@ def test_compare_takes_the_recordings_below_a_folder(call: Call, folder: Path) -
 
 def test_a_reference_below_the_folder_is_not_compared_with_itself(call: Call, folder: Path) -> None:
     (folder / "cut.mcap").unlink()
-    words = ("compare", "runs", "--recursive", "--reference", "runs/b.mcap", "--json")
+    words = ("compare", "runs", "--reference", "runs/b.mcap", "--json")
     runs = call(*words).json["runs"]
     assert [Path(one["file"]).name for one in runs] == ["a.mcap", "c.mcap"]
 
 
-def test_compare_of_a_folder_without_recursive_names_the_option(call: Call, folder: Path) -> None:
-    answer = call("compare", "runs")
-    assert answer.code == 2
-    assert answer.err.endswith("--recursive takes every recording below a folder\n")
-    (folder / "deep" / "c.mcap").unlink()
-    answer = call("compare", "runs/deep", "runs/a.mcap")
-    assert (answer.code, answer.out) == (2, "")
-    assert answer.err.endswith("files; --recursive takes what is below it\n")
+def test_info_and_plot_take_the_recordings_below_a_folder(call: Call, folder: Path) -> None:
+    (folder / "cut.mcap").unlink()
+    assert [Path(one["file"]).name for one in call("info", "runs", "--json").json] == [
+        *("a.mcap", "b.mcap", "c.mcap")
+    ]
+    answer = call("plot", "runs", "-o", "plane.svg", "--only", "plane", "--json")
+    assert [Path(one).name for one in answer.json["files"]] == ["a.mcap", "b.mcap", "c.mcap"]
 
 
 @pytest.mark.parametrize(
@@ -79,14 +79,14 @@ def test_compare_of_a_folder_without_recursive_names_the_option(call: Call, fold
 )
 def test_an_empty_folder_is_one_line(call: Call, folder: Path, words: list[str]) -> None:
     Path("none").mkdir()
-    answer = call(*words, "--recursive")
+    answer = call(*words)
     assert (answer.code, answer.out) == (2, "")
     assert answer.err.startswith("turtlelog: error: none: no recordings in this folder")
     assert answer.err.count("\n") == 1
 
 
 def test_a_table_of_metrics_grows_by_what_is_new(call: Call, folder: Path) -> None:
-    words = ("metrics", "runs", "--recursive", "-o", "runs/t.parquet")
+    words = ("metrics", "runs", "-o", "runs/t.parquet")
     answer = call(*words)
     assert answer.code == 2
     assert answer.out == "wrote runs/t.parquet: 4 files, 4 read, 0 unchanged, 1 cannot be read\n"
@@ -104,7 +104,7 @@ def test_a_table_of_metrics_grows_by_what_is_new(call: Call, folder: Path) -> No
 def test_of_many_damaged_files_ten_are_named(call: Call, folder: Path) -> None:
     for number in range(11):
         (folder / f"empty{number}.mcap").touch()
-    answer = call("metrics", "runs", "--recursive", "-o", "t.parquet")
+    answer = call("metrics", "runs", "-o", "t.parquet")
     assert len(answer.err.splitlines()) == 11
     assert answer.err.endswith("2 more cannot be read: see the column error of t.parquet\n")
 
@@ -132,7 +132,7 @@ def test_a_table_that_cannot_be_is_one_line(
     call: Call, folder: Path, more: tuple[str, ...], message: str
 ) -> None:
     Path("mine.parquet").write_text("my thesis")
-    answer = call("metrics", "runs", "--recursive", *more)
+    answer = call("metrics", "runs", *more)
     assert (answer.code, answer.out) == (2, "")
     assert message in answer.err
     assert answer.err.count("\n") == 1
@@ -140,7 +140,7 @@ def test_a_table_that_cannot_be_is_one_line(
 
 
 def test_check_judges_a_folder_and_a_damaged_file_fails(call: Call, folder: Path) -> None:
-    answer = call("check", "spec.toml", "runs", "--recursive", "--json")
+    answer = call("check", "spec.toml", "runs", "--json")
     found = {Path(one["file"]).name: one["verdict"] for one in answer.json["results"]}
     assert answer.code == 1
     assert found == {"a.mcap": "PASS", "b.mcap": "PASS", "cut.mcap": "FAIL", "c.mcap": "FAIL"}
@@ -150,7 +150,7 @@ def test_check_judges_a_folder_and_a_damaged_file_fails(call: Call, folder: Path
 def test_a_table_of_verdicts_answers_as_the_files_do(
     call: Call, folder: Path, kind: tuple[str, ...]
 ) -> None:
-    words = ("check", "spec.toml", "runs", "--recursive")
+    words = ("check", "spec.toml", "runs")
     anew = call(*words, *kind)
     first, second = (call(*words, *kind, "-o", "v.parquet") for _ in range(2))
     assert first.out == second.out == anew.out
@@ -185,7 +185,7 @@ def test_another_reference_judges_anew(call: Call, folder: Path) -> None:
 @pytest.mark.parametrize("option", ["--junit", "--report", "--artifacts"])
 def test_what_needs_the_runs_stands_without_a_table(call: Call, folder: Path, option: str) -> None:
     target = {"--junit": "x.xml", "--report": "x.html", "--artifacts": "x"}[option]
-    answer = call("check", "spec.toml", "runs", "--recursive", "-o", "v.parquet", option, target)
+    answer = call("check", "spec.toml", "runs", "-o", "v.parquet", option, target)
     assert answer.code == 2
     assert f"{option}: leave out --output" in answer.err
 
@@ -196,11 +196,9 @@ def test_of_more_than_twenty_recordings_checks_are_counted(
 ) -> None:
     for number in range(count - 4):
         os.link(folder / "a.mcap", folder / f"more{number}.mcap")
-    out = call("check", "spec.toml", "runs", "--recursive").out
+    out = call("check", "spec.toml", "runs").out
     assert "PASS  FAIL  unit" in out
-    assert ("more0.mcap" in call("check", "spec.toml", "runs", "--recursive", "--all").out) == (
-        count <= 20
-    )
+    assert ("more0.mcap" in call("check", "spec.toml", "runs", "--all").out) == (count <= 20)
     assert "runs/cut.mcap: recording: " in out
     first = f"FAIL: {count} recordings: 2 of {count} checks fail (short and 1 more)"
     assert out.splitlines()[0] == f"{first}, 1 of them without a value"
@@ -212,7 +210,7 @@ def test_of_many_failures_a_screen_is_shown(
 ) -> None:
     for number in range(failing - 2):
         os.link(folder / "deep" / "c.mcap", folder / f"long{number:02}.mcap")
-    out = call("check", "spec.toml", "runs", "--recursive").out
+    out = call("check", "spec.toml", "runs").out
     assert out.count("FAIL runs/") == 40
     assert ("1 more failures are not shown: --csv and --json show" in out) == bool(more)
 
@@ -222,8 +220,8 @@ def test_without_pyarrow_folders_are_checked_and_a_table_is_refused_in_one_line(
 ) -> None:
     for name in ("pyarrow", "pyarrow.parquet"):
         monkeypatch.setitem(__import__("sys").modules, name, None)
-    assert call("check", "spec.toml", "runs", "--recursive").code == 1
-    answer = call("metrics", "runs", "--recursive", "-o", "t.parquet")
+    assert call("check", "spec.toml", "runs").code == 1
+    answer = call("metrics", "runs", "-o", "t.parquet")
     assert (answer.code, answer.out) == (2, "")
     assert "pyarrow" in answer.err
     assert answer.err.count("\n") == 1

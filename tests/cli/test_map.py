@@ -209,6 +209,7 @@ def test_what_is_no_table_of_a_sweep_is_one_line(kind: str, call: Call, table: P
     (line,) = done.err.splitlines()
     said = {
         "missing": "no such file",
+        "folder": "no recordings in this folder",
         "other": "no column for ",
         "no rows": "the table has no rows",
     }.get(kind, "expected ")

@@ -112,7 +112,7 @@ def test_convert_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) ->
         (["info", "zeros.mcap"], "zeros.mcap: byte 0: not an MCAP file"),
         (["info", "empty.mcap"], "empty.mcap: byte 0: not an MCAP file: it is empty"),
         (["metrics", "cut.mcap"], "no end of an MCAP file"),
-        (["metrics", "folder"], "folder: expected a bag, found a folder without metadata.yaml"),
+        (["metrics", "folder"], "folder: no recordings in this folder"),
         (["metrics", "wrong.json"], "wrong.json: "),
         (["metrics"], "turtlelog metrics needs FILE. Usage: turtlelog metrics"),
         (["compare", "good.mcap"], "compare needs at least two runs, but 1 was given; add another"),

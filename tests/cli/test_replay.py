@@ -104,7 +104,7 @@ def test_info_tells_a_bag_by_its_folder(call: Call) -> None:
     ("words", "line"),
     [
         (["replay", "a.mcap", "--plant"], "a.mcap: no poses with the applied velocities"),
-        (["metrics", "empty"], "empty: expected a bag, found a folder without metadata.yaml"),
+        (["metrics", "empty"], "empty: no recordings in this folder"),
         (["metrics", "a.mcap", "--pose-topic", "/b"], "pose_topic: expected a topic with messages"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

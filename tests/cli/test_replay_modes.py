@@ -199,7 +199,7 @@ def test_a_recovered_recording_is_replayed_as_far_as_it_goes(call: Call, tmp_pat
         tl.log.run_live(scenario, [recorder], realtime=False)
     cut.write_bytes(live.read_bytes()[: live.stat().st_size // 2])
     answer = call("replay", cut)
-    assert (answer.code, "turtlelog convert --recover FILE -o OUT" in answer.err) == (2, True)
+    assert (answer.code, f"turtlelog convert --recover {cut} -o OUT" in answer.err) == (2, True)
     assert call("convert", "--recover", cut, "-o", whole).code == 0
     answer = call("replay", whole, "--expect-equal")
     assert answer.code == 0
@@ -223,7 +223,7 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
     [
         (
             ["bag.mcap"],
-            "bag.mcap: expected a pose per tick of exactly 16 ms, or the samples of a con",
+            "bag.mcap: replay needs turtlesim's pose of each tick (16 ms) or the samples",
         ),
         (["bag.mcap", "--law"], "(topic /turtle1/control)"),
         (

@@ -247,7 +247,7 @@ def test_a_robot_that_is_no_turtlesim_is_sent_to_what_can_tell_of_it(
         answer = call("replay", robot, *mode)
         assert answer.code == 2
         assert answer.err.splitlines()[-1].endswith(
-            "; for another robot use turtlelog metrics and turtlelog explain"
+            "; for another robot use turtlelog metrics and turtlelog identify"
         )
         assert "--plant" not in answer.err
 

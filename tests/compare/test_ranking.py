@@ -203,10 +203,10 @@ def test_the_first_line_says_which_run_is_best() -> None:
 
 
 def test_a_report_ranks_as_the_table_does() -> None:
-    from turtlelog.draw.report.conclusion import conclude
+    from turtlelog.draw.report.report_file import conclude_runs
 
     runs = [PAPER, change(limits__speed_m_s=0.5)]
     metrics = [tl.measure_run(run, only=["final.*"]) for run in runs]
-    assert conclude(runs, ["a", "b"], metrics)[0] == (
+    assert conclude_runs(runs, ["a", "b"], metrics)[0] == (
         "2 runs: limits differ, so nothing is called best."
     )

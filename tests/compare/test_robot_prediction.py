@@ -13,7 +13,7 @@ from turtlelog.compare import ErrorBand, RobotComparison
 from turtlelog.compare.driven_commands import _find_delay
 from turtlelog.compare.noise_level import Quantity
 from turtlelog.compare.prediction_pieces import cut_pieces
-from turtlelog.replay.lagged_drive import sense_driven
+from turtlelog.replay.commanded_plant import sense_driven
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import Scenario
 

@@ -18,13 +18,13 @@ PAGE: Final = Path(__file__).parents[2] / "docs" / "json.md"
 SCHEMAS: Final = PAGE.with_name("schemas.json")
 
 ANSWERS: Final = {
-    "run": "run_answer:RunAnswer",
+    "run": "run:RunAnswer",
     "sweep": "sweep:SweepAnswer",
     "tune": "tune_answer:TuneAnswer",
     "theory": "theory_tables:IntegratorAnswer",
     "theory --lag": "theory:_TermsAnswer",
     "theory FILE": "theory:_FileAnswer",
-    "info": "info_answer:InfoAnswer",
+    "info": "info:InfoAnswer",
     "metrics": "metrics:MeasuredFile",
     "metrics -o TABLE": "folders:TableAnswer",
     "compare": "compare:_AcrossAnswer",
@@ -37,14 +37,14 @@ ANSWERS: Final = {
     "replay": "replay_answer:LoopReplayAnswer",
     "replay --law": "replay_answer:LawReplayAnswer",
     "replay --plant": "replay_plant:PlantReplayAnswer",
-    "replay of commands alone": "replay_commands:CommandReplayAnswer",
+    "replay of commands alone": "replay_plant:CommandReplayAnswer",
     "list": "list_names:ListAnswer",
     "check": "check_answers:CheckAnswer",
     "plot": "plot:PlotAnswer",
     "plot TABLE": "map_answer:MapAnswer",
     "report": "report:ReportAnswer",
     "convert": "convert:ConvertAnswer",
-    "convert --recover": "recover:RecoverAnswer",
+    "convert --recover": "convert:RecoverAnswer",
 }
 """Answers by what is typed; `info` and `metrics` print a list of theirs."""
 

@@ -12,10 +12,10 @@ from PIL import Image
 
 from tests.fresh_process import run_command
 from turtlelog import Run, read_run
-from turtlelog.charts.phase_timelines import locate_run
+from turtlelog.charts.time_axes import locate_run
 from turtlelog.draw import write_movie
 from turtlelog.draw.figures.page import label_runs
-from turtlelog.draw.movie import encoding
+from turtlelog.draw.movie import movie_file
 from turtlelog.draw.movie.film import plan_film
 from turtlelog.draw.movie.picture import _set_stage, draw_pictures
 from turtlelog.errors import ShowError
@@ -88,7 +88,7 @@ def test_an_mp4_can_be_read_back(
 ) -> None:
     """A film is coded and decoded."""
     cv2 = pytest.importorskip("cv2")
-    monkeypatch.setitem(encoding.PICTURES_PER_S, ".mp4", 4.0)
+    monkeypatch.setitem(movie_file.PICTURES_PER_S, ".mp4", 4.0)
     path = tmp_path / "run.mp4"
     write_movie(runs, path, length_s=2.0)
     movie = cv2.VideoCapture(str(path))

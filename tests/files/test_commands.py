@@ -100,7 +100,7 @@ def test_a_topic_stands_behind_a_url() -> None:
     ("words", "said"),
     [
         (["metrics", "memory://a/run.mcap", "-o", "t.parquet"], "on a disk, found a URL"),
-        (["metrics", "memory://a", "--recursive"], "on a disk, found a URL"),
+        (["metrics", "memory://a"], "memory://a: no object or file of this name"),
     ],
 )
 def test_a_table_of_what_lies_behind_urls_is_refused_in_one_line(

@@ -124,8 +124,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kp4: bytes) -> Path:
     "words",
     [
         SWEEP,
-        ("metrics", "runs", "--recursive"),
-        ("check", "--expect", "run.duration < 99", "runs", "--recursive"),
+        ("metrics", "runs"),
+        ("check", "--expect", "run.duration < 99", "runs"),
     ],
     ids=lambda words: words[0],
 )

@@ -100,6 +100,6 @@ def test_a_folder_of_recordings_names_its_pointers(call: Call, tmp_path: Path) -
     for name in ("metadata.yaml", "bag_0.db3"):
         (bag / name).write_bytes(POINTER)
     (tmp_path / "a.mcap").write_bytes(POINTER)
-    answer = call("metrics", "--recursive", tmp_path, "-o", tmp_path / "table.parquet")
+    answer = call("metrics", tmp_path, "-o", tmp_path / "table.parquet")
     assert answer.code == 2
     assert answer.err.count(TOLD) == 2

@@ -15,8 +15,12 @@ import turtlelog as tl
 from turtlelog.errors import LogError
 from turtlelog.log import parquet_file
 from turtlelog.log.parquet_file import MOST_ROWS, ParquetFile
-from turtlelog.sweep.result_table import ResultColumn, ResultTable, write_result_table
-from turtlelog.sweep.stored_table import open_result_table
+from turtlelog.sweep.result_table import (
+    ResultColumn,
+    ResultTable,
+    open_result_table,
+    write_result_table,
+)
 
 pa = pytest.importorskip("pyarrow")
 parquet = pytest.importorskip("pyarrow.parquet")

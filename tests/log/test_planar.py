@@ -3,16 +3,16 @@ import math
 import numpy as np
 import pytest
 
-from turtlelog.log.planar import compute_tilt, describe_plane
+from turtlelog.log.planar import compute_tilt, describe_height
 
 
 def test_floor_is_a_plane() -> None:
-    assert describe_plane(None, None) is None
-    assert describe_plane(np.array([0.3, 0.349, math.nan]), np.array([0.0, -0.0, 0.099])) is None
+    assert describe_height(None, None) is None
+    assert describe_height(np.array([0.3, 0.349, math.nan]), np.array([0.0, -0.0, 0.099])) is None
 
 
 def test_height_that_varies_is_said() -> None:
-    told = describe_plane(np.array([0.3, 0.351]), np.zeros(2))
+    told = describe_height(np.array([0.3, 0.351]), np.zeros(2))
     assert told == (
         "the robot leaves the plane: its height varies by 0.051 m (0.3 to 0.351 m);"
         " most metrics are seen from above"
@@ -20,11 +20,11 @@ def test_height_that_varies_is_said() -> None:
 
 
 def test_tilt_is_said() -> None:
-    told = describe_plane(np.zeros(2), np.array([0.0, 0.101]))
+    told = describe_height(np.zeros(2), np.array([0.0, 0.101]))
     assert told is not None
     assert "it tilts by 0 to 5.79 deg" in told
     assert "height" not in told
-    both = describe_plane(np.array([0.0, 2.0]), np.array([0.0, 0.5]))
+    both = describe_height(np.array([0.0, 2.0]), np.array([0.0, 0.5]))
     assert both is not None
     assert "varies by 2 m (0 to 2 m) and it tilts by 0 to 28.6 deg" in both
 
@@ -38,7 +38,7 @@ def test_tilt_is_said() -> None:
     ],
 )
 def test_a_tilt_that_stays_may_be_of_the_frame(varies_rad: float, words: str) -> None:
-    told = describe_plane(np.zeros(2), np.array([3.09 - varies_rad, 3.09]))
+    told = describe_height(np.zeros(2), np.array([3.09 - varies_rad, 3.09]))
     assert told == f"{words}; most metrics are seen from above"
 
 

@@ -12,7 +12,7 @@ from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.log import read_recording, read_run, write_recording
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay import LawReplay, ReplayError, replay_law
-from turtlelog.replay.sample_pairs import count_missing
+from turtlelog.replay.run_pairs import count_missing_samples
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import (
     PAPER_RUNS,
@@ -280,7 +280,7 @@ def test_commands_of_a_recording_that_lost_rows_are_compared_only_where_they_bel
     kept = np.arange(len(kp4.samples)) != 400
     columns = {f: v[kept] for f, v in _list_columns(kp4.samples).items()}
     lost = replace(kp4, samples=replace(kp4.samples, **columns))
-    assert (count_missing(lost.samples), replay_law(lost).absent) == (1, ())
+    assert (count_missing_samples(lost.samples), replay_law(lost).absent) == (1, ())
     assert replay_law(lost).first_difference is None
 
 

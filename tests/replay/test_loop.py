@@ -173,7 +173,9 @@ def test_a_strangers_bag_of_a_simulation_is_compared_tick_by_tick(
 
 def test_a_bag_by_the_wall_clock_is_refused() -> None:
     run = read_run(find_shared("ros2", "turtlesim_jazzy"))
-    with pytest.raises(ReplayError, match="a pose per tick of exactly 16 ms, or the samples"):
+    with pytest.raises(
+        ReplayError, match=r"turtlesim's pose of each tick \(16 ms\) or the samples"
+    ):
         replay_loop(run, get_preset("textbook"))
 
 

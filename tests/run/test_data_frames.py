@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 
 import turtlelog as tl
-from turtlelog.run.tabular import Tabular
+from turtlelog.run.tables import Tabular
 
 FILE = "recordings/paper/kp10.mcap"
 RUN = tl.read_recording(FILE)

@@ -6,8 +6,7 @@ import pytest
 
 from turtlelog.errors import SweepError
 from turtlelog.sweep import Sampling, SweepPlan, build_plan
-from turtlelog.sweep.grid import MOST_ROWS, parse_key_values
-from turtlelog.sweep.plan import MOST_DRAWN
+from turtlelog.sweep.plan import MOST_DRAWN, MOST_ROWS, parse_key_values
 
 
 def list_values(text: str) -> list[Any]:

@@ -13,9 +13,9 @@ from turtlelog.sweep import (
     ResultTable,
     TabulatedFiles,
     find_recordings,
-    metric_rows,
     plan_metric_table,
     read_result_table,
+    recordings,
     tabulate_recordings,
 )
 
@@ -54,7 +54,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(Path(path).name)
         return read(path, choice)
 
-    monkeypatch.setattr(metric_rows, "read_as_chosen", count)
+    monkeypatch.setattr(recordings, "read_as_chosen", count)
     return names
 
 

@@ -17,8 +17,7 @@ from turtlelog.sweep import (
     result_table,
     write_result_table,
 )
-from turtlelog.sweep.result_table import choose_type
-from turtlelog.sweep.stored_table import read_result_facts
+from turtlelog.sweep.result_table import choose_type, read_result_facts
 
 
 def make_table(rows: int = 3, **facts: str) -> ResultTable:

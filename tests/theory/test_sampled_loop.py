@@ -17,7 +17,7 @@ from turtlelog.theory import (
     compute_sampled_step_response,
     compute_stability_gain,
 )
-from turtlelog.theory.sampled_poles import compute_sampled_locus
+from turtlelog.theory.sampled_loop import compute_sampled_locus
 
 TICK_S = 0.016
 DEAD_TIMES = range(13)

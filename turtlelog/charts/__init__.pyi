@@ -1,4 +1,4 @@
-from .endings import (
+from .captions import (
     describe_end as describe_end,
     describe_runs as describe_runs,
 )

@@ -1,4 +1,4 @@
-"""An attribution as a waterfall: steps from the logged value down to what is left."""
+"""Waterfalls: an attribution, or the difference of two runs, as steps from one value to another."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -8,8 +8,9 @@ from typing import Final, Literal
 from turtlelog.charts import palette
 from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.display import join_words
-from turtlelog.explain import Attribution, Contribution
+from turtlelog.explain import Attribution, Change, Contribution, ExplainedDifference
 from turtlelog.explain.attribution import THIS_SEED
+from turtlelog.explain.explained_difference import SEED, Side
 
 _SAME: Final = 1e-6
 """Of the largest value: a smaller step is none. Two platforms differ by no more in one scenario."""
@@ -116,11 +117,11 @@ def draw_up_attribution(found: Attribution) -> Waterfall:
         steps=list_attribution_steps(found),
         scale=choose_step_scale(found),
         metric=found.metric,
-        notes=note_averages("removal", seeds, is_average=is_average),
+        notes=_note_averages("removal", seeds, is_average=is_average),
     )
 
 
-def note_averages(orders: str, seeds: int, *, is_average: bool) -> tuple[str, ...]:
+def _note_averages(orders: str, seeds: int, *, is_average: bool) -> tuple[str, ...]:
     """Return that bars are averages, over orders of something and over so many seeds."""
     notes = [f"bars: averages over the orders of {orders}; no run ends between them"]
     notes = notes if is_average else []
@@ -169,10 +170,10 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
 def choose_step_scale(found: Attribution) -> StepScale:
     """Return the unit and the decimals of an attribution's values: they are those of all of it."""
     values = (found.as_logged, found.resimulated, found.without_all, found.divided)
-    return choose_scale(values, found.unit)
+    return _choose_scale(values, found.unit)
 
 
-def choose_scale(values: Sequence[float | None], unit: str) -> StepScale:
+def _choose_scale(values: Sequence[float | None], unit: str) -> StepScale:
     """Return the unit and the decimals in which values of a metric's unit are drawn."""
     largest = max(abs(value) for value in (*values, 0.0) if value is not None)
     factor, unit = (1e3, "mm") if unit == "m" and largest < 1.0 else (1.0, unit)
@@ -256,3 +257,71 @@ def _explain_little(found: Attribution, value: float) -> str:
     if abs(value) > found.resolution.size or "tolerance" not in found.resolution.reason:
         return ""
     return ", no more than the tolerances leave"
+
+
+def draw_up_difference(found: ExplainedDifference) -> Waterfall:
+    """Return the waterfall of a difference; without steps if the contributions are withheld."""
+    steps = list_difference_steps(found)
+    return Waterfall(
+        steps=steps,
+        scale=_choose_difference_scale(found),
+        metric=found.metric,
+        notes=_note_averages("the changes", found.seeds, is_average=len(steps) > 3),
+    )
+
+
+def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, ...]:
+    """Return the steps from the value of the first run up or down to that of the second.
+
+    Between them is each change with its contribution, the largest first.
+
+    Returns:
+        No steps if the contributions are withheld: the answer says why.
+    """
+    first, second = found.first.resimulated, found.second.resimulated
+    if not found.contributions or first is None or second is None:
+        return ()
+    scale = _choose_difference_scale(found)
+    colors = choose_cause_colors([one.name for one in found.contributions])
+    steps = [_make_total(found.first, scale, palette.REFERENCE)]
+    at = first
+    for one in found.contributions:
+        end = at + (one.contribution or 0.0)
+        color = palette.REFERENCE if one.name == SEED else colors[one.name]
+        steps.append(
+            AttributionStep(
+                kind="contribution",
+                cause=one.name,
+                start=at,
+                end=end,
+                name=one.name,
+                text=_describe(one, scale),
+                color=color,
+            )
+        )
+        at = end
+    return (*steps, _make_total(found.second, scale, palette.MAIN))
+
+
+def _make_total(side: Side, scale: StepScale, color: palette.Color) -> AttributionStep:
+    value = side.resimulated or 0.0
+    return AttributionStep(
+        kind="total",
+        start=0.0,
+        end=value,
+        name=side.name,
+        text=scale.format_value(value),
+        color=color,
+    )
+
+
+def _choose_difference_scale(found: ExplainedDifference) -> StepScale:
+    """Return the unit and the decimals of a difference's values: they are those of all of it."""
+    return _choose_scale([found.first.resimulated, found.second.resimulated], found.unit)
+
+
+def _describe(one: Change, scale: StepScale) -> str:
+    size = scale.format_value(one.contribution or 0.0, signed=True)
+    if one.standard_error is not None:
+        size += f" ± {abs(one.standard_error * scale.factor):.2g}"
+    return size

@@ -126,7 +126,7 @@ def find_unit(run: Run, signal_name: str) -> str:
     return "deg" if unit == "rad" else unit
 
 
-def select_rows(curve: Curve, rows: NDArray[np.int64]) -> Curve:
+def select_curve_rows(curve: Curve, rows: NDArray[np.int64]) -> Curve:
     """Return some rows of a curve."""
     return replace(curve, time_ns=curve.time_ns[rows], values=curve.values[rows])
 

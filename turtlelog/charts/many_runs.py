@@ -172,7 +172,7 @@ def _are_apart(runs: Sequence[Run], key: str) -> bool:
     return len({run.parameters.get(key) for run in runs}) == len(runs)
 
 
-def shorten_names(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, ...]:
+def shorten_run_names(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, ...]:
     """Return names as they are, or where one is long, what differs: `Kp 4, no speed limit`."""
     if max(map(len, names)) <= LONGEST_NAME or len(runs) < 2:
         return tuple(names)

@@ -1,16 +1,17 @@
-"""What is drawn of a robot in a bag: measured rates without outliers, its path without jumps."""
+"""What is drawn of a robot in a bag: rates, paths, gaps, and steps of its commands."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.curves import Command, Curve, read_curve, select_rows
-from turtlelog.charts.pose_gaps import list_breaking_gaps
+from turtlelog.charts.curves import Command, Curve, read_curve, select_curve_rows
 from turtlelog.display import describe_count
 from turtlelog.errors import ReplayError
 from turtlelog.measure import find_outliers
+from turtlelog.measure.breaks import PoseGap, find_gaps
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.replay.plant_ticks import find_breaks, read_motion
 from turtlelog.run import Run
@@ -53,8 +54,8 @@ def read_measured(run: Run, command: Command) -> MeasuredRate | None:
     rest = np.delete(np.arange(len(curve.values)), outliers)
     return MeasuredRate(
         command=command,
-        curve=part_curve(run, select_rows(curve, rest)),
-        outliers=select_rows(curve, outliers),
+        curve=part_curve(run, select_curve_rows(curve, rest)),
+        outliers=select_curve_rows(curve, outliers),
     )
 
 
@@ -83,7 +84,7 @@ def part_curve(run: Run, curve: Curve) -> Curve:
 
 def find_break_rows(run: Run) -> NDArray[np.int64]:
     """Return the rows of poses before which curves break: at jumps, after a time without poses."""
-    gaps = np.array([gap.row for gap in list_breaking_gaps(run)], dtype=np.int64)
+    gaps = np.array([gap.row for gap in _list_breaking_gaps(run)], dtype=np.int64)
     return np.unique(np.concatenate([find_jump_rows(run), gaps]))
 
 
@@ -129,3 +130,120 @@ def read_pace(run: Run, rows: NDArray[np.int64]) -> Values:
 def lack_samples(runs: Sequence[Run]) -> bool:
     """Whether no run holds samples of a controller: poses, and at most commands, of any robot."""
     return not any(len(run.samples) for run in runs)
+
+
+_LEAST_SHARE: Final = 0.01
+"""Of the duration of a run: in a column of 70 mm a shorter gap is below a millimetre wide."""
+
+_LEAST_NS: Final = 1_000_000_000
+"""From here on curves break whatever their length: a view can be zoomed. Shorter gaps of a long run
+are single poses that a busy computer lost."""
+
+_MOST_NAMED: Final = 5
+"""Words for more would cover the curves: the longest ones have them."""
+
+
+def _list_breaking_gaps(run: Run) -> list[PoseGap]:
+    """Return the stretches without poses at which curves break."""
+    least_ns = min(_find_least_ns(run), _LEAST_NS)
+    return [gap for gap in find_gaps(run) if gap.end_ns - gap.start_ns >= least_ns]
+
+
+def list_seen_gaps(run: Run) -> list[tuple[float, float, str]]:
+    """Return the longest stretches without poses that a picture has room to show, in order of time.
+
+    Returns:
+        From when to when each lasts, from the first sample [s], and its length in words.
+    """
+    least_ns = _find_least_ns(run)
+    gaps = [gap for gap in find_gaps(run) if gap.end_ns - gap.start_ns >= least_ns]
+    longest = sorted(gaps, key=lambda gap: gap.start_ns - gap.end_ns)[:_MOST_NAMED]
+    return [
+        (
+            (gap.start_ns - run.start_ns) / 1e9,
+            (gap.end_ns - run.start_ns) / 1e9,
+            f"{(gap.end_ns - gap.start_ns) / 1e9:.2g} s without poses",
+        )
+        for gap in sorted(longest, key=lambda gap: gap.start_ns)
+    ]
+
+
+def _find_least_ns(run: Run) -> float:
+    first_ns = [*run.poses.time_ns[:1].tolist(), run.start_ns][0]
+    return _LEAST_SHARE * float(run.end_ns - first_ns)
+
+
+_LARGE: Final = 0.2
+"""Share of the largest change from which a change counts: noise and resolution are smaller."""
+
+_LEAST_HELD_S: Final = 0.15
+"""Commands come at 10 Hz and more, with jitter: a longer pause is a level."""
+
+_MOST: Final = 60
+"""Changes that are drawn, the largest: more are a grey block."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommandChange:
+    """A change in one direction, at once or within several commands.
+
+    Attributes:
+        begin_s: When its first command comes [s].
+        half_s: When the command passes the middle between its levels [s].
+        end_s: When the next change begins, or the commands end [s].
+        before: Level from which it changes.
+        after: Level to which it changes.
+    """
+
+    begin_s: float
+    half_s: float
+    end_s: float
+    before: float
+    after: float
+
+    def scale(self, values: Values) -> Values:
+        """Return values as the part of the change that is done: 0 before it, 1 after it."""
+        return (values - self.before) / (self.after - self.before)
+
+
+def find_command_changes(command: Curve) -> list[CommandChange]:
+    """Return the large changes of a command in the order of time.
+
+    Commands that follow each other in one direction are one change; a level that is held for
+    longer than the change itself, up to there, parts two.
+    """
+    values = np.concatenate([[0.0], command.values])
+    rows = np.flatnonzero(np.diff(values) != 0.0)
+    if not len(rows):
+        return []
+    signs, times_s = np.sign(np.diff(values)[rows]), command.time_s[rows]
+    is_first = np.ones(len(rows), dtype=bool)
+    first_s = times_s[0]
+    for number in range(1, len(rows)):
+        pause_s = times_s[number] - times_s[number - 1]
+        is_held = pause_s > max(times_s[number - 1] - first_s, _LEAST_HELD_S)
+        is_first[number] = signs[number] != signs[number - 1] or is_held
+        first_s = times_s[number] if is_first[number] else first_s
+    firsts = np.flatnonzero(is_first)
+    lasts = np.append(firsts[1:], len(rows)) - 1
+    ends_s = np.append(times_s[firsts[1:]], command.time_s[-1])
+    found = []
+    for first, last, end_s in zip(firsts, lasts, ends_s, strict=True):
+        before, after = float(values[rows[first]]), float(values[rows[last] + 1])
+        own = values[rows[first : last + 1] + 1]
+        half = int(np.argmax((own - before) / (after - before) >= 0.5))
+        change = CommandChange(
+            begin_s=float(times_s[first]),
+            half_s=float(times_s[first + half]),
+            end_s=float(end_s),
+            before=before,
+            after=after,
+        )
+        found.append(change)
+    sizes = np.array([abs(one.after - one.before) for one in found])
+    kept = [
+        row
+        for row in np.argsort(-sizes, kind="stable")[:_MOST]
+        if sizes[row] >= _LARGE * sizes.max()
+    ]
+    return [found[row] for row in sorted(kept)]

@@ -25,12 +25,11 @@ from turtlelog.charts.curves import (
     read_curve,
     read_distance_to_reference,
     read_sensed,
-    select_rows,
+    select_curve_rows,
 )
 from turtlelog.charts.ideal_curves import compute_ideals
-from turtlelog.charts.plotted_curves import Column, CurveEntry, TimePlot
+from turtlelog.charts.plotted_curves import Column, CurveEntry, TimePlot, find_state_unit
 from turtlelog.charts.robot_curves import part_curve, read_measured
-from turtlelog.charts.state_groups import find_state_unit
 from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS
@@ -78,7 +77,7 @@ def _read_lost(run: Run, signal: str) -> Iterator[Curve]:
     """Yield the poses that a controller did not get, where something stands for what it read."""
     curve = read_curve(run, signal)
     if curve is not None and read_sensed(run, signal) is not None and run.poses.dropped_out.any():
-        yield select_rows(curve, np.flatnonzero(run.poses.dropped_out))
+        yield select_curve_rows(curve, np.flatnonzero(run.poses.dropped_out))
 
 
 def _read_rate(run: Run, command: Command, *, is_outlier: bool) -> Iterator[Curve]:

@@ -19,7 +19,7 @@ from turtlelog.expressions import (
     fail_at,
     iterate_nodes,
 )
-from turtlelog.log.recording.recovery_note import LOSS_NOTES, NO_LOSS
+from turtlelog.log.recording.head import LOSS_NOTES, NO_LOSS
 from turtlelog.measure import COMMANDED, find_signal, list_signals, measure_run
 from turtlelog.run import Run
 from turtlelog.run.loops import PAUSE

@@ -17,8 +17,8 @@ from turtlelog.sweep import (
     hash_recording,
 )
 from turtlelog.sweep.file_rows import ERROR, FILE
+from turtlelog.sweep.result_table import list_values, open_result_table
 from turtlelog.sweep.row_columns import Cell, Key, Row
-from turtlelog.sweep.stored_table import list_values, open_result_table
 
 _KEYS: Final = (
     *(Key(name) for name in ("check", "verdict", "expected")),

@@ -15,7 +15,6 @@ from typing import Any, Final
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
-from turtlelog.cli.help import HelpFormatter, show_default
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_DEFECT,
@@ -27,7 +26,7 @@ from turtlelog.cli.output import (
     print_note,
 )
 from turtlelog.cli.progress import end_progress
-from turtlelog.cli.usage_errors import describe_usage_error, find_split_pair
+from turtlelog.cli.usage import HelpFormatter, describe_usage_error, find_split_pair, show_default
 from turtlelog.errors import TurtlelogError, UsageError, describe_unknown
 from turtlelog.files.urls import RemoteNote, limit_downloads
 from turtlelog.version import __version__
@@ -138,12 +137,12 @@ _USUAL: Final[Mapping[str, frozenset[str]]] = {
         "tune": "grid minimise maximise subject-to set monte-carlo output json",
         "theory": "kp ki kd lag dead-time dead-time-s period overshoot details json",
         "info": "topics parameters partial jobs json",
-        "metrics": "only all goal recursive output csv json",
-        "compare": "reference ate why first only sort where recursive rrd json",
+        "metrics": "only all goal output csv json",
+        "compare": "reference ate why first only sort where rrd json",
         "explain": "metric causes details scenario rrd trust-law json",
         "identify": "scenario plot rrd details json",
         "replay": "set law plant expect-equal details output json",
-        "check": "expect init output reference all recursive junit json",
+        "check": "expect init output reference all junit json",
         "view": "save snapshot web movie partial goal",
         "plot": "output only metric format kind movie json",
         "report": "output spec explain json",

@@ -11,8 +11,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.check_answers import print_marks, print_results
 from turtlelog.cli.check_files import ReportOptions, check_files, check_into_table, read_to_judge
-from turtlelog.cli.folders import find_files, list_files
-from turtlelog.cli.options import Output, Place, ReadingOptions
+from turtlelog.cli.options import Output, Place, ReadingOptions, find_files, list_files
 from turtlelog.cli.output import (
     EXIT_FAILED,
     EXIT_FINE,
@@ -79,7 +78,7 @@ def check(
 
     Example: turtlelog check run.mcap --expect "always(abs(speed) <= 1.5)"
 
-    Example: turtlelog check spec.toml runs --recursive -o verdicts.parquet
+    Example: turtlelog check spec.toml runs -o verdicts.parquet
 
     Example: turtlelog check spec.toml handed-in/*.mcap --marks
 
@@ -108,12 +107,12 @@ def check(
     _require_use(spec, reference if expect else None)
     topics = topics or ReadingOptions()
     if first.output is not None:
-        found = find_files(files, first.output, is_recursive=reports.recursive)
+        found = find_files(files, first.output)
         files = [Path(one.path) for one in found]
         _require_known(spec, files, topics)
         results = check_into_table(first.output, spec, found, reports, topics)
     else:
-        files = list_files(files, is_recursive=reports.recursive)
+        files = list_files(files)
         _require_known(spec, files, topics)
         results = check_files(spec, files, reports, topics)
     if reports.marks:

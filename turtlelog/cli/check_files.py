@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.folders import Recursive, summarise_table, tabulate
+from turtlelog.cli.folders import summarise_table, tabulate
 from turtlelog.cli.options import (
     Place,
     ReadingOptions,
@@ -48,7 +48,6 @@ class ReportOptions(WorkOptions):
         artifacts: Put a Rerun view, a picture and the cut recording of what fails into this folder.
         report: Write a report on the recordings and their checks to this .html file. It needs all
             that is read, which one process then reads.
-        recursive: Take every recording below the folders given.
         all_: Print the checks that pass, too.
         no_why: Do not explain recordings that fail. Default: with a reference, the first three that
             fail are explained, each within 10 s: why they differ from it.
@@ -58,7 +57,6 @@ class ReportOptions(WorkOptions):
     junit: Place | None = None
     artifacts: Place | None = None
     report: Place | None = None
-    recursive: Recursive = False
     all_: Annotated[bool, Parameter(name="--all")] = False
     no_why: Annotated[bool, Parameter(negative=())] = False
     marks: bool = False
@@ -330,7 +328,7 @@ def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
 
 def read_to_judge(path: Path, choice: "ReadChoice") -> "tuple[Run, dict[str, str]]":
     """Return a run, whole or not, and what to tell of reading it."""
-    from turtlelog.log.recording.recovery_note import LOSS_NOTES
+    from turtlelog.log.recording.head import LOSS_NOTES
 
     # A recording that is not whole fails its check, which says so.
     run = tl.log.read_as_chosen(path, replace(choice, allow_partial=True, allow_no_poses=True))

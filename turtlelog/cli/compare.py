@@ -23,7 +23,6 @@ from turtlelog.cli.compare_trajectories import (
     compare_with_trajectory,
 )
 from turtlelog.cli.compare_why import WhyOptions, WhyPlace, compare_why
-from turtlelog.cli.folders import Recursive, describe_unread, list_files
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
     Files,
@@ -31,6 +30,7 @@ from turtlelog.cli.options import (
     Place,
     ReadingOptions,
     count_jobs,
+    list_files,
     read_runs,
     split_names,
     watch_summaries,
@@ -65,7 +65,6 @@ class ReferenceOptions(WhyOptions):
         align: Common time zero: first_sample, phase:NAME (the start of a phase), recorded (times as
             they are), sample (samples by their number). Default: first_sample. With --ate or --rpe
             the transformation that is fitted: se3, se2, sim3, sim2 (with scale), origin, none.
-        recursive: Take every recording below the folders given, but for the reference.
         jobs: Number of processes. Default: one per core if that is faster; 1 with --rrd or the
             scenario of a robot.
         details: Beside a reference: show the signals of several runs, too.
@@ -74,7 +73,6 @@ class ReferenceOptions(WhyOptions):
     reference: Place | None = None
     tolerances: Annotated[Place | None, Parameter(show=False)] = None
     align: Annotated[str | None, Parameter(metavar="HOW")] = None
-    recursive: Recursive = False
     jobs: Jobs = None
     details: bool = False
     trajectories: TrajectoryOptions = field(default_factory=TrajectoryOptions)
@@ -160,7 +158,7 @@ def compare(
 
     Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort run.duration
 
-    Example: turtlelog compare runs --recursive
+    Example: turtlelog compare runs
 
     Example: turtlelog compare --reference good.mcap new.mcap
 
@@ -180,13 +178,12 @@ def compare(
     kind = (formats or FormatOptions()).choose()
     pictures = pictures or DrawingOptions()
     rrd = pictures.rrd
-    is_recursive = against.recursive
     if against.is_why:
         _require_why_sense(against, choice, rrd)
         paths = [*([] if against.reference is None else [against.reference]), *files]
-        folders = WhyPlace(plot=pictures.plot, jobs=against.jobs, is_recursive=is_recursive)
+        folders = WhyPlace(plot=pictures.plot, jobs=against.jobs)
         return compare_why(against, paths, folders, topics=topics, kind=kind)
-    files = list_files(files, is_recursive=is_recursive, without=against.reference)
+    files = list_files(files, without=against.reference)
     jobs = count_jobs(against.jobs, files)
     trajectories = against.trajectories
     if trajectories.require_sense():
@@ -213,7 +210,7 @@ def compare(
     only = _choose_needed(choice, kind)
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
     for err in errors:
-        print_error(describe_unread(err, is_recursive=is_recursive))
+        print_error(str(err))
     # One run alone is beside no other.
     if not errors or len(summaries) > 1:
         _compare_across(summaries, choice, kind)
@@ -227,7 +224,10 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
             f" turtlelog check {against.tolerances} RUN --reference {against.reference or 'RUN'}"
         )
     if len(paths) < 2:
-        raise UsageError(_describe_too_few(paths, against))
+        raise UsageError(
+            f"compare needs at least two runs, but {len(paths)} was given; add another file, or"
+            " --reference FILE"
+        )
     if against.reference is None and against.align is not None:
         raise UsageError("--align: needs --reference FILE")
     for name in () if against.reference is None else ("metric", "sort", "where", "varied"):
@@ -255,14 +255,6 @@ def _require_trajectory_sense(choice: ChoiceOptions, rrd: Path | None) -> None:
     for name, value in given.items():
         if value is not None:
             raise UsageError(f"--{name}: leave it out beside --ate and --rpe")
-
-
-def _describe_too_few(paths: Sequence[Path], against: ReferenceOptions) -> str:
-    """Return what to add to a command that names fewer than two runs."""
-    hint = "add another file, or --reference FILE"
-    if not against.recursive and any(path.is_dir() for path in paths):
-        hint = "--recursive takes every recording below a folder"
-    return f"compare needs at least two runs, but {len(paths)} was given; {hint}"
 
 
 def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> None:

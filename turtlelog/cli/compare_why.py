@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.folders import describe_unread, list_files
 from turtlelog.cli.options import (
     ReadingOptions,
     count_jobs,
+    list_files,
     read_chosen_run,
     require_jobs,
     watch_summaries,
@@ -32,6 +32,7 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_pictures
+from turtlelog.display import split_numbers
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.escapes import escape_controls
 from turtlelog.files.urls import make_path
@@ -90,12 +91,10 @@ class WhyPlace:
     Attributes:
         plot: The figure to write.
         jobs: Number of processes; None: as many as are quicker.
-        is_recursive: Whether every recording below the folders is taken.
     """
 
     plot: Path | None
     jobs: int | None
-    is_recursive: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +114,7 @@ class WhyAnswer:
     explanation: "ExplainedDifference | None"
 
 
-def take_metric(options: WhyOptions, files: Sequence[Path]) -> tuple[str | None, list[Path]]:
+def split_metric(options: WhyOptions, files: Sequence[Path]) -> tuple[str | None, list[Path]]:
     """Return the metric and the files: the word after --why may be the first file."""
     word = options.why
     if not isinstance(word, str):
@@ -136,7 +135,7 @@ def compare_why(
     kind: str,
 ) -> int:
     """Print why the metric of the second run is another one than that of the first."""
-    metric, files = take_metric(options, files)
+    metric, files = split_metric(options, files)
     require_pictures(place.plot, None, files, drawn=(), of="")
     topics = topics or ReadingOptions()
     code = EXIT_FINE
@@ -182,8 +181,7 @@ def _find_pair(
     kind: str,
 ) -> tuple[tuple[Path, Path] | None, int]:
     """Return the first recording that meets a condition, after the one before it."""
-    is_recursive = place.is_recursive or any(map(_is_folder_of_recordings, files))
-    paths = sorted(list_files(files, is_recursive=is_recursive), key=str)
+    paths = sorted(list_files(files), key=lambda path: split_numbers(str(path)))
     errors: list[TurtlelogError] = []
     needed = tl.compare.list_needed_metrics([], where=condition, sort=None, source="--first")
     found = tl.compare.summarise_files(
@@ -194,7 +192,7 @@ def _find_pair(
     )
     summaries = [*watch_summaries(found, len(paths), errors)]
     for err in errors:
-        print_error(describe_unread(err, is_recursive=is_recursive))
+        print_error(str(err))
     met, notes = tl.compare.select_runs(summaries, condition, source="--first")
     for note in notes:
         print_note(note)
@@ -208,10 +206,6 @@ def _find_pair(
 
 def _take_needed(needed: tuple[str, ...], _: "Run") -> tuple[str, ...]:
     return needed
-
-
-def _is_folder_of_recordings(path: Path) -> bool:
-    return path.is_dir() and not (path / "metadata.yaml").exists()
 
 
 def _print_nothing(

@@ -1,5 +1,6 @@
-"""`turtlelog convert`: a run from one kind of file to another; what `import` and `export` were."""
+"""`turtlelog convert`: a run from one kind of file to another, or a whole file of a damaged one."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
@@ -7,23 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import (
-    File,
-    Json,
-    Place,
-    ReadingOptions,
-    read_runs,
-    require_there,
-)
+from turtlelog.cli.options import File, Json, Place, ReadingOptions, read_runs, require_there
 from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
-from turtlelog.cli.recover import recover_file
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Run
+    from turtlelog.log import RecoveryReport
+
 
 _FILES: Final = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".tum": "tum"}
 _TRAJECTORIES: Final = (".tum", ".txt")
@@ -130,7 +125,7 @@ def convert(
     require_there([file])
     tables = tables or TableOptions()
     if tables.recover:
-        recover_file(file, output, json=json)
+        _recover_file(file, output, json=json)
         return
     kinds = {path: _choose_kind(path, tables) for path in output}
     _require_targets(output, kinds, file, tables)
@@ -143,7 +138,7 @@ def convert(
         for path in written:  # what stands, though another does not
             print_note(f"wrote {path}")
         raise
-    from turtlelog.log.recording.shared_topics import list_unshared
+    from turtlelog.log.recording.run_writer import list_unshared
 
     kept = {name: text for name, text in run.notes.items() if name != tl.log.CHOSEN}
     notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items()]
@@ -160,7 +155,7 @@ def convert(
     notes += [
         f"{path} holds x, y and heading alone, without height and tilt; .csv and .parquet hold both"
         for path, kind in kinds.items()
-        if run is not flatten_run(run) and kind not in {"csv", "parquet"}
+        if run is not _flatten_run(run) and kind not in {"csv", "parquet"}
     ]
     if {"mcap", "rosbag2"} & {*kinds.values()} and not tables.own_topics:
         notes += list_unshared(run)
@@ -251,7 +246,7 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
         require_same_poses,
     )
 
-    run = flatten_run(run) if kind not in {"csv", "parquet"} else run
+    run = _flatten_run(run) if kind not in {"csv", "parquet"} else run
     with show_progress("writing"):
         if kind == "mcap":
             tl.write_recording(run, path, shares_poses=not tables.own_topics)
@@ -273,9 +268,120 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
     return written
 
 
-def flatten_run(run: "Run") -> "Run":
+def _flatten_run(run: "Run") -> "Run":
     """Return a run without heights and tilts, which recordings do not hold; itself in the plane."""
     poses = run.poses
     if poses.height_m is None and poses.tilt_rad is None:
         return run
     return replace(run, poses=replace(poses, height_m=None, tilt_rad=None))
+
+
+_MOST_LINES = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LostBytes:
+    """Bytes that were lost.
+
+    Attributes:
+        start: The first.
+        end: The first behind them.
+        reason: Why.
+    """
+
+    start: int
+    end: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecoverAnswer:
+    """What was recovered of a damaged recording.
+
+    Attributes:
+        file: Name of the file as given.
+        complete: Whether nothing was lost.
+        recovered: Messages by topic.
+        unchecked: Those of them that no checksum covers, by topic.
+        missing: Lost messages by topic; None if nothing counts them.
+        from_s: Log time of the first message [s].
+        to_s: Log time of the last message [s].
+        lost: Bytes that were lost.
+        output: File that was written.
+    """
+
+    file: str
+    complete: bool
+    recovered: Mapping[str, int]
+    unchecked: Mapping[str, int]
+    missing: Mapping[str, int] | None
+    from_s: float
+    to_s: float
+    lost: tuple[LostBytes, ...]
+    output: str
+
+
+def _recover_file(file: Path, outputs: Sequence[Path], *, json: bool) -> None:
+    """Write what a damaged or unfinished recording still holds as a complete one, and say so."""
+    if len(outputs) != 1:
+        raise UsageError(f"--recover writes one output, not {len(outputs)}")
+    (output,) = outputs
+    if file.is_dir() and output.suffix.lower() != ".mcap":
+        require_new_folder(output)
+    else:
+        require_new_target(output, [file], suffix=".mcap")
+    with show_progress("recovering"):
+        report = tl.recover_recording(file, output)
+    if json:
+        told = {name: getattr(report, name) for name in _SAME}
+        lost = tuple(
+            LostBytes(start=one.start, end=one.end, reason=one.reason) for one in report.lost
+        )
+        print_json(RecoverAnswer(**told, lost=lost, output=str(output)))
+        return
+    print_text(fill_lines(_format(report, output), indent=2))
+
+
+_SAME: Final = ("file", "complete", "recovered", "unchecked", "missing", "from_s", "to_s")
+"""Fields of a report that the answer has as they are."""
+
+
+def _format(report: "RecoveryReport", output: Path) -> list[str]:
+    count = sum(report.recovered.values())
+    span = f"from {report.from_s:.3f} s to {report.to_s:.3f} s"
+    source = Path(report.file).name
+    lines = [f"{output.name}: {count} messages {span}, from {source}; {_describe_loss(report)}"]
+    width = max(map(len, report.recovered))
+    lines += [f"  {topic:<{width}}  {found}" for topic, found in report.recovered.items()]
+    if report.complete:
+        return lines
+    if report.missing:
+        lost = ", ".join(f"{count} of {topic}" for topic, count in report.missing.items())
+        lines.append(f"messages lost: {lost}")
+    elif report.missing is None:
+        lines.append("messages lost: not known, because the file has no summary that counts them")
+    if report.unchecked:
+        unchecked = sum(report.unchecked.values())
+        lines.append(f"messages that no checksum covers: {unchecked}")
+    lines += [
+        f"lost: bytes {loss.start} to {loss.end}: {loss.reason}"
+        for loss in report.lost[:_MOST_LINES]
+    ]
+    if len(report.lost) > _MOST_LINES:
+        lines.append(f"lost: and {len(report.lost) - _MOST_LINES} more segments (--json has all)")
+    return lines
+
+
+def _describe_loss(report: "RecoveryReport") -> str:
+    """Return how much was lost, in a clause."""
+    if report.complete:
+        return "nothing was lost: the file is complete and undamaged"
+    if report.missing is None:
+        count = sum(loss.end - loss.start for loss in report.lost)
+        return f"an unknown number of messages is lost ({count} bytes)"
+    lost = sum(report.missing.values())
+    return (
+        f"{describe_count(lost, 'message')} {'is' if lost == 1 else 'are'} lost"
+        if lost
+        else "no message is lost"
+    )

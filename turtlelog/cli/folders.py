@@ -3,24 +3,18 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Output, WorkOptions
+from turtlelog.cli.options import Output, WorkOptions, find_files, list_files
 from turtlelog.cli.output import print_note
 from turtlelog.cli.progress import show_progress
-from turtlelog.errors import TurtlelogError
 from turtlelog.processes import FILE_S
 
 if TYPE_CHECKING:
     from turtlelog.sweep import FoundRecording, RecordingTable, TabulatedFiles
-
-_NO_BAG: Final = ("expected a bag, found a folder without", "a folder of several recordings")
-"""What is said of a folder that is no bag."""
-
-Recursive = Annotated[bool, Parameter(name="--recursive", negative=())]
 
 
 @Parameter(name="*")
@@ -29,39 +23,19 @@ class FolderOptions(WorkOptions):
     """Many recordings at once.
 
     Attributes:
-        recursive: Take every recording below the folders given.
         output: Write a row for every file to this .parquet table, and print a summary alone. Files
             that have not changed since the table was written are not read again.
     """
 
-    recursive: Recursive = False
     output: Output = None
 
     def find(self, paths: Sequence[Path]) -> "list[FoundRecording]":
         """Return what is given, or what is below it."""
-        return find_files(self.name_files(paths), self.output, is_recursive=self.recursive)
+        return find_files(self.name_files(paths), self.output)
 
     def list_files(self, paths: Sequence[Path]) -> list[Path]:
         """Return the files that are given, or those below folders."""
-        return list_files(self.name_files(paths), is_recursive=self.recursive)
-
-
-def list_files(
-    paths: Sequence[Path], *, is_recursive: bool, without: Path | None = None
-) -> list[Path]:
-    """Return the files that are given, or those below folders but for one."""
-    if not is_recursive:
-        return [*paths]
-    return [Path(one.path) for one in find_files(paths, without, is_recursive=True)]
-
-
-def find_files(
-    paths: Sequence[Path], without: Path | None, *, is_recursive: bool
-) -> "list[FoundRecording]":
-    """Return what is given, or what is below it, without one file: a table that is written."""
-    with show_progress("looking for recordings"):
-        left_out = [] if without is None else [without]
-        return tl.sweep.find_recordings(paths, is_recursive=is_recursive, without=left_out)
+        return list_files(self.name_files(paths))
 
 
 def tabulate(
@@ -131,10 +105,3 @@ def build_table_answer(done: "TabulatedFiles") -> TableAnswer:
         unchanged=done.files - done.read,
         failed=done.failed,
     )
-
-
-def describe_unread(err: TurtlelogError, *, is_recursive: bool) -> str:
-    """Return why a file was not read; of a folder that is no bag, how its recordings are."""
-    is_folder = any(text in str(err) for text in _NO_BAG)
-    hint = "; --recursive takes what is below it" if is_folder and not is_recursive else ""
-    return f"{err}{hint}"

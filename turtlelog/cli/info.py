@@ -1,36 +1,43 @@
 """`turtlelog info`: what a recording holds."""
 
+import shlex
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.info_answer import InfoAnswer, build_answer, format_answer
-from turtlelog.cli.info_summary import count_read, summarise
+from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary, count_read, summarise
 from turtlelog.cli.options import (
     Files,
     Jobs,
     Json,
     TopicOptions,
     count_jobs,
+    list_files,
     require_files,
     watch_files,
 )
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
+    fill_lines,
+    fit_table,
     print_error,
     print_json,
     print_text,
 )
+from turtlelog.display import describe_count
 from turtlelog.errors import TurtlelogError
+from turtlelog.escapes import escape_controls
 from turtlelog.processes import map_in_processes
 
 if TYPE_CHECKING:
-    from turtlelog.log import ReadChoice
+    from turtlelog.log import ReadChoice, RecordingInfo, TopicInfo
+
 
 _FILE_S: Final = 2e-3
 """To open a file and describe what it holds [s], besides the bytes that are read."""
@@ -79,6 +86,7 @@ def info(
     """
     options = options or InfoOptions()
     require_files(files)
+    files = list_files(files)
     describe = partial(
         _read,
         choice=(reading or TopicOptions()).build_choice(),
@@ -109,6 +117,314 @@ def _read(path: Path, *, choice: "ReadChoice", is_asked: bool) -> "InfoAnswer | 
     """Return what is in a file, or what is wrong with it."""
     try:
         recording = tl.log.read_file_info(path, choice)
-        return build_answer(path, recording, summarise(path, recording, choice, is_asked=is_asked))
+        return _build_answer(path, recording, summarise(path, recording, choice, is_asked=is_asked))
     except TurtlelogError as err:
         return err
+
+
+_MOST_ENTRIES: Final = 8
+"""Of a list that is printed: a sequence of commands has thousands. JSON has all of them."""
+
+_ROWS: Final = {
+    "pose": "/turtle1/pose",
+    "controller sample": "/turtle1/control",
+    "command": "/turtle1/cmd_vel",
+}
+"""Topics of a recording of ours by what it is said to hold; others have the same types."""
+
+_OF_COMMANDS: Final = ("metrics", "check", "plot", "replay")
+"""What can be done with commands alone."""
+
+_AXES: Final = (("law.kp_angular", "turning"), ("law.kp_linear", "driving"))
+"""Gains of the sequential laws, and what they are for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotTopics:
+    """A robot among several of a bag: its name, and its topics of poses and commands."""
+
+    name: str
+    poses: str | None
+    commands: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InfoAnswer:
+    """Contents of a file.
+
+    Attributes:
+        file: Name of the file as given.
+        summary: Description of the file, in one sentence.
+        ending: End of its run at its goal, in words; None if that is not known.
+        format_version: Format version of the recording; None if turtlelog did not write it.
+        source: Origin of the data.
+        name: Name of the run.
+        complete: Whether the file was finished.
+        stop_reason: Why the run ended; None if it is not recorded.
+        duration_s: First to last message of any topic [s].
+        run_duration_s: The metric `run.duration` [s]; None if the poses were not read.
+        scenario: The tables of the whole scenario; None if it is not known.
+        parameters: Known values of the scenario, by dotted key.
+        topics: Topics with their types and numbers of messages.
+        absent: Columns that the file lacks.
+        missing: Missing data, each with what it would make possible.
+        clock: Clock that times its poses; None if there is one clock, or the poses were not read.
+        not_understood: Topics whose messages cannot become columns, each with the reason.
+        notes: Remarks by name.
+        run: Poses and commands of the file; None if they were not read.
+        robots: Those of a bag of several; --robot NAME chooses one.
+    """
+
+    file: str
+    summary: str
+    ending: str | None
+    format_version: int | None
+    source: str
+    name: str
+    complete: bool
+    stop_reason: str | None
+    duration_s: float | None
+    run_duration_s: float | None
+    scenario: Mapping[str, Any] | None
+    parameters: Mapping[str, Any]
+    topics: "tuple[TopicInfo, ...]"
+    absent: tuple[str, ...]
+    missing: tuple[str, ...]
+    clock: Mapping[str, Any] | None
+    not_understood: tuple[str, ...]
+    notes: Mapping[str, str]
+    run: ReadRun | None
+    robots: tuple[RobotTopics, ...] = ()
+
+
+def _build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> InfoAnswer:
+    """Return the answer."""
+    return InfoAnswer(
+        file=str(path),
+        summary=summary.text,
+        ending=summary.ending,
+        format_version=recording.format_version,
+        source=recording.source,
+        name=recording.name,
+        complete=recording.complete,
+        stop_reason=recording.stop_reason,
+        duration_s=recording.duration_s,
+        run_duration_s=None if summary.run is None else summary.run.duration_s,
+        scenario=recording.scenario,
+        parameters=recording.parameters,
+        topics=recording.topics,
+        absent=_list_absent(recording, summary),
+        missing=summary.missing,
+        clock=summary.clock,
+        not_understood=recording.not_understood,
+        notes={**recording.notes, **summary.notes},
+        run=summary.run,
+        robots=() if recording.format_version is not None else _list_robots(recording),
+    )
+
+
+def _list_robots(recording: "RecordingInfo") -> tuple[RobotTopics, ...]:
+    return tuple(
+        RobotTopics(
+            name=robot.name,
+            poses=None if robot.poses is None else robot.poses.topic,
+            commands=None if robot.commands is None else robot.commands.topic,
+        )
+        for robot in tl.log.ros2.find_robots(recording.topics)
+    )
+
+
+def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...]:
+    """Return what is absent: which topics are commands is known where the run was read."""
+    run = summary.run
+    more = [] if run is None or run.has_poses else ["poses"]
+    more += [] if run is None or run.has_commands else ["commands"]
+    if summary.run is None and recording.format_version is None:
+        more += _list_missing_types(recording)
+    return tuple(dict.fromkeys([*more, *recording.absent]))
+
+
+def _list_missing_types(recording: "RecordingInfo") -> list[str]:
+    """Return whether no message has a type of poses, and whether it has none of commands."""
+    held = {topic.type for topic in recording.topics if topic.count}
+    kinds = {"poses": tl.log.ros2.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
+    return [name for name, types in kinds.items() if not held.intersection(types)]
+
+
+def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alone: bool) -> str:
+    """Return what a file is, what is in it, what is missing, and what to do next.
+
+    Args:
+        answer: The answer.
+        topics: Whether to list the topics.
+        parameters: Whether to list what is known of the scenario.
+        is_alone: Whether to say what to do next.
+    """
+    name = escape_controls(tl.log.split_topic(Path(answer.file))[0].name or answer.file)
+    rows = [*_list_rows(answer), *_list_lacks(answer, topics=topics)]
+    width = max((len(key) for key, _ in rows), default=0)
+    lines = [_fill(f"{name}: ", _write_head(answer))]
+    lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
+    if topics and answer.topics:
+        lines += ["", fit_table(_tabulate(answer))]
+    if topics and answer.not_understood:
+        texts = (escape_controls(f"  {text}") for text in answer.not_understood)
+        lines += ["", "not readable", *texts]
+    if parameters and answer.parameters:
+        lines += ["", "scenario" if answer.scenario else "known of the scenario"]
+        pairs = answer.parameters.items()
+        lines += [escape_controls(f"  {key} = {_shorten(value)}") for key, value in pairs]
+    if is_alone:
+        lines += [*_list_next(answer, topics=topics, parameters=parameters)]
+    return "\n".join(lines)
+
+
+def _fill(head: str, text: str) -> str:
+    return fill_lines([f"{head}{text}"], indent=len(head) if head.startswith(" ") else 0)
+
+
+def _write_head(answer: InfoAnswer) -> str:
+    """Return what a file is, whether it is complete, and how long it lasts."""
+    length = "" if answer.duration_s is None else f", {answer.duration_s:.1f} s"
+    if answer.format_version is not None:
+        state = "complete" if answer.complete else "not complete"
+        state = NOTHING_LEFT if answer.summary.endswith(NOTHING_LEFT) else state
+        return f"turtlelog recording, {state}{length}"
+    if answer.run is None:
+        return answer.summary
+    kind = answer.run.kind
+    if not answer.topics:
+        return f"{kind}{length}"
+    what = f"{kind} (not turtlesim)" if kind.startswith("a robot") else kind
+    return f"ROS {1 if answer.source == 'ros1' else 2} bag of {what}{length}"
+
+
+def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    """Yield what is in a file, by what it is."""
+    run = answer.run
+    if answer.format_version is not None:
+        yield from _list_own(answer)
+    if run is not None:
+        rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
+        yield from ((key, text) for key, text in rows.items() if text)
+    yield from _describe_robots(answer)
+    yield from _describe_durations(answer)
+    if not answer.summary.endswith(NOTHING_LEFT):
+        reason = (answer.stop_reason or "").replace("_", " ")
+        told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
+        yield from [("ended", told)] if told else []
+    yield from ((key.replace("_", " "), _tell_note(text)) for key, text in answer.notes.items())
+
+
+def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    """Yield the robots of a bag of several, the first of many, with their topics."""
+    counts = {topic.topic: topic.count for topic in answer.topics}
+    for robot in answer.robots[:_MOST_ENTRIES]:
+        held = {"poses": robot.poses, "commands": robot.commands}
+        parts = [
+            f"{what} {topic}, {describe_count(counts[topic], 'message')}"
+            for what, topic in held.items()
+            if topic is not None
+        ]
+        yield f"robot {robot.name}", "; ".join(parts)
+
+
+def _tell_note(text: str) -> str:
+    """Return a note; of one with several lines, as the source of a law, how many."""
+    lines = len(text.splitlines())
+    return text if lines <= 1 else f"{lines} lines: --json has them"
+
+
+def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    """Yield how long a file lasts and, where its poses were read, how long its run does."""
+    if answer.duration_s is None:
+        return
+    what = "message of any topic" if answer.topics else "row"
+    yield "duration", f"{answer.duration_s:.3f} s, from the first to the last {what}"
+    if answer.run is None:
+        return
+    first = answer.run.first_row
+    last = {"sample": "row", "pose": "pose or command", "command": "one"}[first]
+    length = f"{answer.run.duration_s:.3f} s, from the first {first} to the last {last}"
+    yield "run.duration", length
+
+
+def _list_lacks(answer: InfoAnswer, *, topics: bool) -> Iterator[tuple[str, str]]:
+    """Yield what a file lacks, each with what that would unlock, and what cannot be read."""
+    for text in answer.missing:
+        lack, _, rest = text.partition(": ")
+        yield "missing", f"{lack.removeprefix('no ')}: {rest}" if rest else lack
+    if answer.absent and (topics or not answer.missing):
+        yield "absent", ", ".join(answer.absent)
+    if answer.not_understood:
+        yield "not readable", describe_count(len(answer.not_understood), "topic")
+
+
+def _list_own(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    known = answer.parameters
+    if answer.name != Path(answer.file).stem:
+        yield "run", answer.name
+    if answer.scenario is not None:
+        source = "simulated" if answer.source == "simulation" else f"from {answer.source}"
+        yield "robot", f"{known.get('plant.kind', 'turtlesim')}, {source}"
+    elif answer.source:
+        yield "source", answer.source
+    if "law.kind" in known:
+        yield "controller", f"{known['law.kind']}{_write_gains(known)}"
+    has_goal = "goal.x_m" in known and "goal_xy_m" not in answer.absent
+    if has_goal and "path.kind" not in known:
+        yield "goal", f"({known['goal.x_m']:g}, {known['goal.y_m']:g}) m"
+    counts = {
+        noun: sum(found.count for found in answer.topics if found.topic == topic)
+        for noun, topic in _ROWS.items()
+    }
+    if any(counts.values()):
+        yield "data", ", ".join(describe_count(count, noun) for noun, count in counts.items())
+
+
+def _write_gains(known: Mapping[str, Any]) -> str:
+    gains = [(known[key], axis) for key, axis in _AXES if key in known]
+    if len(gains) == len(_AXES) and gains[0][0] == gains[1][0]:
+        return f", Kp = {gains[0][0]:g} 1/s (turning and driving)"
+    return "".join(f", Kp = {gain:g} 1/s {axis}" for gain, axis in gains)
+
+
+def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterator[str]:
+    """Yield what can be done with a file, and the options that show more of it."""
+    file = shlex.quote(answer.file)
+    if not answer.complete:
+        has_rows = any(topic.count for topic in answer.topics)
+        fix = (
+            f"turtlelog convert --recover {file} -o OUT"
+            if has_rows
+            else "copy the file again from its source"
+        )
+        yield f"Fix: {fix}"
+    elif answer.format_version is not None:
+        yield f"Next: turtlelog metrics {file}"
+        yield f"      turtlelog explain {file}"
+    elif answer.run is not None:
+        can = ["metrics", "check", "compare", "view", "plot"]
+        can[1:1] = ["identify"] if answer.run.has_commands else []
+        can[1:1] = ["explain"] if answer.run.has_samples else []
+        yield f"You can: {', '.join(can if answer.run.has_poses else _OF_COMMANDS)}"
+    more = [] if topics or not answer.topics else ["Topics: --topics"]
+    more += [] if parameters or not answer.parameters else ["Scenario: --parameters"]
+    if more:
+        yield "    ".join(more)
+
+
+def _shorten(value: object) -> object:
+    """Return a value as it is shown: of a long list its first entries and how many there are."""
+    if not isinstance(value, list | tuple) or len(value) <= _MOST_ENTRIES:
+        return value
+    first = ", ".join(map(str, value[:_MOST_ENTRIES]))
+    return f"[{first}, ...]: {len(value):,} values"
+
+
+def _tabulate(answer: InfoAnswer) -> "tl.compare.Table":
+    return tl.compare.Table(
+        title="topics",
+        columns=tuple(tl.compare.Column(title=title) for title in ("topic", "type", "messages")),
+        rows=tuple((topic.topic, topic.type, topic.count) for topic in answer.topics),
+    )

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AxisAnswer:
+class SweptAxisAnswer:
     """Keys that vary together, and their values."""
 
     keys: list[str]
@@ -132,7 +132,7 @@ class MapAnswer:
     rows: int
     failed: int
     shown: int
-    axes: list[AxisAnswer]
+    axes: list[SweptAxisAnswer]
     held: Mapping[str, Any]
     seeds: int
     metrics: list[MetricOfTable]
@@ -169,8 +169,10 @@ def build_map_answer(
     )
 
 
-def _describe_axis(axis: Any) -> AxisAnswer:
-    return AxisAnswer(keys=list(axis.keys), unit=axis.unit, values=[list(v) for v in axis.values])
+def _describe_axis(axis: Any) -> SweptAxisAnswer:
+    return SweptAxisAnswer(
+        keys=list(axis.keys), unit=axis.unit, values=[list(v) for v in axis.values]
+    )
 
 
 def _describe_limits(view: "SweptView", limits: "LoopLimits") -> LimitsAnswer:

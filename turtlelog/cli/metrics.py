@@ -12,7 +12,6 @@ import turtlelog as tl
 from turtlelog.cli.folders import (
     FolderOptions,
     build_table_answer,
-    describe_unread,
     summarise_table,
     tabulate,
 )
@@ -139,7 +138,7 @@ def metrics(
 
     Example: turtlelog metrics kp4.mcap --metric "translate.*" --band 0.05
 
-    Example: turtlelog metrics runs --recursive -o table.parquet
+    Example: turtlelog metrics runs -o table.parquet
 
     Args:
         files: Recordings (.mcap), ROS 2 bags, tables (.csv, .parquet, .tum), or the paper's logs
@@ -187,7 +186,7 @@ def metrics(
             else:
                 print_chosen(held, kind)
     for err in errors:
-        print_error(describe_unread(err, is_recursive=folders.recursive))
+        print_error(str(err))
     return EXIT_BAD_INPUT if errors else EXIT_FINE
 
 

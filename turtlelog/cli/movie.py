@@ -42,7 +42,7 @@ def require_movie(options: MovieOptions, files: Sequence[Path]) -> None:
     if suffix not in _SUFFIXES:
         raise UsageError(f"--movie {options.movie}: the name must end in .mp4 or .gif")
     require_new_target(options.movie, files, suffix=suffix)
-    from turtlelog.draw.movie.encoding import require_encoder
+    from turtlelog.draw.movie.movie_file import require_encoder
 
     require_encoder(suffix)
 

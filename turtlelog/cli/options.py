@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from turtlelog import Run
     from turtlelog.compare import RunSummary
     from turtlelog.log import ReadChoice
+    from turtlelog.sweep import FoundRecording
 
 _Found = TypeVar("_Found")
 
@@ -224,6 +225,30 @@ def _parse_aim(text: str) -> tuple[float, ...]:
     if len(values) not in {2, 3} or not all(map(math.isfinite, values)):
         raise UsageError(f"--goal {text[:60]}: must be X,Y in metres, or X,Y,DEG with a heading")
     return (*values[:2], *map(math.radians, values[2:]))
+
+
+def list_files(paths: Sequence[Path], *, without: Path | None = None) -> list[Path]:
+    """Return what is given, and in place of a folder that is no bag the recordings below it."""
+    files: list[Path] = []
+    for path in paths:
+        # Files alone, which are most of what is given, load no room that walks folders.
+        if not path.is_dir() or tl.sweep.is_one_recording(path):
+            files.append(path)
+            continue
+        try:
+            files += [Path(one.path) for one in find_files([path], without)]
+        except LogError:
+            if len(paths) == 1:
+                raise
+            files.append(path)  # beside others: whoever reads the folder says that it is empty
+    return files
+
+
+def find_files(paths: Sequence[Path], without: Path | None) -> "list[FoundRecording]":
+    """Return what is given, or what is below it, without one file: a table that is written."""
+    with show_progress("looking for recordings"):
+        left_out = [] if without is None else [without]
+        return tl.sweep.find_recordings(paths, without=left_out)
 
 
 def read_runs(

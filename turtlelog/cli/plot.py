@@ -11,22 +11,22 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog import draw
-from turtlelog.cli.asked_figures import AskedOptions
+from turtlelog.cli.figure_options import TIMELESS, AskedOptions, PageOptions
 from turtlelog.cli.list_names import complete_figures
-from turtlelog.cli.map import ViewOptions, draw_table, find_table
+from turtlelog.cli.map import ViewOptions, draw_table, find_sweep_table
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import (
     Jobs,
     Json,
     Place,
     ReadingOptions,
+    list_files,
     read_runs,
     require_jobs,
     require_there,
     split_names,
 )
 from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
-from turtlelog.cli.page_options import TIMELESS, PageOptions
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.display import describe_count, join_words
@@ -35,7 +35,7 @@ from turtlelog.files.urls import RemotePath
 
 if TYPE_CHECKING:
     from turtlelog import Run
-    from turtlelog.cli.asked_figures import Only
+    from turtlelog.cli.figure_options import Only
     from turtlelog.draw import Page
 
 
@@ -105,23 +105,24 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     jobs = require_jobs(jobs)
     require_there(files or [])
     movie, asked, view = movie or MovieOptions(), asked or AskedOptions(), view or ViewOptions()
-    table = find_table(files or [], view)
+    table = find_sweep_table(files or [], view)
+    files = list_files(files or [])
     if table is not None:
         _require_no_figures(table, {"--only": only, "--format": formats, "--movie": movie.movie})
         draw_table(table, output, view, where or PageOptions(), asked.list_metrics(), json=json)
         return
-    require_movie(movie, files or [])
+    require_movie(movie, files)
     _require_clock(movie, timeline)
     if output is None:
         runs = _collect_runs(_require_scenes(files, movie), topics)
         film_runs(runs, movie, timeline=timeline)
-        _tell(_build_answer(files or [], runs, {}, [], (), movie), runs, json=json)
+        _tell(_build_answer(files, runs, {}, [], (), movie), runs, json=json)
         return
     names = None if only is None else split_names(only, "--only")
     is_file = output.suffix.lower() in PICTURES
     if is_file:
         _require_one(output, names, formats)
-        require_new_target(output, files or [], suffix=output.suffix.lower())
+        require_new_target(output, files, suffix=output.suffix.lower())
     else:
         _require_folder(output)
     kinds = (
@@ -131,7 +132,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     )
     page = _build_page(where or PageOptions(), kinds, names)
     asked.require_figures(names or [])
-    runs = _collect_runs(files or [], topics)
+    runs = _collect_runs(files, topics)
     kinds_of = None if names is None else asked.bind(names, runs)
     drawing = _Drawing(runs=runs, only=kinds_of, formats=kinds, page=page, jobs=jobs)
     if is_file:
@@ -149,7 +150,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         print_note(f"plot: {line}")
     _tell_whole(figures.values(), page)
     film_runs(runs, movie, timeline=timeline)
-    answer = _build_answer(files or [], runs, figures, tables, left_out, movie)
+    answer = _build_answer(files, runs, figures, tables, left_out, movie)
     _tell(answer, runs, json=json)
 
 

@@ -28,12 +28,16 @@ from turtlelog.cli.replay_answer import (
 )
 from turtlelog.cli.replay_choice import (
     ReplayOptions,
-    choose_scenario,
+    choose_replayed,
     require_sound,
     settle_file,
 )
-from turtlelog.cli.replay_commands import CommandReplayAnswer, replay_commands
-from turtlelog.cli.replay_plant import build_plant, format_plant
+from turtlelog.cli.replay_plant import (
+    CommandReplayAnswer,
+    build_plant,
+    format_plant,
+    replay_commands_alone,
+)
 from turtlelog.cli.scenario_options import ScenarioOptions
 from turtlelog.cli.targets import require_new_target
 
@@ -87,12 +91,12 @@ def replay(
     (run,) = read_runs([file], topics, allow_no_poses=True)
     with name_as_typed(file, run):
         if not len(run.poses):
-            _print(*replay_commands(file, run, mode, changes, output), json=json)
+            _print(*replay_commands_alone(file, run, mode, changes, output), json=json)
             return EXIT_FINE
         if mode.plant:
             answer, text, found = _replay_plant(file, run)
         else:
-            scenario = choose_scenario(run, mode, changes, kind)
+            scenario = choose_replayed(run, mode, changes, kind)
             replay_as = _replay_loop if mode.law is None else _replay_law
             answer, text, found = replay_as(file, run, scenario, mode, output)
     failed = False

@@ -88,7 +88,7 @@ def require_sound(
         )
 
 
-def choose_scenario(
+def choose_replayed(
     run: "Run", options: ReplayOptions, changes: ScenarioOptions | None, kind: str | None
 ) -> "Scenario | None":
     """Return the scenario to replay, None if it is to be the recording's own as it is."""

@@ -15,6 +15,7 @@ from turtlelog.cli.options import (
     Json,
     Place,
     ReadingOptions,
+    list_files,
     list_reading_words,
     read_runs,
     require_files,
@@ -72,6 +73,7 @@ def report(
     """
     require_files(files)
     require_there(files)
+    files = list_files(files)
     inputs = [*files, *([] if spec is None else [spec])]
     require_new_target(output, inputs, suffix=".html")
     runs = read_runs(files, topics)
@@ -152,7 +154,7 @@ def build_check_lines(
     """
     from turtlelog.check.violation import find_violated_signal
     from turtlelog.draw.report import CheckLine
-    from turtlelog.draw.report.violation_plots import MOST_VIOLATIONS
+    from turtlelog.draw.report.marked_plots import MOST_VIOLATIONS
 
     def tell(value: float | None, unit: str) -> str:
         return "" if value is None else format_number(value, unit)

@@ -4,30 +4,25 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
-from turtlelog.cli.options import (
-    Connect,
-    Json,
-    Output,
-    Place,
-    StepBudgetMs,
-    choose_step_budget,
-)
+from turtlelog.cli.options import Connect, Json, Output, Place, StepBudgetMs, choose_step_budget
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
+    describe_metrics,
+    fill_lines,
+    fit_table,
     flush_stdout,
     print_json,
     print_note,
     print_text,
 )
 from turtlelog.cli.progress import Progress, show_progress, watch_ticks
-from turtlelog.cli.run_answer import build_answer, format_run, write_end
 from turtlelog.cli.scenario_options import (
     LawOptions,
     RowOptions,
@@ -37,6 +32,7 @@ from turtlelog.cli.scenario_options import (
 )
 from turtlelog.cli.targets import require_new_target
 from turtlelog.cli.watch import describe_change, list_watched, watch_runs
+from turtlelog.display import describe_count
 from turtlelog.errors import SimulationError, UsageError
 from turtlelog.files.urls import make_path
 
@@ -45,6 +41,7 @@ if TYPE_CHECKING:
     from turtlelog.draw.rerun.viewer import ViewerProcess
     from turtlelog.log.live_run import Sink
     from turtlelog.simulate import Tick
+
 
 ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]
 
@@ -229,8 +226,8 @@ def _answer(
     if json:
         print_json(build_answer(result, output=record.output, rrd=record.rrd))
     else:
-        table = format_run(result) if before is None else describe_change(result, before)
-        print_text(f"{write_end(result)}\n\n{table}")
+        table = _format_run(result) if before is None else describe_change(result, before)
+        print_text(f"{_write_end(result)}\n\n{table}")
     return code
 
 
@@ -329,3 +326,62 @@ class _Watcher:
 
     def close(self, notes: Mapping[str, str]) -> None:  # noqa: ARG002
         self._progress.close()
+
+
+_LONGEST: Final = 24
+"""Of a name [characters]: of a longer one the changes have a line of their own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunAnswer:
+    """How a simulated run ended.
+
+    Attributes:
+        name: Name of the run.
+        file: The recording that was written; None without one.
+        rrd: The Rerun recording that was written; None without one.
+        samples: Number of samples.
+        stop_reason: Why it ended.
+        metrics: All its metrics.
+    """
+
+    name: str
+    file: str | None
+    rrd: str | None
+    samples: int
+    stop_reason: str | None
+    metrics: list[dict[str, Any]]
+
+
+def build_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAnswer:
+    """Return the answer."""
+    return RunAnswer(
+        name=run.name,
+        file=None if output is None else str(output),
+        rrd=None if rrd is None else str(rrd),
+        samples=len(run.samples),
+        stop_reason=run.stop_reason,
+        metrics=describe_metrics(tl.measure_run(run)),
+    )
+
+
+def _write_end(run: "Run") -> str:
+    """Return how far from the goal a run ended and when, and why it ended."""
+    name, changes = _split_name(run)
+    lines = [f"{name}: {tl.charts.describe_end(run)}."]
+    lines += [f"Changed: {changes}"] if changes else []
+    lines += [f"{describe_count(len(run.samples), 'sample')}. {run.events[-1].text}"]
+    return fill_lines(lines)
+
+
+def _split_name(run: "Run") -> tuple[str, str]:
+    """Return a name that fits a table, and the changes that a longer one tells."""
+    base, _, changes = run.name.partition(" ")
+    return (run.name, "") if len(run.name) <= _LONGEST or not changes else (base, changes)
+
+
+def _format_run(run: "Run") -> str:
+    """Return the essential metrics as a table."""
+    only = tl.measure.list_essential_metrics(run.declaration)
+    named = replace(run, name=_split_name(run)[0])
+    return fit_table(tl.compare.tabulate_metrics([named], only=only))

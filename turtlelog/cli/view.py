@@ -19,6 +19,7 @@ from turtlelog.cli.options import (
     Files,
     Place,
     ReadingOptions,
+    list_files,
     read_runs,
     require_files,
     require_there,
@@ -116,6 +117,7 @@ def view(
     _require_picture(picture, movie)
     require_movie(movie, files)
     require_there(files)
+    files = list_files(files)
     require_new_target(save, files, suffix=".rrd")
     require_new_target(picture.snapshot, files, suffix=".png")
     width_and_height = _parse_size(picture.size)

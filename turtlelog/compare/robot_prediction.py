@@ -42,7 +42,7 @@ from turtlelog.identify.axis_motion import (
     read_axis_motion,
 )
 from turtlelog.identify.motion_prediction import AxisTraces, join_rates
-from turtlelog.replay.lagged_drive import sense_driven
+from turtlelog.replay.commanded_plant import sense_driven
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.columns import take_rows

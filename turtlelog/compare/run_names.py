@@ -1,7 +1,6 @@
 """Names that tell runs apart in one table or picture, and their order in it."""
 
 import math
-import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from turtlelog.compare.run_summary import RunSummary, complete_parameters
+from turtlelog.display import split_numbers
 from turtlelog.log import split_topic
 from turtlelog.run import Parameter, Run
 
@@ -157,19 +157,10 @@ def order_by_gain(runs: Sequence[AnyRun]) -> tuple[AnyRun, ...]:
     Runs of the same gains stand in the natural order of their names (`run2` before `run10`), those
     of one name as they were; a run without gains comes after those that have them.
     """
-    return tuple(sorted(runs, key=lambda run: (_get_gains(run), _split_numbers(run.name))))
+    return tuple(sorted(runs, key=lambda run: (_get_gains(run), split_numbers(run.name))))
 
 
 def _get_gains(run: Run | RunSummary) -> tuple[float, ...]:
     gains = [run.parameters.get(key) for key in run.declaration.list_gains()]
     known = [float(gain) if isinstance(gain, int | float) else math.inf for gain in gains]
     return tuple(known) if known else (math.inf,)
-
-
-def _split_numbers(name: str) -> list[str | tuple[int, str]]:
-    """Return text and numbers by turns, beginning with text, so that names can be compared.
-
-    A number is how many digits it has and these: Python reads no int of many thousand.
-    """
-    parts = re.split(r"0*([0-9]+)", name)
-    return [(len(part), part) if index % 2 else part for index, part in enumerate(parts)]

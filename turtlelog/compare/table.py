@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any, Final, Literal
 
 from turtlelog.display import describe_count, fit_line, format_answer, format_html, format_number
-from turtlelog.run.tabular import Tabular
+from turtlelog.run.tables import Tabular
 
 Cell = str | float | int | None
 Mark = Literal["best", "worst"]

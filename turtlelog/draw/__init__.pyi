@@ -28,16 +28,17 @@ from .rerun.live_viewer import (
     follow_recording as follow_recording,
     open_window as open_window,
 )
-from .rerun.prediction_scene import write_prediction_rrd as write_prediction_rrd
-from .rerun.robot_scene import write_robot_rrd as write_robot_rrd
+from .rerun.robot_scene import (
+    write_prediction_rrd as write_prediction_rrd,
+    write_robot_rrd as write_robot_rrd,
+)
 from .rerun.run_scene import write_run_rrd as write_run_rrd
 from .rerun.snapshot import (
     ShownView as ShownView,
     ViewReport as ViewReport,
     write_snapshot as write_snapshot,
 )
-from .rerun.viewer import open_viewer as open_viewer
+from .rerun.viewer import open_viewer as open_viewer, serve_recordings as serve_recordings
 from .rerun.violation_scene import write_violation_rrd as write_violation_rrd
-from .rerun.web import serve_recordings as serve_recordings
 from .shown_run import show_run as show_run
 from .table_formats import TABLE_FORMATS as TABLE_FORMATS, format_table as format_table

@@ -14,13 +14,13 @@ from turtlelog.replay.differences import (
 )
 from turtlelog.replay.run_pairs import (
     compare_ends,
+    count_missing_samples,
     count_recorded_rows,
     find_count_difference,
     has_ticks,
     pair_by_sample,
     pair_by_tick,
 )
-from turtlelog.replay.sample_pairs import count_missing
 from turtlelog.run import Run
 
 Part = Literal["start", "robot", "sensor", "controller", "timing", "end"]
@@ -80,7 +80,7 @@ def find_departure(first: Run, second: Run) -> Departure | None:
 
 def _pair(first: Run, second: Run) -> Iterator[Pairing]:
     """Yield the signals row by row: causes before what follows from them at one time."""
-    if count_missing(second.samples):  # rows are matched by the number of their sample
+    if count_missing_samples(second.samples):  # rows are matched by the number of their sample
         return
     by_tick = has_ticks(first) and has_ticks(second)
     pairings = (pair_by_tick if by_tick else pair_by_sample)(first, second)

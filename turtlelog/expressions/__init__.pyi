@@ -1,22 +1,18 @@
 from .evaluation import (
+    Kind as Kind,
+    Operand as Operand,
     Values as Values,
     check_comparison as check_comparison,
+    compare_operands as compare_operands,
     describe_unknown_name as describe_unknown_name,
     evaluate_expression as evaluate_expression,
     evaluate_node as evaluate_node,
     fail_at as fail_at,
     require_kind as require_kind,
 )
-from .operands import (
-    Kind as Kind,
-    Operand as Operand,
-    compare_operands as compare_operands,
-)
 from .parser import (
-    parse_expression as parse_expression,
-)
-from .printing import (
     format_expression as format_expression,
+    parse_expression as parse_expression,
 )
 from .tokens import (
     draw_caret as draw_caret,

@@ -1,14 +1,10 @@
-"""Text -> tree, by precedence climbing. Nothing here runs text as Python.
-
-From loosest to tightest: implies (to the right), or, and, until (to the right), not,
-comparisons (chained), + -, * /, unary -, ** (to the right).
-"""
+"""Text -> tree, by precedence climbing, and tree -> text. Nothing here runs text as Python."""
 
 import math
 from typing import Any, Final, NoReturn, cast
 
 from turtlelog.errors import suggest_names
-from turtlelog.expressions.operands import ARGUMENTS, describe_arguments
+from turtlelog.expressions.evaluation import ARGUMENTS, describe_arguments
 from turtlelog.expressions.tokens import Token, build_error, split_tokens
 from turtlelog.expressions.tree import (
     Arithmetic,
@@ -26,17 +22,17 @@ from turtlelog.expressions.tree import (
     Until,
 )
 
-DEEPEST: Final = 100  # levels of nesting, so that no caller meets Python's recursion limit
+_DEEPEST: Final = 100  # levels of nesting, so that no caller meets Python's recursion limit
 
-COMPARISONS: Final = ("<", "<=", ">", ">=", "==", "!=")
+_COMPARISONS: Final = ("<", "<=", ">", ">=", "==", "!=")
 
-PRECEDENCE: Final = {
+_PRECEDENCE: Final = {
     "implies": 1,
     "or": 2,
     "and": 3,
     "until": 4,
     "not": 5,
-    **dict.fromkeys(COMPARISONS, 6),
+    **dict.fromkeys(_COMPARISONS, 6),
     "+": 7,
     "-": 7,
     "*": 8,
@@ -46,7 +42,7 @@ PRECEDENCE: Final = {
 }
 """The higher, the tighter. `unary -` is the minus of -x."""
 
-_INFIX: Final = frozenset(PRECEDENCE) - {"not", "unary -"}
+_INFIX: Final = frozenset(_PRECEDENCE) - {"not", "unary -"}
 
 
 def parse_expression(text: str, *, source: str = "expression") -> Expression:
@@ -112,17 +108,17 @@ class _Parser:
     def _find_binding(self) -> int:
         token = self._next
         is_infix = token.kind == "operator" and token.text in _INFIX
-        return PRECEDENCE[token.text] if is_infix else 0
+        return _PRECEDENCE[token.text] if is_infix else 0
 
     def _parse_infix(self, left: Node, token: Token, binding: int) -> Node:
-        if binding == PRECEDENCE["<"]:
+        if binding == _PRECEDENCE["<"]:
             return self._parse_comparison(left, token)
         if token.text in {"and", "or"}:
             return self._parse_joined(left, token, binding)
         window = self._parse_window() if token.text == "until" else (0.0, math.inf)
         to_the_right = token.text in {"implies", "until", "**"}
         if token.text == "**":  # its exponent may be negative: 10**-3
-            right = self._parse_level(PRECEDENCE["unary -"])
+            right = self._parse_level(_PRECEDENCE["unary -"])
         else:
             right = self._parse_level(binding if to_the_right else binding + 1)
         at = token.column
@@ -136,10 +132,10 @@ class _Parser:
         return self._grow(Arithmetic(operator=operator, left=left, right=right, column=at), token)
 
     def _parse_comparison(self, left: Node, first: Token) -> Node:
-        operators, operands = [first], [left, self._parse_level(PRECEDENCE["<"] + 1)]
-        while self._find_binding() == PRECEDENCE["<"]:
+        operators, operands = [first], [left, self._parse_level(_PRECEDENCE["<"] + 1)]
+        while self._find_binding() == _PRECEDENCE["<"]:
             operators.append(self._take())
-            operands.append(self._parse_level(PRECEDENCE["<"] + 1))
+            operands.append(self._parse_level(_PRECEDENCE["<"] + 1))
         node = Comparison(
             operators=tuple(cast("Any", token.text) for token in operators),
             operands=tuple(operands),
@@ -176,7 +172,7 @@ class _Parser:
             self._expect(")")
             return inside
         if token.text in {"-", "not"}:
-            binding = PRECEDENCE["not" if token.text == "not" else "unary -"]
+            binding = _PRECEDENCE["not" if token.text == "not" else "unary -"]
             operator, operand = cast("Any", token.text), self._parse_level(binding)
             return self._grow(
                 Prefix(operator=operator, operand=operand, column=token.column), token
@@ -256,6 +252,91 @@ class _Parser:
         return node
 
     def _check_depth(self, depth: int, token: Token) -> None:
-        if depth > DEEPEST:
-            problem = f"expected at most {DEEPEST} levels of nesting, found more"
+        if depth > _DEEPEST:
+            problem = f"expected at most {_DEEPEST} levels of nesting, found more"
             raise build_error(self._source, self._text, token.column, problem)
+
+
+_ATOM = 11
+
+
+def format_expression(expression: Expression | Node) -> str:
+    """Return an expression, or part of one, as text with no more parentheses than it needs."""
+    return _format(expression.root if isinstance(expression, Expression) else expression)
+
+
+def _format(node: Node) -> str:
+    match node:
+        case Name(name=name):
+            return name
+        case Call(function=function, arguments=arguments):
+            return f"{function}({', '.join(_format(argument) for argument in arguments)})"
+        case Temporal(operator=operator, operand=operand):
+            return f"{operator}{_format_window(node)}({_format(operand)})"
+        case Number() | Text() | Truth():
+            return _format_constant(node)
+    return _format_operator(node)
+
+
+def _format_constant(node: Number | Text | Truth) -> str:
+    match node:
+        case Number(value=value):
+            return "inf" if math.isinf(value) else f"{value!r}".removesuffix(".0")
+        case Text(value=value):
+            return f'"{value}"' if '"' not in value else f"'{value}'"
+    return "true" if node.value else "false"
+
+
+def _format_operator(node: Node) -> str:
+    binding = _find_binding(node)
+    match node:
+        case Prefix(operator=operator, operand=operand):
+            space = " " if operator == "not" else ""
+            return f"{operator}{space}{_wrap(operand, binding)}"
+        case Comparison(operators=operators, operands=operands):
+            first, *others = (_wrap(operand, binding + 1) for operand in operands)
+            pairs = zip(operators, others, strict=True)
+            return " ".join([first, *(f"{operator} {right}" for operator, right in pairs)])
+        case Logic(operator="and" | "or" as operator, operands=operands):
+            return f" {operator} ".join(_wrap(operand, binding + 1) for operand in operands)
+    return _format_pair(node, *node.list_children())
+
+
+def _format_pair(node: Node, left: Node, right: Node) -> str:
+    """Format what has two operands; `implies` and `until` associate to the right."""
+    binding = _find_binding(node)
+    match node:
+        case Arithmetic(operator="**"):
+            return f"{_wrap(left, binding + 1)}**{_wrap(right, _PRECEDENCE['unary -'])}"
+        case Arithmetic(operator=operator):
+            return f"{_wrap(left, binding)} {operator} {_wrap(right, binding + 1)}"
+        case Until():
+            word = f"until{_format_window(node)}"
+        case _:
+            word = "implies"
+    return f"{_wrap(left, binding + 1)} {word} {_wrap(right, binding)}"
+
+
+def _wrap(node: Node, loosest: int) -> str:
+    text = _format(node)
+    return text if _find_binding(node) >= loosest else f"({text})"
+
+
+def _format_window(node: Temporal | Until) -> str:
+    if (node.start_s, node.end_s) == (0.0, math.inf):
+        return ""
+    ends = (_format(Number(value=end_s)) for end_s in (node.start_s, node.end_s))
+    return f"[{', '.join(ends)}]"
+
+
+def _find_binding(node: Node) -> int:
+    match node:
+        case Prefix(operator=operator):
+            return _PRECEDENCE["unary -" if operator == "-" else "not"]
+        case Logic(operator=operator) | Arithmetic(operator=operator):
+            return _PRECEDENCE[operator]
+        case Comparison():
+            return _PRECEDENCE["<"]
+        case Until():
+            return _PRECEDENCE["until"]
+    return _ATOM

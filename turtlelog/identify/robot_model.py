@@ -10,7 +10,7 @@ from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
 from turtlelog.identify.robot_structure import Bound, Order, Structure
 from turtlelog.run import Clock
-from turtlelog.theory.control_systems import build_delayed
+from turtlelog.theory.process import build_delayed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,8 +23,14 @@ from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.walk import Loss, Section
 from turtlelog.log.error_boundary import DamageError, UnfinishedError
-from turtlelog.log.recording.head import HEAD, add_lost, parse_head, parse_scenario_file
-from turtlelog.log.recording.recovery_note import describe_damages, describe_recovery
+from turtlelog.log.recording.head import (
+    HEAD,
+    add_lost,
+    describe_damages,
+    describe_recovery,
+    parse_head,
+    parse_scenario_file,
+)
 from turtlelog.log.recording.topics import COMMAND, CONTROL, EVENT, GOAL, POSE
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables

@@ -20,7 +20,7 @@ LEAST_LEVEL: Final = math.cos(math.radians(85.0))
 at 85 deg of pitch 1 deg of noise turns it by 11 deg."""
 
 
-def describe_plane(z_m: Values | None, tilt_rad: Values | None) -> str | None:
+def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
     """Return one sentence on a robot that leaves the plane, None where it stays in it.
 
     Args:
@@ -51,10 +51,10 @@ def lift_poses(z_m: Values | None, tilt_rad: Values | None) -> dict[str, Values]
     """Return the heights and tilts of a robot that leaves the plane, by the names of its columns.
 
     Args:
-        z_m: As in `describe_plane`.
+        z_m: As in `describe_height`.
         tilt_rad: Likewise.
     """
-    if describe_plane(z_m, tilt_rad) is None:
+    if describe_height(z_m, tilt_rad) is None:
         return {}
     found = {"height_m": z_m, "tilt_rad": tilt_rad}
     return {

@@ -25,10 +25,10 @@ from turtlelog.log.engine.summary import FileSummary, salvage_summary
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.exporters import describe_bag
-from turtlelog.log.recording.recovery_note import RECOVERY, format_recovery
+from turtlelog.log.recording.head import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
 from turtlelog.log.ros2 import METADATA_FILE
-from turtlelog.log.ros2.bag_folder import list_present_files, read_compression
+from turtlelog.log.ros2.bag import list_present_files, read_compression
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

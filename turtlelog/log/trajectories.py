@@ -16,7 +16,7 @@ from turtlelog.log import importers
 from turtlelog.log.any_file import LOG_SUFFIXES, is_bag_file, read_as_chosen
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers.table_cells import Cells, Values
-from turtlelog.log.importers.table_columns import choose_columns
+from turtlelog.log.importers.table_columns import assign_columns
 from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, split_topic
 from turtlelog.log.ros2.bag import Bag, open_bag
@@ -109,12 +109,12 @@ def _is_plain_table(path: Path, choice: ReadChoice) -> bool:
 
 
 def _has_rotations(table: PlainTable, choice: ReadChoice) -> bool:
-    chosen = choose_columns(table.names, choice.columns, table.units)
+    chosen = assign_columns(table.names, choice.columns, table.units)
     return {"t", "x", "y", "z", *_QUATERNION} <= {*chosen}
 
 
 def _build_from_table(path: Path, table: PlainTable, choice: ReadChoice) -> Trajectory:
-    cells = Cells(table, choose_columns(table.names, choice.columns, table.units))
+    cells = Cells(table, assign_columns(table.names, choice.columns, table.units))
     xyz_m = np.column_stack([cells.require(name) for name in "xyz"])
     turns = np.column_stack([cells.require(name) for name in ("qw", "qx", "qy", "qz")])
     with np.errstate(over="ignore"):

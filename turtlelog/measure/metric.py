@@ -20,7 +20,7 @@ from turtlelog.display import (
 )
 from turtlelog.errors import CheckError, MeasureError, MissingValueError
 from turtlelog.measure.numeric import MIRRORED, OPERATORS, Numeric
-from turtlelog.run.tabular import Tabular, refuse_array
+from turtlelog.run.tables import Tabular, refuse_array
 
 
 class Status(enum.StrEnum):

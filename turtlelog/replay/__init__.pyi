@@ -1,4 +1,4 @@
-from .commands_alone import (
+from .commanded_plant import (
     CommandReplay as CommandReplay,
     drive_commands as drive_commands,
 )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line
 from turtlelog.errors import ReplayError as ReplayError
 from turtlelog.laws import Law, Pose, find_law
-from turtlelog.log.recording.recovery_note import LOSS_NOTES
+from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.bag_reader import NOT_READ
 from turtlelog.plants import find_plant
@@ -24,16 +24,17 @@ from turtlelog.replay.differences import (
     require_tolerance,
 )
 from turtlelog.replay.plant_ticks import advise_other_mode
-from turtlelog.replay.run_pairs import compare_last_answer, has_ticks
-from turtlelog.replay.sample_pairs import (
+from turtlelog.replay.run_pairs import (
     COMMANDS,
     PUBLISHED,
     Answers,
     compare_declarations,
-    count_missing,
+    compare_last_answer,
+    count_missing_samples,
     has_all_commands,
     has_published,
-    list_absent,
+    has_ticks,
+    list_unrecorded,
     pair_published,
     pair_samples,
 )
@@ -149,7 +150,7 @@ def replay_law(
         name=run.name,
         scenario=scenario,
         samples=len(answers),
-        missing_samples=count_missing(run.samples),
+        missing_samples=count_missing_samples(run.samples),
         signals=signals,
         commands=others[0],
         stop=stop,
@@ -158,7 +159,7 @@ def replay_law(
         first_command_difference=find_earliest(
             signal.first_difference for signal in signals if signal.signal in COMMANDS
         ),
-        absent=(*list_absent(recorded, found), *(() if has_published(run) else PUBLISHED)),
+        absent=(*list_unrecorded(recorded, found), *(() if has_published(run) else PUBLISHED)),
         answers=answers,
     )
 
@@ -211,7 +212,7 @@ def _iterate_answers(run: Run, loop: PlainLoop) -> Iterator[tuple[SampleRow, tup
 
 def _count_published(run: Run) -> Difference | None:
     """Return how many commands there are beside how many samples, where no row is lost."""
-    is_lossy = count_missing(run.samples) or not run.notes.keys().isdisjoint(LOSS_NOTES)
+    is_lossy = count_missing_samples(run.samples) or not run.notes.keys().isdisjoint(LOSS_NOTES)
     if has_published(run) or is_lossy or "commands" in run.absent:
         return None
     samples, commands = len(run.samples), len(run.commands)

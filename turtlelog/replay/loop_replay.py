@@ -22,15 +22,17 @@ from turtlelog.replay.plant_ticks import advise_other_mode
 from turtlelog.replay.run_pairs import (
     SENSED,
     TIME_IS_UP,
+    Answers,
     RowCount,
+    compare_declarations,
     compare_ends,
     count_recorded_rows,
     find_count_difference,
     has_ticks,
+    list_unrecorded,
     pair_by_sample,
     pair_by_tick,
 )
-from turtlelog.replay.sample_pairs import Answers, compare_declarations, list_absent
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import simulate_run
@@ -124,9 +126,9 @@ def replay_loop(
     by_tick = has_ticks(run)
     if not by_tick and not len(run.samples):
         raise ReplayError(
-            f"{run.name}: expected a pose per tick of exactly"
-            f" {find_plant(run).period_ns / 1e6:g} ms, or the samples of a controller, found"
-            f" neither: {run.source}; {advise_other_mode(run)}"
+            f"{run.name}: replay needs turtlesim's pose of each tick"
+            f" ({find_plant(run).period_ns / 1e6:g} ms) or the samples of a controller; this"
+            f" recording has neither; {advise_other_mode(run)}"
         )
     is_own = scenario is None
     scenario = restore_scenario(run) if scenario is None else scenario
@@ -179,7 +181,7 @@ def _list_absent(run: Run, replayed: Run) -> tuple[str, ...]:
     was = Answers(run.samples, run.declaration)
     is_lacking = run.poses.sensed_xy_m is None and replayed.poses.sensed_xy_m is not None
     sensed = tuple(SENSED) if is_lacking else ()
-    return (*sensed, *list_absent(was, Answers(replayed.samples, replayed.declaration)))
+    return (*sensed, *list_unrecorded(was, Answers(replayed.samples, replayed.declaration)))
 
 
 def _list_missing(names: Sequence[str], signals: Sequence[SignalDifference]) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line
 from turtlelog.plants import LAGGED, Turtle, find_plant
 from turtlelog.plants.turtlesim import TICK_S
+from turtlelog.replay.commanded_plant import drive_lagged
 from turtlelog.replay.differences import (
     Difference,
     Pairing,
@@ -21,7 +22,6 @@ from turtlelog.replay.differences import (
     find_earliest,
     format_replay_html,
 )
-from turtlelog.replay.lagged_drive import drive_lagged
 from turtlelog.replay.plant_ticks import Gap, Jump, RecordedMotion, find_breaks, read_motion
 from turtlelog.replay.taken_commands import CommandUse, Velocity, place_commands
 from turtlelog.run import Run

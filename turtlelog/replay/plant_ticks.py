@@ -71,7 +71,7 @@ def moves_as_turtlesim(run: Run) -> bool:
     return count < _FEWEST_MOVING or bool(np.count_nonzero(obeys & moves) >= _OBEYS * count)
 
 
-_OTHERS: Final = "for another robot use turtlelog metrics and turtlelog explain"
+_OTHERS: Final = "for another robot use turtlelog metrics and turtlelog identify"
 """What the replay of a robot's own recording is refused with."""
 
 

@@ -1,10 +1,11 @@
-"""A run as flat tables: columns by name with their units, for Arrow, pandas, CSV and Parquet."""
+"""A run as flat tables, and values that are a table, for Arrow, pandas, polars, CSV and Parquet."""
 
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, fields
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from turtlelog.run.declaration_json import format_declaration
 if TYPE_CHECKING:
     from turtlelog.run.run import Run
 
+
 Table = Mapping[str, NDArray[Any]]
 """Columns by name, all of one length: float64, int64, or text as objects."""
 
@@ -24,6 +26,37 @@ _UNITS: Final = MappingProxyType(
     {"_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_ns": "ns", "_m": "m"}
 )
 """Units by how the name of a column ends, the longest ending first."""
+
+
+def _flatten(columns: PoseColumns | CommandColumns | SampleColumns) -> Table:
+    table: dict[str, NDArray[Any]] = {}
+    for column in fields(columns):
+        name, values = column.name, getattr(columns, column.name)
+        if values is None or name == "states":
+            continue
+        if name in PAIRS:
+            table |= zip(PAIRS[name], values.T, strict=True)
+        else:
+            table[name] = values
+    return table
+
+
+def _tabulate_samples(run: "Run") -> Table:
+    labels = np.array(run.phase_names, dtype=object)
+    table = dict(_flatten(run.samples)) | {"phase": labels[run.samples.phase]}
+    states = () if run.samples.states is None else run.samples.states.T
+    for name, values in zip(run.declaration.states, states, strict=True):
+        table[name if name not in table else f"state_{name}"] = values
+    return table
+
+
+def _tabulate_events(run: "Run") -> Table:
+    return {
+        "time_ns": np.array([event.time_ns for event in run.events], dtype=np.int64),
+        "kind": np.array([event.kind for event in run.events], dtype=object),
+        "text": np.array([event.text for event in run.events], dtype=object),
+    }
+
 
 TABLES: Final[Mapping[str, Callable[["Run"], Table]]] = MappingProxyType(
     {
@@ -59,7 +92,7 @@ def list_units(run: "Run", table: str) -> dict[str, str]:
     return {name: units[0] for name, units in found.items() if units} | dict(states)
 
 
-def list_facts(run: "Run") -> dict[str, str]:
+def _list_facts(run: "Run") -> dict[str, str]:
     """Return what a table alone does not hold, as texts by name; JSON where it is no text.
 
     `scenario` are the parameters that are known, by dotted key; `declaration` is the law's.
@@ -99,7 +132,7 @@ def iterate_arrow(run: "Run", table: str, most_rows: int | None = None) -> Itera
             pa.field(name, kinds[values.dtype.kind], metadata=described.get(name))
             for name, values in columns.items()
         ],
-        metadata={f"turtlelog.{key}": text for key, text in list_facts(run).items()},
+        metadata={f"turtlelog.{key}": text for key, text in _list_facts(run).items()},
     )
     rows = max(1, len(columns["time_ns"]))
     step = most_rows or rows
@@ -112,7 +145,7 @@ def build_pandas(run: "Run", table: str) -> Any:
     """Return a table of a run as a `pandas.DataFrame`, with units and the run in its `attrs`."""
     columns = tabulate_run(run, table)
     frame = load_library("pandas").DataFrame(dict(columns))
-    frame.attrs = {"turtlelog": list_facts(run), "units": list_units(run, table)}
+    frame.attrs = {"turtlelog": _list_facts(run), "units": list_units(run, table)}
     return frame
 
 
@@ -125,34 +158,66 @@ def build_xarray(run: "Run", table: str) -> Any:
     }
     time_s = ("time_s", (columns["time_ns"] - run.start_ns) / 1e9, {"units": "s"})
     xarray = load_library("xarray")
-    return xarray.Dataset(described, coords={"time_s": time_s}, attrs=list_facts(run))
+    return xarray.Dataset(described, coords={"time_s": time_s}, attrs=_list_facts(run))
 
 
-def _flatten(columns: PoseColumns | CommandColumns | SampleColumns) -> Table:
-    table: dict[str, NDArray[Any]] = {}
-    for column in fields(columns):
-        name, values = column.name, getattr(columns, column.name)
-        if values is None or name == "states":
-            continue
-        if name in PAIRS:
-            table |= zip(PAIRS[name], values.T, strict=True)
-        else:
-            table[name] = values
-    return table
+class Tabular(ABC):
+    """A value that pandas, polars and Arrow read as a table with units.
+
+    `polars.DataFrame(value)`, `pyarrow.table(value)` and `pandas.DataFrame.from_arrow(value)` read
+    it through the Arrow protocol; `pandas.DataFrame(value)` does not know that, and raises an error
+    (`value.to_pandas()` is the same table).
+    """
+
+    __slots__ = ()
+
+    @abstractmethod
+    def _tabulate(self) -> Mapping[str, Any]:
+        """Return its columns by name, all of one length: arrays, or lists with None for none."""
+
+    def _list_units(self) -> Mapping[str, str]:
+        """Return the units of columns by name."""
+        return {}
+
+    def to_pandas(self) -> Any:
+        """Return the table as a `pandas.DataFrame`; its `attrs` hold the `units` of its columns.
+
+        Raises:
+            LibraryError: pandas is not installed; turtlelog does not install it.
+        """
+        columns = self._tabulate()
+        frame = load_library("pandas").DataFrame(
+            {name: _list_rows(cells) for name, cells in columns.items()}
+        )
+        frame.attrs = {"units": dict(self._list_units())}
+        return frame
+
+    def to_arrow(self) -> Any:
+        """Return the table as a `pyarrow.Table`; the metadata of a column holds its `unit`.
+
+        Raises:
+            LibraryError: pyarrow is not installed.
+        """
+        pa = load_library("pyarrow")
+        units = self._list_units()
+        arrays = {name: pa.array(_list_rows(cells)) for name, cells in self._tabulate().items()}
+        fields = [
+            pa.field(name, cells.type, metadata={"unit": units[name]} if name in units else None)
+            for name, cells in arrays.items()
+        ]
+        return pa.table([*arrays.values()], schema=pa.schema(fields))
+
+    def __arrow_c_stream__(self, requested_schema: Any = None) -> Any:
+        """Hand the table over to polars, Arrow and pandas."""
+        return self.to_arrow().__arrow_c_stream__(requested_schema)
 
 
-def _tabulate_samples(run: "Run") -> Table:
-    labels = np.array(run.phase_names, dtype=object)
-    table = dict(_flatten(run.samples)) | {"phase": labels[run.samples.phase]}
-    states = () if run.samples.states is None else run.samples.states.T
-    for name, values in zip(run.declaration.states, states, strict=True):
-        table[name if name not in table else f"state_{name}"] = values
-    return table
+def refuse_array(value: object) -> NoReturn:
+    """Refuse to be a numpy array, for tables that numpy and pandas would read as their names."""
+    kind = type(value).__name__
+    raise TypeError(f"{kind} is a table, not an array: to_pandas() and to_arrow() return it")
 
 
-def _tabulate_events(run: "Run") -> Table:
-    return {
-        "time_ns": np.array([event.time_ns for event in run.events], dtype=np.int64),
-        "kind": np.array([event.kind for event in run.events], dtype=object),
-        "text": np.array([event.text for event in run.events], dtype=object),
-    }
+def _list_rows(cells: Any) -> Any:
+    """Return a column of rows that are arrays as a list of them."""
+    return list(cells) if getattr(cells, "ndim", 1) > 1 else cells

@@ -2,6 +2,7 @@ from . import tune as tune
 from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,
+    is_one_recording as is_one_recording,
 )
 from .gain_borders import (
     Border as Border,
@@ -13,29 +14,25 @@ from .gain_borders import (
     list_gain_keys as list_gain_keys,
     tell_borders as tell_borders,
 )
-from .metric_rows import (
-    describe_values as describe_values,
-    plan_metric_table as plan_metric_table,
-)
 from .plan import (
     Sampling as Sampling,
     SweepPlan as SweepPlan,
     build_plan as build_plan,
 )
-from .prepared_sweep import (
-    Sweep as Sweep,
-    prepare_sweep as prepare_sweep,
-)
 from .recordings import (
     RecordingTable as RecordingTable,
     TabulatedFiles as TabulatedFiles,
     describe_former as describe_former,
+    describe_values as describe_values,
     hash_recording as hash_recording,
+    plan_metric_table as plan_metric_table,
     tabulate_recordings as tabulate_recordings,
 )
 from .result_table import (
     ResultColumn as ResultColumn,
     ResultTable as ResultTable,
+    read_result_facts as read_result_facts,
+    read_result_table as read_result_table,
     write_result_table as write_result_table,
 )
 from .sensitivities import (
@@ -47,14 +44,12 @@ from .sensitivities import (
 from .simulate_rows import (
     RowRecords as RowRecords,
 )
-from .stored_table import (
-    read_result_facts as read_result_facts,
-    read_result_table as read_result_table,
-)
 from .sweep_rows import (
+    Sweep as Sweep,
     SweepEstimate as SweepEstimate,
     SweepSummary as SweepSummary,
     estimate_sweep as estimate_sweep,
+    prepare_sweep as prepare_sweep,
     run_sweep as run_sweep,
 )
 from .sweep_scenario import (

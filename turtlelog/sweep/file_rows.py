@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.sweep.kept_parts import KeptParts
-from turtlelog.sweep.result_table import ResultColumn, ResultTable, cut_groups
+from turtlelog.sweep.result_table import (
+    ResultColumn,
+    ResultTable,
+    StoredTable,
+    cut_groups,
+    list_values,
+)
 from turtlelog.sweep.row_columns import (
     Cell,
     CellType,
@@ -22,7 +28,6 @@ from turtlelog.sweep.row_columns import (
     build_result_columns,
     parse_key,
 )
-from turtlelog.sweep.stored_table import StoredTable, list_values
 
 FILE: Final = Key("file")
 SIZE: Final = Key("size", "whole", "B")

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from turtlelog.display import split_numbers
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, is_url
 from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.error_boundary import open_file
 from turtlelog.log.importers.exported_tables import list_table_files
+from turtlelog.log.ros2.bag import list_bag_files
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE
 
 ENDINGS: Final = (*BAG_SUFFIXES, ".bag", ".csv", ".json", ".parquet", ".tsv", ".tum")
@@ -48,21 +50,17 @@ class FoundRecording:
 
 
 def find_recordings(
-    paths: Sequence[str | Path],
-    *,
-    is_recursive: bool = True,
-    without: Iterable[str | Path] = (),
+    paths: Sequence[str | Path], *, without: Iterable[str | Path] = ()
 ) -> list[FoundRecording]:
     """Return the recordings that are given and those below folders, each path once.
 
-    Names are sorted in each folder. Names that begin with a dot and `__pycache__` are left out. A
-    bag's folder and one of exported tables are one recording. A link to a folder is followed where
-    it leads out of the folders given, and no folder is walked twice. A folder that cannot be listed
-    counts as a recording, which then cannot be read.
+    Names are sorted in each folder, numbers in them by value. Names that begin with a dot and
+    `__pycache__` are left out. A bag's folder and one of exported tables are one recording. A link
+    to a folder is followed where it leads out of the folders given, and no folder is walked twice.
+    A folder that cannot be listed counts as a recording, which then cannot be read.
 
     Args:
         paths: Files, bags and folders.
-        is_recursive: Whether folders are walked; otherwise each is taken for a bag.
         without: Files that are no recordings, such as the table that is to be written.
 
     Raises:
@@ -78,7 +76,7 @@ def find_recordings(
             raise LogError(f"{path}: expected a file or folder on a disk, found a URL")
     for path in map(Path, paths):
         count = 0
-        for one in walk.list_below(path) if is_recursive else (path,):
+        for one in walk.list_below(path):
             count += 1
             place = str(one.absolute())
             if place not in found:
@@ -86,8 +84,7 @@ def find_recordings(
                 size, mtime_ns = stat_recording(one)
                 found[place] = FoundRecording(str(one), label, size, mtime_ns)
         if not count:
-            endings = ", ".join(ENDINGS)
-            raise LogError(f"{path}: no recordings in this folder ({endings} or bags)")
+            raise LogError(f"{path}: no recordings in this folder")
     return list(found.values())
 
 
@@ -107,11 +104,11 @@ class _Walk:
             if not _is_folder(path):
                 yield path
             elif self._enter(path, is_root=path == root):
-                if _is_one_recording(path):
+                if is_one_recording(path):
                     yield path
                     continue
                 try:
-                    inside = sorted(path.iterdir(), key=lambda one: one.name, reverse=True)
+                    inside = sorted(path.iterdir(), key=_rank, reverse=True)
                 except OSError:
                     yield path
                 else:
@@ -141,6 +138,10 @@ class _Walk:
         return not (name.endswith(".parquet") and _is_result_table(path))
 
 
+def _rank(path: Path) -> tuple[object, ...]:
+    return split_numbers(path.name), path.name
+
+
 def _is_folder(path: Path) -> bool:
     try:
         return path.is_dir()
@@ -167,18 +168,20 @@ def _is_result_table(path: Path) -> bool:
         return False
 
 
-def _is_one_recording(folder: Path) -> bool:
-    """Return whether a folder is a bag, or holds the tables of one run."""
-    place = folder / METADATA_FILE
+def is_one_recording(path: Path) -> bool:
+    """Return whether a path is a file, a bag's folder, or one with the tables of one run."""
+    if not _is_folder(path):
+        return True
+    place = path / METADATA_FILE
     try:
-        if place.is_file():
-            if _BAG_MARK in _read_start(place):
-                return True
-            # A description that is cut, empty or not fetched, beside what it describes.
-            if any(path.name.lower().endswith(BAG_SUFFIXES) for path in folder.iterdir()):
-                return True
-        return bool(list_table_files(folder))
-    except OSError:
+        files = [one for one in path.iterdir() if one.name.lower().endswith(BAG_SUFFIXES)]
+        # A description that is cut, empty or not fetched stands beside what it describes.
+        if place.is_file() and (files or _BAG_MARK in _read_start(place)):
+            return True
+        if len(files) > 1 and len(list_bag_files(path)) > 1:
+            return True
+        return bool(list_table_files(path))
+    except (OSError, LogError):
         return False
 
 

@@ -17,7 +17,7 @@ import msgspec
 
 from turtlelog.errors import SweepError
 from turtlelog.files.urls import RemotePath
-from turtlelog.sweep.stored_table import has_result_file, read_result_facts
+from turtlelog.sweep.result_table import has_result_file, read_result_facts
 
 T = TypeVar("T")
 U = TypeVar("U")

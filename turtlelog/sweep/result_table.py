@@ -1,15 +1,17 @@
-"""Tables of results, written as Parquet files: columns with units, and what the file is about.
-
-The same table gives the same bytes, with the same pyarrow. `stored_table` reads them.
-"""
+"""Tables of results in Parquet files: columns with units, and what the file is about."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from turtlelog.errors import LogError, SweepError
+from turtlelog.files.urls import is_there
 from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import replace_when_complete
+from turtlelog.log.error_boundary import name_file
+from turtlelog.log.parquet_file import ParquetFile, list_cells
 from turtlelog.version import __version__
 
 ColumnType = Literal["whole", "real", "text", "truth"]
@@ -21,7 +23,7 @@ FORMAT: Final = "1"
 ROW: Final = "row"
 """The column of the rows' numbers."""
 
-PREFIX: Final = "turtlelog."
+_PREFIX: Final = "turtlelog."
 """Begins the names of what a file says about itself, among those of Arrow and pandas."""
 
 _MOST_GROUPED: Final = 131_072
@@ -143,7 +145,7 @@ def _build_schema(table: ResultTable) -> Any:
         for column in table.columns
     ]
     own = {"kind": table.kind, "format": FORMAT, "version": table.version}
-    texts = {f"{PREFIX}{name}": text for name, text in {**table.facts, **own}.items()}
+    texts = {f"{_PREFIX}{name}": text for name, text in {**table.facts, **own}.items()}
     return pa.schema(fields, metadata=dict(sorted(texts.items())))
 
 
@@ -156,3 +158,229 @@ def _build_array(column: ResultColumn, rows: slice, kind: Any) -> Any:
     elif column.type == "real" and isinstance(cells, list | tuple):
         cells = [None if cell is None else float(cell) for cell in cells]
     return load_library("pyarrow").array(cells, kind)
+
+
+def has_result_file(path: Path) -> bool:
+    """Return whether there is a file to begin with, or behind a URL an object.
+
+    Raises:
+        LogError: If that cannot be told, or an object's bucket is not there.
+    """
+    with name_file(path, expected="a place that can be looked at"):
+        return is_there(path)
+
+
+def read_result_facts(path: str | Path) -> Mapping[str, str] | None:
+    """Return what a file says about itself: `kind`, `version` and the facts of its table.
+
+    None if it is a Parquet file that turtlelog wrote no table of results to.
+
+    Raises:
+        LogError: If it is no Parquet file, is cut, or a newer turtlelog wrote it.
+        LibraryError: If pyarrow is not installed.
+    """
+    with _name_table(path):
+        return _read_facts(ParquetFile(path).schema.metadata)
+
+
+def read_result_table(
+    path: str | Path, *, kind: str, columns: Sequence[str] | None = None
+) -> ResultTable:
+    """Return a table that `write_result_table` wrote.
+
+    Args:
+        path: The file.
+        kind: Kind of the expected table, such as `sweep`.
+        columns: Names of those to read; None: all.
+
+    Raises:
+        LogError: If it cannot be read, is no Parquet file, is cut, or holds another table.
+        LibraryError: If pyarrow is not installed.
+    """
+    return open_result_table(path, kind=kind).load(columns)
+
+
+def list_values(column: ResultColumn) -> list[Any]:
+    """Return cells of Arrow as values of Python."""
+    return list_cells(column.cells)
+
+
+def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
+    """Return the numbers of rows: those of the column `row`, where it tells every row apart.
+
+    A table that others filtered or sorted keeps them.
+
+    Args:
+        cells: Cells of that column; None if there is none.
+        count: Number of rows.
+    """
+    if cells is None or len(set(cells)) < count or not all(type(one) is int for one in cells):
+        return range(count)
+    return cells
+
+
+def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
+    """Return a table whose groups of rows are read one by one.
+
+    Raises:
+        LogError: As `read_result_table` does.
+        LibraryError: Likewise.
+    """
+    stored = StoredTable(path)
+    if stored.kind != kind:
+        other = f"a table of {stored.kind}" if stored.kind else "another Parquet file"
+        if not stored.kind and {ROW, "failed"} <= {*stored.names}:
+            other = "its columns without its metadata, which pandas and polars do not keep"
+        raise LogError(f"{path}: expected a table of {kind}, found {other}")
+    return stored
+
+
+class StoredTable:
+    """A table in a file, which is open only while it is read: it may be replaced meanwhile.
+
+    Attributes:
+        kind: See `ResultTable`; empty if it is none.
+        facts: Likewise.
+        version: Likewise.
+        names: Names of the columns.
+        group_rows: Number of rows in each group.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Read what the file says about itself; what goes wrong is as in `read_result_table`."""
+        self._path = path
+        with _name_table(path):
+            self._file = ParquetFile(path)
+            facts = dict(_read_facts(self._file.schema.metadata) or {})
+        self.kind, self.version = facts.pop("kind", ""), facts.pop("version", "")
+        facts.pop("format", None)
+        self.facts: Mapping[str, str] = facts
+        self.names: Sequence[str] = self._file.schema.names
+        self.group_rows = self._file.group_rows
+
+    @property
+    def row_count(self) -> int:
+        """Number of rows."""
+        return self._file.row_count
+
+    def read(
+        self, columns: Sequence[str] | None = None, group: int | None = None
+    ) -> list[ResultColumn]:
+        """Return columns whose cells are an array of Arrow.
+
+        Args:
+            columns: Names of those to read; None: all.
+            group: Group of rows; None: all.
+
+        Raises:
+            LogError: As `read_result_table` does.
+        """
+        with _name_table(self._path):
+            return list(_iterate_columns(self._file.read(columns, group)))
+
+    def load(self, columns: Sequence[str] | None = None) -> ResultTable:
+        """Return the table with values of Python as cells.
+
+        Args:
+            columns: Names of those to read; None: all.
+
+        Raises:
+            LogError: As `read_result_table` does.
+        """
+        found = [replace(one, cells=list_values(one)) for one in self.read(columns)]
+        return ResultTable(
+            kind=self.kind, columns=tuple(found), facts=self.facts, version=self.version
+        )
+
+    def read_row(self, row: int, names: Sequence[str]) -> list[Any]:
+        """Return the cells of columns in a row, as values of Python.
+
+        Raises:
+            KeyError: If a column is not there.
+            LogError: As `read` does.
+        """
+        group = 0
+        while row >= self.group_rows[group]:
+            row, group = row - self.group_rows[group], group + 1
+        found = {one.name: list_values(one)[row] for one in self.read(names, group)}
+        return [found[name] for name in names]
+
+    def find_row(self, number: int) -> int:
+        """Return where the row with a number in the column `row` stands.
+
+        Raises:
+            SweepError: If there is none.
+            LogError: As `read` does.
+        """
+        has_numbers = ROW in self.names
+        if 0 <= number < self.row_count and (
+            not has_numbers or self.read_row(number, [ROW]) == [number]
+        ):
+            return number
+        cells = None
+        if has_numbers:
+            cells = [cell for one in self.iterate(ROW) for cell in one.to_pylist()]
+        numbers = list_row_numbers(cells, self.row_count)
+        if number in numbers:
+            return numbers.index(number)
+        if not numbers:
+            raise SweepError(f"{self._path}: the table has no rows")
+        ends = f"{min(numbers)} to {max(numbers)}"
+        raise SweepError(f"{self._path}: expected a row from {ends}, found {number}")
+
+    def iterate(self, name: str) -> Iterator[Any]:
+        """Yield the cells of a column group by group, each an array of Arrow."""
+        for group in range(len(self.group_rows)):
+            for column in self.read([name], group):
+                yield column.cells
+
+    def count_values(self, name: str) -> int:
+        """Return how many cells of a column have a value; none of them is read."""
+        place, groups = self.names.index(name), range(len(self.group_rows))
+        chunks = (self._file.metadata.row_group(group).column(place) for group in groups)
+        return sum(chunk.statistics.num_values for chunk in chunks)
+
+
+def _name_table(path: str | Path) -> AbstractContextManager[None]:
+    return name_file(path, expected="a complete Parquet file")
+
+
+def _read_facts(metadata: Mapping[bytes, bytes] | None) -> Mapping[str, str] | None:
+    texts = {key.decode(): text.decode() for key, text in (metadata or {}).items()}
+    facts = {
+        key.removeprefix(_PREFIX): text for key, text in texts.items() if key.startswith(_PREFIX)
+    }
+    if not {"kind", "format", "version"} <= facts.keys():
+        return None
+    if facts["format"] != FORMAT:
+        raise LogError(
+            f"expected a table of format {FORMAT}, found format {facts['format'][:20]} of turtlelog"
+            f" {facts['version'][:20]}: a newer one reads it"
+        )
+    return facts
+
+
+_TYPES: Final[Mapping[str, ColumnType]] = {
+    **dict.fromkeys(("int64", "int32", "int16", "int8", "uint32", "uint16", "uint8"), "whole"),
+    **dict.fromkeys(("double", "float", "halffloat"), "real"),
+    "bool": "truth",
+    **dict.fromkeys(("string", "large_string", "string_view", "null"), "text"),
+}
+"""What columns are by Arrow's names of their types, among them those that others write."""
+
+
+def _iterate_columns(table: Any) -> Iterator[ResultColumn]:
+    pa = load_library("pyarrow")
+    text = pa.dictionary(pa.int32(), pa.string())
+    stored = {"whole": pa.int64(), "real": pa.float64(), "truth": pa.bool_(), "text": text}
+    for one, cells in zip(table.schema, table.columns, strict=True):
+        kind = _TYPES.get(str(getattr(one.type, "value_type", one.type)))
+        if kind is None or pa.types.is_nested(one.type):
+            raise LogError(f"{one.name}: expected numbers, texts or truths, found {one.type}")
+        unit = (one.metadata or {}).get(b"unit")
+        yield ResultColumn(
+            name=one.name,
+            type=kind,
+            cells=cells if one.type == stored[kind] else cells.cast(stored[kind]),
+            unit=None if unit is None else unit.decode(),
+        )

@@ -1,5 +1,7 @@
-"""The rows of a sweep, simulated on all cores into one table."""
+"""A sweep: its rows prepared, and simulated on all cores into one table."""
 
+import hashlib
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,22 +9,41 @@ from functools import partial as partial_call
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, overload
 
-from turtlelog.errors import LogError, SweepError
+from turtlelog.errors import LogError, ScenarioError, SweepError
 from turtlelog.files.urls import RemotePath, has_files, make_path
+from turtlelog.laws import is_given, read_law_source
+from turtlelog.laws.law_files import list_law_files
 from turtlelog.log.complete_files import remove_leftovers
 from turtlelog.log.error_boundary import name_file
+from turtlelog.measure import choose_metrics
 from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes
-from turtlelog.scenario import parse_scenario
+from turtlelog.scenario import (
+    Scenario,
+    flatten_scenario,
+    format_scenario,
+    parse_scenario,
+    resolve_scenario,
+)
+from turtlelog.simulate import declare_scenario
+from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.batch import find_batch
 from turtlelog.sweep.kept_parts import KeptParts, has_results, name_partial, require_same
-from turtlelog.sweep.prepared_sweep import Sweep, has_given_law
-from turtlelog.sweep.result_table import write_result_table
-from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
-from turtlelog.sweep.stored_table import open_result_table
+from turtlelog.sweep.plan import KP, SweepPlan, build_row_scenario
+from turtlelog.sweep.result_table import open_result_table, write_result_table
+from turtlelog.sweep.simulate_rows import (
+    RowChunk,
+    RowRecords,
+    RowResults,
+    is_batch,
+    require_condition,
+    simulate_rows,
+)
 from turtlelog.sweep.sweep_table import SweptRows, assemble_table, find_failure, list_valueless
+from turtlelog.version import __version__
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
+
 
 _CHUNK_S: Final = 0.5
 """Work in a chunk, as measured on the first row [s]: what an interruption costs at most."""
@@ -55,6 +76,56 @@ class SweepSummary:
     recorded: int = 0
     first_failure: str = ""
     valueless: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sweep:
+    """A prepared sweep; `prepare_sweep` makes one that can run.
+
+    Attributes:
+        base: The scenario that the rows vary, as text.
+        plan: Its rows.
+        metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
+        records: Runs that are recorded; None: no run.
+        law_code: A checksum of the files of a law that is not built in; empty otherwise.
+        step_budget_s: Time that a law may compute for one answer [s]; another one goes on with the
+            rows that are done.
+    """
+
+    base: str
+    plan: SweepPlan
+    metrics: tuple[str, ...] | None = None
+    records: RowRecords | None = None
+    law_code: str = ""
+    step_budget_s: float = STEP_BUDGET_S
+
+    def list_facts(self) -> dict[str, str]:
+        """Return what makes two sweeps the same, as file metadata have it."""
+        where = None if self.records is None else (self.records.folder, self.records.where)
+        return {
+            "base": self.base,
+            "plan": self.plan.describe(),
+            "metrics": json.dumps(self.metrics),
+            "records": json.dumps(where),
+            "law_code": self.law_code,
+            "version": __version__,
+        }
+
+    def cut_chunk(self, first: int, count: int, *, ahead: int = 0, threads: int = 1) -> RowChunk:
+        """Return the work on some rows."""
+        rows = range(first, first + count)
+        columns = [self.plan.list_values(rows, key) for key in self.plan.keys]
+        return RowChunk(
+            base=self.base,
+            keys=self.plan.keys,
+            first=first,
+            values=tuple(zip(*columns, strict=True)),
+            metrics=self.metrics,
+            records=self.records,
+            ahead=ahead,
+            threads=threads,
+            step_budget_s=self.step_budget_s,
+        )
 
 
 def run_sweep(
@@ -167,7 +238,7 @@ def _simulate(
             jobs, threads = 1, jobs
     else:
         size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // count)))
-    is_forked = has_given_law(sweep)
+    is_forked = _has_given_law(sweep)
     if is_forked and isinstance(jobs, int) and not CAN_FORK:
         jobs = 1
     cut = partial_call(sweep.cut_chunk, ahead=rest // count, threads=threads)
@@ -268,3 +339,84 @@ def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:
     row_s = (time.perf_counter() - begun) / len(probes)
     numbers = 1 + len(sweep.plan.keys) + len(found.metrics)
     return SweepEstimate(seconds=row_s * count / jobs, bytes=8 * numbers * count)
+
+
+def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
+    base: Scenario,
+    plan: SweepPlan,
+    *,
+    metrics: Sequence[str] | None = None,
+    records: RowRecords | None = None,
+    trust_law: bool = False,
+    step_budget_s: float = STEP_BUDGET_S,
+    source: str = "grid",
+) -> Sweep:
+    """Return a sweep of a base scenario, after the first, the middle and the last row were built.
+
+    Args:
+        base: Scenario that the rows vary.
+        plan: The rows; the key `kp` means all gains of the law.
+        metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
+        records: Runs that are recorded.
+        trust_law: Whether a law that a recording names may run, too.
+        step_budget_s: Time that a law may compute for one answer [s]; a row whose law takes longer
+            fails.
+        source: Begins error lines about the values of a row.
+
+    Raises:
+        SweepError: If `kp` varies, and the law declares no gain or other keys go together.
+        ScenarioError: If none of these rows makes a scenario, or the law may not run.
+        MeasureError: If a metric is not known.
+        ExpressionError: If the condition of the recordings cannot be judged.
+    """
+    trusted = True if trust_law else None
+    if KP in plan.keys:
+        declared = declare_scenario(resolve_scenario(base, trust_law=trust_law))
+        plan = plan.spread_gains(declared.list_gains())
+    found, errors = [], []
+    for row in plan.list_probes():
+        try:
+            scenario = build_row_scenario(
+                base, plan.keys, plan.find_values(row), row, source=source, trust_law=trusted
+            )
+            found.append(resolve_scenario(scenario, trust_law=trust_law))
+        except ScenarioError as err:
+            errors.append(err)
+    if not found:
+        raise errors[0]
+    known = [flatten_scenario(one) for one in found]
+    real = {key for key in plan.keys if any(isinstance(one.get(key), float) for one in known)}
+    if metrics is not None:
+        for one in found:
+            choose_metrics(metrics, declare_scenario(one))
+    first = dict(zip(plan.keys, plan.find_values(0), strict=True))
+    require_condition(records, {**known[0], **first})
+    kinds = {one.law.kind for one in found} | {str(one.get("law.kind")) for one in known}
+    return Sweep(
+        base=format_scenario(base),
+        plan=plan.with_reals(real),
+        metrics=None if metrics is None else tuple(metrics),
+        records=records,
+        law_code=_sum_up_code(sorted(kinds)),
+        step_budget_s=step_budget_s,
+    )
+
+
+def _sum_up_code(kinds: Sequence[str]) -> str:
+    """Return a checksum of the files of laws and of what they import from beside them.
+
+    Of a law that only this session has, of its text. Empty where all are built in or modules.
+    """
+    texts = [text for kind in kinds if (text := read_law_source(kind)) is not None]
+    laws = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
+    files = [file for law in laws for file in list_law_files(law)]
+    parts = [*(path.read_bytes() for path in files), *(text.encode() for text in texts)]
+    return hashlib.sha256(b"".join(parts)).hexdigest() if parts else ""
+
+
+def _has_given_law(sweep: Sweep) -> bool:
+    """Return whether a row may have a law that only this process and its forks find."""
+    kinds = [parse_scenario(sweep.base).law.kind]
+    for one in (*sweep.plan.grid, *sweep.plan.zipped):
+        kinds += [*one.values] if one.key == "law.kind" else []
+    return any(map(is_given, kinds))

@@ -10,20 +10,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.display import describe_count, fit_line, format_answer, format_html
 from turtlelog.errors import SweepError
-from turtlelog.run.tabular import Tabular
+from turtlelog.run.tables import Tabular
 from turtlelog.scenario import Scenario, choose_scenario, parse_scenario, unwrap_number
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
-from turtlelog.sweep.grid import MOST_ROWS, KeyValues
-from turtlelog.sweep.plan import SweepPlan
-from turtlelog.sweep.prepared_sweep import prepare_sweep
+from turtlelog.sweep.plan import MOST_ROWS, KeyValues, SweepPlan
 from turtlelog.sweep.result_table import (
     ResultTable,
     build_result_arrow,
     choose_type,
+    open_result_table,
     write_result_table,
 )
-from turtlelog.sweep.stored_table import open_result_table
-from turtlelog.sweep.sweep_rows import run_sweep
+from turtlelog.sweep.sweep_rows import prepare_sweep, run_sweep
 from turtlelog.sweep.swept_results import SweptResults, read_swept_results
 
 if TYPE_CHECKING:

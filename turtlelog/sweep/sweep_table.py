@@ -14,7 +14,7 @@ from turtlelog.files.text_files import parse_toml
 from turtlelog.scenario import Scenario, build_scenario
 from turtlelog.sweep.kept_parts import KeptParts
 from turtlelog.sweep.plan import PlannedCells, SweepPlan, build_row_scenario
-from turtlelog.sweep.result_table import ResultColumn, ResultTable
+from turtlelog.sweep.result_table import ResultColumn, ResultTable, StoredTable, open_result_table
 from turtlelog.sweep.row_columns import (
     Columns,
     Key,
@@ -24,7 +24,6 @@ from turtlelog.sweep.row_columns import (
     build_result_columns,
 )
 from turtlelog.sweep.simulate_rows import RowResults
-from turtlelog.sweep.stored_table import StoredTable, open_result_table
 
 STATUS: Final = ".status"
 """Ends the name of the column beside a metric that says why it has no value."""

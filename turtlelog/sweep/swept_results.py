@@ -19,8 +19,9 @@ from turtlelog.run.loops import ControlLoop
 from turtlelog.scenario import Scenario, build_scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.plan import build_row_scenario
-from turtlelog.sweep.result_table import ROW, ResultColumn
-from turtlelog.sweep.stored_table import (
+from turtlelog.sweep.result_table import (
+    ROW,
+    ResultColumn,
     StoredTable,
     list_row_numbers,
     list_values,

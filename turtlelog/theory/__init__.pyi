@@ -16,22 +16,17 @@ from .continuous_loop import (
     find_plant_final_value as find_plant_final_value,
     judge_bibo as judge_bibo,
 )
-from .declared_loops import (
-    LoopTiming as LoopTiming,
-    find_timing as find_timing,
-    hides_stability as hides_stability,
-    read_gains as read_gains,
-    read_process as read_process,
-)
 from .loop_models import (
     LoopModel as LoopModel,
+    LoopTiming as LoopTiming,
     MeasuredTiming as MeasuredTiming,
+    find_timing as find_timing,
+    hides_stability as hides_stability,
     list_known as list_known,
     model_loop as model_loop,
     model_loops as model_loops,
-)
-from .pid_gains import (
-    PidGains as PidGains,
+    read_gains as read_gains,
+    read_process as read_process,
 )
 from .pid_loop import (
     PidLoop as PidLoop,
@@ -42,14 +37,15 @@ from .pid_loop import (
     find_stable_gains as find_stable_gains,
     is_pid_stable as is_pid_stable,
 )
-from .pid_margins import (
-    Margins as Margins,
-)
 from .pid_response import (
     StepMotion as StepMotion,
     compute_pid_step_response as compute_pid_step_response,
     compute_steady_error as compute_steady_error,
     measure_step_motion as measure_step_motion,
+)
+from .pid_stability import (
+    Margins as Margins,
+    PidGains as PidGains,
 )
 from .process import (
     INTEGRATOR as INTEGRATOR,
@@ -67,9 +63,7 @@ from .sampled_loop import (
     SampledLoop as SampledLoop,
     analyse_sampled_loop as analyse_sampled_loop,
     compute_overshoot_gain as compute_overshoot_gain,
+    compute_sampled_poles as compute_sampled_poles,
     compute_sampled_step_response as compute_sampled_step_response,
     compute_stability_gain as compute_stability_gain,
-)
-from .sampled_poles import (
-    compute_sampled_poles as compute_sampled_poles,
 )

@@ -29,11 +29,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.theory.pid_gains import PidGains, build_shape
 from turtlelog.theory.pid_loop import find_stable_gains
-from turtlelog.theory.pid_margins import Margins, evaluate_open_loop, find_margins
 from turtlelog.theory.pid_response import StepMotion, measure_step_motion
-from turtlelog.theory.pid_stability import LoopShape, find_sign_changes, is_stable, list_angles
+from turtlelog.theory.pid_stability import (
+    LoopShape,
+    Margins,
+    PidGains,
+    build_shape,
+    evaluate_open_loop,
+    find_margins,
+    find_sign_changes,
+    is_stable,
+    list_angles,
+)
 from turtlelog.theory.process import Process, SampledProcess, sample_process
 
 _Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 from turtlelog.theory.exact_gains import LoopDesign
-from turtlelog.theory.pid_gains import PidGains
+from turtlelog.theory.pid_stability import PidGains
 
 SKOGESTAD: Final = (
     "S. Skogestad, Simple analytic rules for model reduction and PID controller tuning, Journal of"

@@ -1,24 +1,34 @@
-"""A declared loop with all that theory needs of it, or the reason why it is not known."""
+"""The loops that a law declares, as loops of theory, or the reason why one is not known.
 
+A run and a scenario hold the same dotted keys, so both are read here.
+"""
+
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Final, TypedDict
 
+from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
-from turtlelog.run.loops import ControlLoop, Declaration
-from turtlelog.theory.declared_loops import (
-    Parameters,
-    find_ramp_s,
-    find_timing,
-    list_neglected,
-    read_gains,
-    read_process,
+from turtlelog.plants import LAGGED, PLANTS, TURTLESIM, read_plant
+from turtlelog.plants.turtlesim import WATCHDOG_NS
+from turtlelog.run import Parameter
+from turtlelog.run.loops import (
+    COMMAND_WORDS,
+    LIMIT_KEYS,
+    PLANT_KEYS,
+    SIGNAL_WORDS,
+    ControlLoop,
+    Declaration,
+    read_number,
 )
-from turtlelog.theory.pid_gains import PidGains
+from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.theory.pid_loop import PidLoop, analyse_pid_loop, is_pid_stable
+from turtlelog.theory.pid_stability import PidGains
 from turtlelog.theory.process import Process
 
-SCENARIO: Final = "from the scenario"
+_SCENARIO: Final = "from the scenario"
 
 
 class Settings(TypedDict):
@@ -105,7 +115,10 @@ class LoopModel:
         return settings
 
 
-def model_loops(declaration: Declaration, parameters: Parameters) -> tuple[LoopModel, ...]:
+_Parameters = Mapping[str, Parameter]
+
+
+def model_loops(declaration: Declaration, parameters: _Parameters) -> tuple[LoopModel, ...]:
     """Return the loops of a law under a scenario, one for each that it declares.
 
     Args:
@@ -117,7 +130,7 @@ def model_loops(declaration: Declaration, parameters: Parameters) -> tuple[LoopM
 
 def model_loop(
     loop: ControlLoop,
-    parameters: Parameters,
+    parameters: _Parameters,
     *,
     timing: MeasuredTiming | str | None = None,
     sources: Mapping[str, str] | None = None,
@@ -130,21 +143,21 @@ def model_loop(
         timing: Measured timing, or the reason why there is none; None: that of the scenario.
         sources: Sources of gains and plant, if not the scenario.
     """
-    told = {"gains": SCENARIO, "plant": SCENARIO, **(sources or {})}
+    told = {"gains": _SCENARIO, "plant": _SCENARIO, **(sources or {})}
     most_s: float | None = None
     if timing is None:
         scheduled = find_timing(parameters)
         if isinstance(scheduled, str):
             timing = scheduled
         else:
-            from_scenario = {"period_s": SCENARIO, "dead_time_s": SCENARIO}
+            from_scenario = {"period_s": _SCENARIO, "dead_time_s": _SCENARIO}
             period_s, least_s = scheduled.period_s, scheduled.least_s
             most_s = scheduled.most_s if scheduled.most_s > least_s else None
             timing = MeasuredTiming(period_s=period_s, dead_time_s=least_s, sources=from_scenario)
     dead_time_s = 0.0 if isinstance(timing, str) else timing.dead_time_s
     gains, process = read_gains(loop, parameters), read_process(loop, parameters, dead_time_s)
     reasons = [found for found in (gains, process, timing) if isinstance(found, str)]
-    left_out = list_neglected(loop, parameters)
+    left_out = _list_neglected(loop, parameters)
     if isinstance(gains, str) or isinstance(process, str) or isinstance(timing, str):
         return LoopModel(loop=loop, reason="; ".join(reasons), left_out=left_out)
     is_timed = parameters.get("loop.trigger") == "timer"
@@ -155,7 +168,7 @@ def model_loop(
         period_s=timing.period_s,
         most_dead_time_s=None if most_s is None else most_s + process.dead_time_s - dead_time_s,
         growth="the age of the poses" if is_timed else "queues",
-        ramp_s=find_ramp_s(loop, parameters),
+        ramp_s=_find_ramp_s(loop, parameters),
         sources={**told, **timing.sources},
         left_out=left_out,
     )
@@ -175,3 +188,206 @@ def _refuse_numbers(model: LoopModel) -> LoopModel:
 def list_known(models: Sequence[LoopModel]) -> list[LoopModel]:
     """Return the models that theory knows."""
     return [model for model in models if not model.reason]
+
+
+_LONGEST_HOLD_TICKS: Final = WATCHDOG_NS // TURTLESIM.period_ns + 1
+"""A command is held for so many ticks; in the next the turtle stops by itself."""
+
+_WHOLE: Final = 1e-6
+"""Of a period: times in whole nanoseconds that are meant as its multiple are nearer than that."""
+
+_OF_SPEED: Final = ("speed_m_s", "noise_speed", "acceleration_m_s2", "jerk_m_s3")
+"""How keys end that concern the speed alone."""
+
+_OF_PLANT: Final = ("gain", "dead_time_s", "lag_s")
+
+_SLOPES: Final[Mapping[str, str]] = MappingProxyType(
+    {"turn_rate": "limits.turn_acceleration_rad_s2", "speed": "limits.acceleration_m_s2"}
+)
+"""Limits of how fast a command changes, by command."""
+
+_DEFAULTS: Final = flatten_scenario(Scenario())
+
+_MODELLED: Final = frozenset(
+    {
+        *(key for key in _DEFAULTS if not key.startswith(("limits.", "loop."))),
+        *(key for effect in EFFECTS for key in effect.modelled),
+        *("goal.heading_rad", "start.precision", "plant.kind", "plant.period_s"),
+        *(f"{key}{name}" for key in PLANT_KEYS.values() for name in _OF_PLANT),
+    }
+)
+"""Keys whose part in the loop theory knows, or that have none."""
+
+_ADDED: Final = frozenset(
+    {
+        *(key for effect in EFFECTS for key in effect.added),
+        *(key for plant in PLANTS.values() for key in plant.added),
+    }
+)
+"""Keys that theory leaves out, and that make no unstable loop stable: pushes and offsets move where
+it rests, limits bound how far it swings."""
+
+_RAMP: Final = 0.2
+"""Share of the time of the largest change by which a limit of the acceleration makes the time
+constant longer: the recommended gain for 5 % then overshot turns of 0.1 to 3.1 rad by 3.2 % at
+most, of 80 robots; a tenth gave 21 %."""
+
+_KINDS: Final = (TURTLESIM.name, LAGGED)
+
+_BESIDE: Final = ("law.", "path.", "name", "max_duration_s", "seed", "format")
+"""What adds nothing to a loop but its gains and its reference."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopTiming:
+    """Sampling period and dead time of a loop.
+
+    Attributes:
+        period_s: Sampling period T [s].
+        least_s: Dead time from a pose to the plant, without the plant's own, that is certain [s].
+        most_s: Dead time that it never exceeds for long [s].
+        step_s: Between the two only multiples of this are possible [s]: the plant's period.
+    """
+
+    period_s: float
+    least_s: float
+    most_s: float
+    step_s: float
+
+
+def read_gains(loop: ControlLoop, parameters: _Parameters) -> PidGains | str:
+    """Return the gains of a loop that theory knows, or why there are none."""
+    kp = loop.read_gain(parameters)
+    if not loop.is_integrator:
+        words = SIGNAL_WORDS[loop.signal], COMMAND_WORDS[loop.command]
+        return f"theory knows no loop of {words[0]} under {words[1]}"
+    if not (loop.is_proportional or loop.integral_gain or loop.derivative_gain):
+        return "the law declares that its command is more than gain times error, but not its terms"
+    if kp is None:
+        known = "the law declares no proportional gain"
+        return known if loop.gain is None else f"{loop.gain} is not known"
+    found = []
+    for key in (loop.integral_gain, loop.derivative_gain, loop.derivative_filter):
+        value = 0.0 if key is None else parameters.get(key)
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            return f"{key} is not known"
+        found.append(float(value))
+    try:
+        return PidGains(kp=kp, ki=found[0], kd=found[1], filter_s=found[2])
+    except TheoryError as err:
+        return str(err)
+
+
+def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float) -> Process | str:
+    """Return what a loop's command passes, or why it is not known.
+
+    The gain is the larger one of both directions.
+
+    Args:
+        loop: Loop of a law.
+        parameters: Parameters of a run or a scenario.
+        dead_time_s: Beside that of the plant [s].
+    """
+    key = PLANT_KEYS[loop.command]
+    own_s = read_number(parameters, f"{key}dead_time_s")
+    gain = read_number(parameters, f"{key}gain", 1.0)
+    try:
+        return Process(
+            gain=max(gain, read_number(parameters, f"{key}reverse_gain", gain)),
+            lag_s=read_number(parameters, f"{key}lag_s"),
+            dead_time_s=dead_time_s + own_s,
+            low_pass_s=read_number(parameters, "shaping.low_pass_s"),
+        )
+    except TheoryError as err:
+        return f"plant: {err}"
+
+
+def _find_ramp_s(loop: ControlLoop, parameters: _Parameters) -> float:
+    """Return by how much limits of the acceleration make large steps slower, as time constant [s].
+
+    A fifth of the time that the largest change of the rate takes: that of the largest command, or
+    up to the bound. Within the robot's loop, what is slower than the limit has no ramp. Without a
+    largest command it is 0.
+    """
+    key = PLANT_KEYS[loop.command]
+    command = read_number(parameters, loop.limit_key, math.inf)
+    gain = read_number(parameters, f"{key}gain", 1.0)
+    most = min(abs(gain) * command, read_number(parameters, f"{key}bound", math.inf))
+    if not 0.0 < most < math.inf:
+        return 0.0
+    own = read_number(parameters, f"{key}acceleration", math.inf)
+    slope = read_number(parameters, _SLOPES[loop.command], math.inf)
+    within_s = most / own - read_number(parameters, f"{key}lag_s")
+    return _RAMP * max(within_s, most / (abs(gain) * slope), 0.0)
+
+
+def find_timing(parameters: _Parameters) -> LoopTiming | str:
+    """Return when the loops of a scenario act, or why theory does not have that timing."""
+    kind, step_s = parameters.get("plant.kind", TURTLESIM.name), read_plant(parameters).period_s
+    if kind not in _KINDS:
+        return f"theory knows no plant of the kind {kind}"
+    is_turtlesim = kind == TURTLESIM.name
+    every = int(read_number(parameters, "loop.period_ticks", 1.0))
+    period_s, delay_s = every * step_s, read_number(parameters, "sensing.delay_s")
+    if parameters.get("loop.trigger") == "timer":
+        period_s = read_number(parameters, "loop.period_s")
+    if is_turtlesim and period_s > (_LONGEST_HOLD_TICKS + _WHOLE) * step_s:
+        return "turtlesim stops by itself between two samples, 1 s after a command"
+    delay_s += read_number(parameters, "loop.transport_delay_s")
+    delay_s += read_number(parameters, "loop.transport_delay_ticks") * step_s
+    queued = parameters.get("loop.queue_policy") == "one-per-tick"
+    if is_turtlesim:  # a command acts on the whole tick in which it arrives
+        delay_s = step_s * math.floor(delay_s / step_s + _WHOLE)
+    elif queued:  # a robot takes it at its next period
+        delay_s = step_s * math.ceil(delay_s / step_s - _WHOLE)
+    least_s, most_s = delay_s, delay_s + _find_most_age(parameters, step_s)
+    if queued and every == 1 and parameters.get("loop.trigger") != "timer":
+        # One command leaves and one comes in each tick, so what waits first waits for good. No
+        # pause makes it less: it drains commands while as many poses pile up, or a full queue.
+        keys = ("start_backlog", "pose_queue", "command_queue")
+        queues = [read_number(parameters, f"loop.{key}", 1.0) for key in keys]
+        least_s += (min(queues) - 1.0) * step_s
+        most_s += (queues[2] - 1.0) * step_s
+    return LoopTiming(period_s=period_s, least_s=least_s, most_s=most_s, step_s=step_s)
+
+
+def _list_neglected(loop: ControlLoop, parameters: _Parameters) -> tuple[str, ...]:
+    """Return what of a run or a scenario theory's linear loop leaves out, as `key = value`."""
+    found = []
+    for key, value in parameters.items():
+        if key in _MODELLED or key.startswith(_BESIDE) or value == float("inf"):
+            continue
+        if key == loop.limit_key or (key not in LIMIT_KEYS.values() and _is_of(loop.command, key)):
+            found.append(f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}")
+    return tuple(found)
+
+
+def _is_of(command: str, key: str) -> bool:
+    """Return whether a key belongs to a command, or to both."""
+    if "turn_" in key:
+        return command == "turn_rate"
+    is_of_speed = key.endswith(_OF_SPEED) or key.startswith(PLANT_KEYS["speed"])
+    return command == "speed" or not is_of_speed
+
+
+def hides_stability(parameters: _Parameters) -> bool:
+    """Return whether something that theory leaves out may steady a loop that it calls unstable."""
+    known = _MODELLED | _ADDED
+    if _find_most_age(parameters, read_plant(parameters).period_s):
+        return True
+    return any(key not in known and not key.startswith(_BESIDE) for key in parameters)
+
+
+def _find_most_age(parameters: _Parameters, step_s: float) -> float:
+    """Return how old the pose that a timer reads may be [s].
+
+    The timer begins when a pose comes. If its period is no multiple of the plant's, some later pose
+    is up to one period of the plant old.
+    """
+    if parameters.get("loop.trigger") != "timer":
+        return 0.0
+    return 0.0 if _is_multiple(read_number(parameters, "loop.period_s"), step_s) else step_s
+
+
+def _is_multiple(time_s: float, step_s: float) -> bool:
+    return abs(time_s / step_s - round(time_s / step_s)) <= _WHOLE

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.theory.inputs import require_count, require_level, require_period
-from turtlelog.theory.pid_gains import PidGains
+from turtlelog.theory.pid_stability import PidGains
 from turtlelog.theory.process import INTEGRATOR, Process, SampledProcess, sample_process
 from turtlelog.theory.sampled_loop import LARGEST_DEVIATION
 

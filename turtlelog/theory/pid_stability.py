@@ -1,24 +1,8 @@
-"""Whether a sampled PID loop is stable: poles counted, not computed.
+"""The loop of a PID controller and a process: whether it is stable, by counted poles; margins.
 
-Its characteristic polynomial is z^d A(z) + B(z). Only z^d knows the dead time; A and B are of third
-and second degree at most (`pid_loop` derives them):
-
-    PI   A = (z - 1)^2          B = Kp T (z - 1) + Ki T^2
-    PD   A = (z - 1) (z - a)    B = Kp T (z - a) + b (z - 1)
-    PID  A = (z - 1)^2 (z - a)  B = Kp T (z - 1) (z - a) + Ki T^2 (z - a) + b (z - 1)^2
-
-A `process` that is more than an integrator multiplies A by z - e for each pole e of lag and
-low-pass, and B by their 1 - e and by W = w1 z + w0 + w2 / z, whose w1 + w0 + w2 is 1.
-
-The argument principle counts the roots inside the unit circle: the phase of the polynomial grows by
-pi for each along the upper half. Where |A| > |B| that is the phase of z^d A and of 1 + L, elsewhere
-of B and of 1 + 1 / L, with the open loop L = B / (z^d A). The second part stays within +-pi/2, and
-the first has a closed form, so no grid of frequencies is needed and 1000 ticks of dead time are as
-good as none. |A| = |B| does not know d: in x = 1 - cos(w T) it is a polynomial equation, of third
-degree on an integrator and of fifth at most.
-
-Eigenvalues of a companion matrix are worse at just this. Where many poles crowd the unit circle, or
-two meet, they are wrong by more than the distance to it.
+The open loop at the frequency w is L(exp(j w T)), with the hold, the part of a sample of dead time
+and the controller as the program computes it in it: no approximation up to pi / T, above which
+nothing is new. Its margins are read where it crosses the unit circle and the negative real axis.
 """
 
 import math
@@ -29,7 +13,11 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.polynomial.polynomial import polyadd, polymul
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from turtlelog.errors import TheoryError
+from turtlelog.theory.inputs import require_gain, require_not_negative, require_period
+from turtlelog.theory.process import SampledProcess
 
 _Array = NDArray[np.float64]
 
@@ -97,13 +85,13 @@ class LoopShape:
 
 def is_stable(shape: LoopShape) -> bool:
     """Return whether all poles lie inside the unit circle, by more than rounding."""
-    return count_unstable(shape) == 0
+    return _count_unstable(shape) == 0
 
 
-def count_unstable(shape: LoopShape) -> int | None:
+def _count_unstable(shape: LoopShape) -> int | None:
     """Return the number of poles outside the unit circle; None where one is as good as on it."""
-    crossings = find_crossovers(shape)
-    halves = [0.5 * compute_phase(shape, x) for x in crossings]
+    crossings = _find_crossovers(shape)
+    halves = [0.5 * _compute_phase(shape, x) for x in crossings]
     # |1 + L| = 2 cos(half the phase) where |L| = 1.
     if any(2.0 * math.cos(half) < NEAREST for half in halves) or _is_at_minus_one(shape):
         return None
@@ -136,7 +124,7 @@ def find_stable_intervals(
     return tuple(found)
 
 
-def find_crossovers(shape: LoopShape) -> list[float]:
+def _find_crossovers(shape: LoopShape) -> list[float]:
     """Return where |L| = 1, as x = 1 - cos(w T) strictly between 0 and 2, rising."""
     coefficients = _list_coefficients(shape)
     slope = [power * value for power, value in enumerate(coefficients)][1:]
@@ -214,12 +202,12 @@ def _turn_zeros(shape: LoopShape, x: float) -> float:
     sine = math.sqrt(x * (2.0 - x))
     turn = math.atan2((c1 - c0) * sine, c0 - x * (2.0 * c2 - c1 + c0))
     weight = 1.0 - (shape.ahead + shape.behind) * x
-    return find_angle(x) + turn + math.atan2((shape.ahead - shape.behind) * sine, weight)
+    return _find_angle(x) + turn + math.atan2((shape.ahead - shape.behind) * sine, weight)
 
 
 def _turn_poles(shape: LoopShape, x: float) -> float:
     """Return the phase of z^d A at x, continuous along the half circle."""
-    angle = find_angle(x)
+    angle = _find_angle(x)
     turn = shape.delay * angle + shape.integrators * 0.5 * (angle + math.pi)
     gaps = shape.gaps if shape.a is None else (1.0 - shape.a, *shape.gaps)
     for gap in gaps:
@@ -227,12 +215,12 @@ def _turn_poles(shape: LoopShape, x: float) -> float:
     return turn
 
 
-def compute_phase(shape: LoopShape, x: float) -> float:
+def _compute_phase(shape: LoopShape, x: float) -> float:
     """Return the phase of L at x, in [-pi, pi]."""
     return math.remainder(_turn_zeros(shape, x) - _turn_poles(shape, x), 2.0 * math.pi)
 
 
-def find_angle(x: float) -> float:
+def _find_angle(x: float) -> float:
     """Return w T of x = 1 - cos(w T)."""
     return 2.0 * math.asin(math.sqrt(0.5 * x))
 
@@ -309,3 +297,152 @@ def find_sign_changes(compute: Callable[[_Array], _Array], angles: _Array) -> _A
         low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
     found: _Array = 0.5 * (low + high)
     return found
+
+
+_LARGEST_FACTOR: Final = 1e12
+"""And one over it the smallest: beyond them is rounding, where L is 0 at pi, or grows without bound
+towards 0 with a phase that goes to -180 deg."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Margins:
+    """Stability margins of a loop.
+
+    Attributes:
+        gain_margin: Least factor above 1 on all gains at once that makes it unstable; None if none
+            does.
+        gain_reduction: Largest factor below 1 that does; None if none does.
+        gain_frequency_rad_s: Frequency at which the open loop has the phase -180 deg for
+            `gain_margin` [rad/s], None likewise.
+        phase_margin_rad: Least phase that may be lost where the open loop's magnitude is 1 [rad];
+            None if it is 1 nowhere.
+        crossover_rad_s: Frequency of the phase margin [rad/s], None likewise.
+        delay_margin_ticks: Dead time that may be added [samples]: as many whole ticks as it holds
+            keep the loop stable. None likewise.
+    """
+
+    gain_margin: float | None
+    gain_reduction: float | None
+    gain_frequency_rad_s: float | None
+    phase_margin_rad: float | None
+    crossover_rad_s: float | None
+    delay_margin_ticks: float | None
+
+
+def evaluate_open_loop(shape: LoopShape, angle: ArrayLike) -> NDArray[np.complex128]:
+    """Return L at angles w T above 0 and up to pi, in the shape of `angle`."""
+    angles = np.asarray(angle, dtype=np.float64)
+    sine = np.sin(0.5 * angles)
+    from_one = -2.0 * sine * sine + 1j * np.sin(angles)  # z - 1, whose digits z has lost near 1
+    z = np.exp(1j * angles)
+    c0, c1, c2 = shape.numerator
+    found = c0 + from_one * (c1 + from_one * c2)
+    found = found * (1.0 + shape.ahead * from_one + shape.behind * (1.0 / z - 1.0))
+    found = found / from_one**shape.integrators * z**-shape.delay
+    if shape.a is not None:
+        found = found / (from_one + (1.0 - shape.a))
+    for gap in shape.gaps:
+        found = found * gap / (from_one + gap)
+    return np.asarray(found, dtype=np.complex128)
+
+
+def find_margins(shape: LoopShape, period_s: float) -> Margins:
+    """Return the margins of a loop that is stable."""
+    found = [(math.pi + _compute_phase(shape, x), _find_angle(x)) for x in _find_crossovers(shape)]
+    phases = [(phase % (2.0 * math.pi), angle) for phase, angle in found]
+    phase, crossover = min(phases, default=(None, None))
+    factors = _list_factors(shape)
+    above = min(((factor, angle) for factor, angle in factors if factor > 1.0), default=None)
+    return Margins(
+        gain_margin=None if above is None else above[0],
+        gain_reduction=max((factor for factor, _ in factors if factor < 1.0), default=None),
+        gain_frequency_rad_s=None if above is None else above[1] / period_s,
+        phase_margin_rad=phase,
+        crossover_rad_s=None if crossover is None else crossover / period_s,
+        delay_margin_ticks=min((phase / angle for phase, angle in phases), default=None),
+    )
+
+
+def _list_factors(shape: LoopShape) -> list[tuple[float, float]]:
+    """Return each factor that brings L to -1 somewhere, and the angle w T where it does."""
+
+    def read_imaginary(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+        return evaluate_open_loop(shape, angle).imag
+
+    angles = np.append(find_sign_changes(read_imaginary, list_angles(shape)), math.pi)
+    values = evaluate_open_loop(shape, angles).real
+    kept = (values > -_LARGEST_FACTOR) & (values < -1.0 / _LARGEST_FACTOR)
+    return list(zip((-1.0 / values[kept]).tolist(), angles[kept].tolist(), strict=True))
+
+
+_SMALLEST_LOOP_GAIN: Final = 1e-9
+_LARGEST_LOOP_GAIN: Final = 1e9
+"""Of K Kp T, K Ki T^2 and K Kd T / (Tf + T), of all but P on an integrator: their squares and
+fourth powers keep their digits. No stable loop comes near the upper end."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PidGains:
+    """Gains of a P, PI, PD or PID controller.
+
+    Attributes:
+        kp: Proportional gain [1/s].
+        ki: Integral gain [1/s^2]; 0: no integral.
+        kd: Derivative gain [1]; 0: no derivative.
+        filter_s: Time constant Tf of the derivative's filter [s]; 0: a plain difference.
+
+    Raises:
+        TheoryError: If a gain is not finite, negative, or Kp not positive.
+    """
+
+    kp: float
+    ki: float = 0.0
+    kd: float = 0.0
+    filter_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_gain(self.kp)
+        for name in ("ki", "kd", "filter_s"):
+            require_not_negative(name, getattr(self, name))
+
+    @property
+    def is_proportional(self) -> bool:
+        """Whether it is P alone."""
+        return self.ki == 0.0 and self.kd == 0.0
+
+    def weigh_derivative(self, period_s: float) -> tuple[float, float]:
+        """Return a = Tf / (Tf + T) and Kd / (Tf + T) [1/s]."""
+        whole_s = self.filter_s + period_s
+        return self.filter_s / whole_s, self.kd / whole_s
+
+
+def build_shape(gains: PidGains, sampled: SampledProcess, period_s: float) -> LoopShape:
+    """Return a loop without units.
+
+    Raises:
+        TheoryError: If a number is not finite or outside its range.
+    """
+    period_s = require_period(period_s)
+    keep, rate = gains.weigh_derivative(period_s)
+    p, i, b = gains.kp * period_s, gains.ki * period_s * period_s, rate * period_s
+    p, i, b = p * sampled.gain, i * sampled.gain, b * sampled.gain
+    if not (gains.is_proportional and sampled.is_integrator):
+        _require_loop_gain("Kp T", p, lowest=_SMALLEST_LOOP_GAIN)
+        _require_loop_gain("Ki T^2", i, lowest=0.0)
+        _require_loop_gain("Kd T / (Tf + T)", b, lowest=0.0)
+    return LoopShape(
+        p=p,
+        i=i,
+        b=b,
+        a=keep if gains.kd > 0.0 else None,
+        delay=sampled.delay,
+        gaps=sampled.gaps,
+        ahead=sampled.ahead,
+        behind=sampled.behind,
+    )
+
+
+def _require_loop_gain(name: str, value: float, *, lowest: float) -> None:
+    if not lowest <= value <= _LARGEST_LOOP_GAIN:
+        expected = f"a loop gain from {lowest:g} to {_LARGEST_LOOP_GAIN:g}"
+        raise TheoryError(f"{name}: expected {expected}, found {value!r}")

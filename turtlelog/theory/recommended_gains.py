@@ -11,9 +11,8 @@ from turtlelog.theory import exact_gains as exact
 from turtlelog.theory.exact_gains import LoopDesign
 from turtlelog.theory.gain_rules import RULES
 from turtlelog.theory.inputs import require_not_negative, require_period, require_positive
-from turtlelog.theory.pid_gains import PidGains
-from turtlelog.theory.pid_margins import Margins
 from turtlelog.theory.pid_response import StepMotion
+from turtlelog.theory.pid_stability import Margins, PidGains
 from turtlelog.theory.process import INTEGRATOR, Process
 
 OVERSHOOT_PERCENT: Final = 5.0

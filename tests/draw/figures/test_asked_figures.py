@@ -15,8 +15,8 @@ from matplotlib.patches import Rectangle
 import turtlelog as tl
 from tests.draw.rerun.rrds import make_foreign_run
 from tests.identify.robots import Log, make_run
-from turtlelog.charts.command_changes import find_command_changes
 from turtlelog.charts.curves import Curve
+from turtlelog.charts.robot_curves import find_command_changes
 from turtlelog.check import Verdict
 from turtlelog.check.violation import find_judged_signal
 from turtlelog.draw.figures.attribution_figure import (
@@ -25,8 +25,7 @@ from turtlelog.draw.figures.attribution_figure import (
     explain_for_figure,
 )
 from turtlelog.draw.figures.figure_kinds import list_usual_figures
-from turtlelog.draw.figures.gain_figure import draw_gains
-from turtlelog.draw.figures.loop_gains import find_loop_gains
+from turtlelog.draw.figures.gain_figure import draw_gains, find_loop_gains
 from turtlelog.draw.figures.metric_panels import (
     MetricValues,
     complete_name,

@@ -12,11 +12,10 @@ from tests.draw.laws import simulate_pid, simulate_tracker
 from tests.draw.rerun.rrds import make_foreign_run
 from turtlelog.check.violation import find_violated_signal
 from turtlelog.cli.check import build_spec
-from turtlelog.draw.report.conclusion import conclude
 from turtlelog.draw.report.drawn import Drawn, Plots
-from turtlelog.draw.report.marked_plots import MOST_MARKED
+from turtlelog.draw.report.marked_plots import MOST_MARKED, MOST_VIOLATIONS, RED
 from turtlelog.draw.report.page_plots import Violation, draw_plots
-from turtlelog.draw.report.violation_plots import MOST_VIOLATIONS, RED
+from turtlelog.draw.report.report_file import conclude_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
@@ -81,6 +80,13 @@ def test_no_more_than_six_failed_checks_have_a_plot() -> None:
 
 
 @pytest.mark.thorough
+def test_many_runs_of_which_few_have_one_gain_end_in_dots_without_a_legend() -> None:
+    some = [read(gain) for gain in (1, 2, 4, 10)]
+    few, many = (draw(*some * count).roots["plane"] for count in (7, 12))
+    assert len(few.legend) == 0
+    assert len(many.legend) == 1
+
+
 def test_the_marks_of_one_run_are_named_and_those_of_many_are_left_out() -> None:
     run = read(10)
     figure = draw(run).roots["plot-heading"]
@@ -157,8 +163,8 @@ def test_the_state_of_one_law_is_plotted_of_its_runs_alone() -> None:
 def test_equal_runs_are_said_to_be_equal() -> None:
     runs, names = [read(4), read(10), read(4)], ["a", "b", "c"]
     metrics = [tl.measure_run(run) for run in runs]
-    assert "a and c are equal in every row." in conclude(runs, names, metrics)
-    assert not any("equal" in text for text in conclude(runs[:2], names[:2], metrics[:2]))
+    assert "a and c are equal in every row." in conclude_runs(runs, names, metrics)
+    assert not any("equal" in text for text in conclude_runs(runs[:2], names[:2], metrics[:2]))
 
 
 def test_a_pose_that_no_axis_reaches_is_an_error(tmp_path: Path) -> None:

@@ -21,10 +21,10 @@ from turtlelog.charts.many_runs import (
     find_gain_scale,
     find_restless,
     group_equal,
-    shorten_names,
+    shorten_run_names,
 )
 from turtlelog.draw import write_comparison_rrd
-from turtlelog.draw.rerun.run_legend import arrange_names
+from turtlelog.draw.rerun.legends import arrange_names
 from turtlelog.run import Run
 from turtlelog.scenario import get_preset, override_gains
 from turtlelog.simulate import simulate_run
@@ -147,17 +147,17 @@ def test_long_names_become_what_differs() -> None:
     long = "x" * LONGEST_NAME
     limits = set_gain(run, 4.0, **{"limits.speed_m_s": 1e9})
     delayed = set_gain(run, 8.0, **{"loop.transport_delay_ticks": 3})
-    assert shorten_names([run, limits], [f"{long}-a", f"{long}-b"]) == (
+    assert shorten_run_names([run, limits], [f"{long}-a", f"{long}-b"]) == (
         "speed limit 1",
         "no speed limit",
     )
-    assert shorten_names([run, delayed], ["a", f"{long}b"]) == (
+    assert shorten_run_names([run, delayed], ["a", f"{long}b"]) == (
         "Kp 4, delay 0 ticks",
         "Kp 8, delay 3 ticks",
     )
-    assert shorten_names([run, limits], ["a", long]) == ("a", long)
+    assert shorten_run_names([run, limits], ["a", long]) == ("a", long)
     fast = set_gain(run, 4.0, **{"limits.speed_m_s": 0.99e9})
-    assert shorten_names([run, fast], [f"{long}-a", f"{long}-b"])[1] == "speed limit 9.9e+08"
+    assert shorten_run_names([run, fast], [f"{long}-a", f"{long}-b"])[1] == "speed limit 9.9e+08"
     keys = (
         "loop.transport_delay_ticks",
         "law.pause_ticks",
@@ -166,9 +166,9 @@ def test_long_names_become_what_differs() -> None:
     )
     for count in (3, 4):
         other = set_gain(run, 4.0, **dict.fromkeys(keys[:count], 3))
-        names = shorten_names([run, other], [f"{long}-a", f"{long}-b"])
+        names = shorten_run_names([run, other], [f"{long}-a", f"{long}-b"])
         assert names[1].count(",") == (2 if count == 3 else 0)
-    assert shorten_names([run, run], [f"{long}-a-z", f"{long}-b-z"]) == ("a", "b")
+    assert shorten_run_names([run, run], [f"{long}-a-z", f"{long}-b-z"]) == ("a", "b")
 
 
 def test_no_limit_is_said_of_limits_alone() -> None:
@@ -177,9 +177,9 @@ def test_no_limit_is_said_of_limits_alone() -> None:
     seeds = [
         replace(run, parameters={**run.parameters, "seed": seed}) for seed in (3, 2_000_000_000)
     ]
-    assert shorten_names(seeds, names) == ("seed 3", "seed 2000000000")
+    assert shorten_run_names(seeds, names) == ("seed 3", "seed 2000000000")
     endless = set_gain(run, 4.0, **{"limits.speed_m_s": math.inf})
-    assert shorten_names([run, endless], names) == ("speed limit 1", "no speed limit")
+    assert shorten_run_names([run, endless], names) == ("speed limit 1", "no speed limit")
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_what_a_recording_does_not_hold_is_unknown(*, is_complete: bool, told: s
     run = replace(simulate_preset("paper-kp4"), scenario_is_complete=is_complete)
     shaken = replace(run, parameters={**run.parameters, "loop.jitter_s": 0.02})
     names = [f"{'x' * LONGEST_NAME}-a", f"{'x' * LONGEST_NAME}-b"]
-    assert shorten_names([shaken, run], names) == ("jitter s 0.02", told)
+    assert shorten_run_names([shaken, run], names) == ("jitter s 0.02", told)
 
 
 def test_names_lose_the_words_that_all_of_them_share_and_keep_their_numbers() -> None:

@@ -13,8 +13,7 @@ from tests.draw.rerun.rrds import (
     read_static,
     read_times,
 )
-from turtlelog.draw.rerun.seen_walls import widen_plane
-from turtlelog.draw.rerun.world import Bounds
+from turtlelog.draw.rerun.world import Bounds, widen_plane
 from turtlelog.log import Surroundings
 
 POSITIONS = "Points2D:positions"

@@ -7,7 +7,7 @@ import pytest
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine import cursor
-from turtlelog.log.engine.few_messages import FEW_MESSAGES, decode_few
+from turtlelog.log.engine.cursor import FEW_MESSAGES, decode_few
 from turtlelog.log.engine.message_types import read_type
 
 DEFINITION = "uint8 level\nstring name\nfloat64 x\nbool on\nint16 low\nstring text\nfloat32 y\n"

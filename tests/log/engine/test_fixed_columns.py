@@ -13,8 +13,7 @@ from turtlelog.log import read_columns
 from turtlelog.log.engine.decode import LOG_TIME, SEQUENCE, FixedColumns
 from turtlelog.log.engine.message_types import Layout, read_type
 from turtlelog.log.engine.opening import open_source
-from turtlelog.log.engine.selection import Selection
-from turtlelog.log.engine.source import count_rows
+from turtlelog.log.engine.source import Selection, count_rows
 from turtlelog.log.engine.topic_columns import _SHARE, _SPARE, _set_aside
 
 INDEXED = IndexType.CHUNK | IndexType.MESSAGE

@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from turtlelog.log.engine.message_walk import MessageWalk, skip_followed
+from turtlelog.log.engine.framing import MessageWalk, skip_followed
 from turtlelog.log.engine.parsing import take_apart
 
 

@@ -94,7 +94,7 @@ def test_an_unfinished_recording_is_read_up_to_its_end(
     assert run.samples.error_xy_m is not None
     assert found.samples.error_xy_m.tobytes() == run.samples.error_xy_m[:samples].tobytes()
     assert "byte" in found.notes["partial"]
-    with pytest.raises(LogError, match="--recover FILE -o OUT rewrites what it still"):
+    with pytest.raises(LogError, match=" -o OUT rewrites what can be read"):
         read_recording(path)
 
 

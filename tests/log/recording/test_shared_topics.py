@@ -15,8 +15,8 @@ from rosbags.highlevel import AnyReader
 import turtlelog as tl
 from tests.log.runs import assert_same, simulate_preset
 from turtlelog.log.exporters import export_rosbag2
-from turtlelog.log.recording import shared_topics
-from turtlelog.log.recording.shared_topics import build_shared_messages, list_unshared
+from turtlelog.log.recording import run_writer
+from turtlelog.log.recording.run_writer import build_shared_messages, list_unshared
 from turtlelog.run import Run
 
 
@@ -110,10 +110,10 @@ def test_speeds_of_motion_backward_are_negative_and_unknown_ones_are_nan(run: Ru
 def test_a_drive_of_too_many_poses_is_not_written_twice(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(shared_topics, "MOST_SHARED", len(run.poses))
+    monkeypatch.setattr(run_writer, "MOST_SHARED", len(run.poses))
     assert not list_unshared(run)
     assert len(build_shared_messages(run)) == 3
-    monkeypatch.setattr(shared_topics, "MOST_SHARED", len(run.poses) - 1)
+    monkeypatch.setattr(run_writer, "MOST_SHARED", len(run.poses) - 1)
     assert "are more than" in list_unshared(run)[0]
     assert not build_shared_messages(run)
 

@@ -177,7 +177,7 @@ def test_a_bag_of_several_files_does_not_become_one(whole: Path, tmp_path: Path)
 def test_a_bag_without_anything_to_recover_is_one_line(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     bag.mkdir()
-    with pytest.raises(LogError, match=r"bag: expected a bag, found a folder without"):
+    with pytest.raises(LogError, match=r"bag: no recordings in this folder"):
         recover_recording(bag, tmp_path / "out")
     (bag / "a.db3").touch()
     with pytest.raises(LogError, match=r"a\.db3: expected a bag in SQLite, found an empty file"):

@@ -11,7 +11,7 @@ from tests.log.runs import find_shared
 from tests.torture.recordings import list_messages, list_records, make_recording, pack_again
 from turtlelog.errors import LogError
 from turtlelog.log import read_info, read_recording, read_run
-from turtlelog.log.recording.recovery_note import RECOVERY
+from turtlelog.log.recording.head import RECOVERY
 from turtlelog.log.recovery import RecoveryReport, recover_recording
 
 CHUNK, DATA_END, HEAD = 6, 15, 9

@@ -140,9 +140,28 @@ def test_files_that_no_name_makes_one_bag_are_not_joined(
     names: tuple[str, str], tmp_path: Path
 ) -> None:
     write_split(tmp_path, *names)
-    with pytest.raises(LogError, match="a folder of several recordings, not one bag") as caught:
+    with pytest.raises(LogError, match="a folder of 2 recordings, not one bag") as caught:
         read_bag(tmp_path)
     assert str(caught.value).endswith(f": name one of them: {', '.join(names)}")
+
+
+@pytest.mark.parametrize(("begin", "is_one"), [(6, True), (5, True), (4, False), (0, False)])
+def test_parts_follow_each_other_in_time(begin: int, is_one: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    poses = make_poses(30)
+    write_sqlite(tmp_path / "a_0.db3", poses[:11])
+    write_mcap(tmp_path / "a_1.db3", poses[begin : begin + 11])
+    if is_one:
+        assert len(list_bag_files(tmp_path)) == 2
+    else:
+        with pytest.raises(LogError, match="a folder of 2 recordings, not one bag"):
+            list_bag_files(tmp_path)
+
+
+def test_a_folder_of_many_recordings_is_told_in_one_short_line(tmp_path: Path) -> None:
+    write_split(tmp_path, *(f"{name}.db3" for name in "abcdefgh"))
+    with pytest.raises(LogError) as caught:
+        read_bag(tmp_path)
+    assert str(caught.value).endswith(": a.db3, b.db3, c.db3, d.db3, e.db3, f.db3 and 2 more")
 
 
 def test_a_topic_of_two_types_in_two_files_is_one_line(tmp_path: Path) -> None:
@@ -211,7 +230,7 @@ def test_messages_that_unpack_to_something_else_are_one_line(
 
 def test_a_folder_with_a_bag_of_ros_1_names_that_file(tmp_path: Path) -> None:
     (tmp_path / "a b.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(50))
-    with pytest.raises(LogError, match=r"found the bag of ROS 1 a b\.bag: name that file"):
+    with pytest.raises(LogError, match=r"a folder with the ROS 1 bag a b\.bag: name that file"):
         read_run(tmp_path)
 
 

@@ -14,7 +14,7 @@ from tests.log.ros2.bags import START_NS, Said, write_mcap, write_metadata
 from tests.log.ros2.moved_robots import drive_wheels, say_fix, say_joints
 from tests.log.ros2.robots import say_odometry, say_transform, turn, write_robot
 from tests.log.runs import find_shared
-from turtlelog.log.ros2.satellite_poses import find_courses, project_fixes
+from turtlelog.log.ros2.computed_poses import find_courses, project_fixes
 
 WHEELS = {"wheel_joints": "left,right", "wheels": (0.05, 0.4)}
 

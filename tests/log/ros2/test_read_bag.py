@@ -271,7 +271,7 @@ def test_a_description_of_another_kind_is_named(text: str, line: str, tmp_path: 
 
 
 def test_a_folder_that_is_no_bag_is_named(tmp_path: Path) -> None:
-    line = r"expected a bag, found a folder without metadata\.yaml, \.mcap or \.db3 files"
+    line = r"no recordings in this folder \(no metadata\.yaml, \.mcap or \.db3 files\)"
     with pytest.raises(LogError, match=line):
         read_bag(tmp_path)
 

@@ -12,13 +12,14 @@ from tests.cli.test_commands_alone import say_twist
 from tests.log.ros2.bags import START_NS, Said, make_vector
 from tests.log.ros2.robots import describe_head, describe_place, turn, write_robot
 from tests.log.runs import find_shared
-from turtlelog.log.ros2.reported_path import (
+from turtlelog.log.ros2.reported_motion import (
+    LATERAL,
     PATH_NOTE,
+    SPEED,
     describe_paths,
     describe_small_leaps,
     measure_paths,
 )
-from turtlelog.log.ros2.reported_rates import LATERAL, SPEED
 
 Values = NDArray[np.float64]
 COUNT, HZ = 401, 20.0

@@ -5,7 +5,7 @@ import pytest
 
 from tests.log.runs import find_shared
 from turtlelog.log import read_run
-from turtlelog.log.ros2.reported_rates import (
+from turtlelog.log.ros2.reported_motion import (
     LATERAL,
     MOVED_M,
     REPORTED_RATES,

@@ -8,14 +8,16 @@ from turtlelog.libraries import load_library
 
 load_library("matplotlib")
 
-from turtlelog.draw.figures.difference_figure import write_difference_figure
+from turtlelog.draw.figures.compared_figures import (
+    write_difference_figure,
+    write_prediction_figure,
+    write_robot_figure,
+    write_trajectory_figure,
+)
 from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind
 from turtlelog.draw.figures.left_out import list_left_out, list_unmarked
 from turtlelog.draw.figures.page import Page
-from turtlelog.draw.figures.prediction_figure import write_prediction_figure
-from turtlelog.draw.figures.robot_figure import write_robot_figure
 from turtlelog.draw.figures.sweep_figures import draw_map, write_map_figure
-from turtlelog.draw.figures.trajectory_figure import write_trajectory_figure
 from turtlelog.draw.figures.writing import draw_figure, write_figures, write_tables
 
 __all__ = [

@@ -24,9 +24,9 @@ from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
 from turtlelog.charts.curves import find_unit, list_levels, read_curve
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.looks import SUPPOSED_DASH
-from turtlelog.draw.figures.direct_labels import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_lines, label_runs, to_rgb
+from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ShowError
 from turtlelog.explain import (
     Attribution,

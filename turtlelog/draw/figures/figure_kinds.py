@@ -10,9 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog.charts.curves import list_loops, read_curve, require_near
-from turtlelog.charts.plotted_curves import Scale
+from turtlelog.charts.plotted_curves import Scale, group_states
 from turtlelog.charts.robot_curves import lack_samples
-from turtlelog.charts.state_groups import group_states
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.display import NamedValues, fit_line
@@ -29,12 +28,6 @@ from turtlelog.draw.figures.needs import (
     find_lacks,
     has_states,
 )
-from turtlelog.draw.figures.panels import (
-    Draw,
-    count_plane_rows,
-    draw_overview,
-    draw_stack,
-)
 from turtlelog.draw.figures.plane_panels import draw_plane, has_one_plane
 from turtlelog.draw.figures.rates_figure import draw_rates
 from turtlelog.draw.figures.sampled_loops import (
@@ -44,7 +37,14 @@ from turtlelog.draw.figures.sampled_loops import (
     draw_step,
 )
 from turtlelog.draw.figures.strip_figure import draw_strips
-from turtlelog.draw.figures.time_panels import draw_states, draw_time_plot
+from turtlelog.draw.figures.time_panels import (
+    Draw,
+    count_plane_rows,
+    draw_overview,
+    draw_stack,
+    draw_states,
+    draw_time_plot,
+)
 from turtlelog.draw.figures.violation_figure import draw_violation
 from turtlelog.run import Run
 

@@ -1,4 +1,4 @@
-"""The legend above the panels: what lies on top first, like looks once, of many lines a few."""
+"""What names the runs of a figure: a legend above the panels, or of many a bar of their gains."""
 
 from collections.abc import Collection, Mapping, Sequence
 from math import ceil
@@ -7,13 +7,18 @@ from typing import Any, Final
 import numpy as np
 from matplotlib import rcParams
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 
 from turtlelog.charts.curves import BEARING_NOW, REFERENCE as AIMED
-from turtlelog.draw.figures.page import IDEAL_ENDS
+from turtlelog.charts.many_runs import find_gain_scale, group_by_gain
+from turtlelog.charts.palette import FEW
+from turtlelog.draw.figures.page import IDEAL_ENDS, choose_colors, label_runs
+from turtlelog.run import Run
 
 _LINE_HEIGHT: Final = 1.45
 _POINTS_PER_INCH: Final = 72.0
@@ -54,7 +59,7 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
         return
     labels, handles = zip(*_join_alike(named), strict=True)
     width, height = figure.get_size_inches()
-    columns = count_columns(labels, width * _POINTS_PER_INCH)
+    columns = count_legend_columns(labels, width * _POINTS_PER_INCH)
     lines = ceil(len(labels) / columns)
     line_points = _LINE_HEIGHT * rcParams["legend.fontsize"]
     figure.set_size_inches(width, height + (lines + 0.5) * line_points / _POINTS_PER_INCH)
@@ -96,7 +101,7 @@ def _describe_looks(label: str, handle: Any) -> Any:
     return (alike, handle.get_color(), handle.get_linewidth(), handle.get_marker())
 
 
-def count_columns(labels: Sequence[str], width_points: float) -> int:
+def count_legend_columns(labels: Sequence[str], width_points: float) -> int:
     """Return how many columns of the widest entry there is room for."""
     size = rcParams["legend.fontsize"]
     font = FontProperties(family=rcParams["font.family"], size=size)
@@ -106,3 +111,58 @@ def count_columns(labels: Sequence[str], width_points: float) -> int:
     around = ("handlelength", "handletextpad", "columnspacing")
     entry_points = widest + size * sum(rcParams[f"legend.{name}"] for name in around)
     return min(len(labels), max(1, int(width_points / entry_points)))
+
+
+_BAR_INCH: Final = 0.42
+"""What a bar with its numbers and its name takes of the height of a figure."""
+_MOST_TICKS: Final = 7
+"""As many gains of three digits as a column has room for."""
+
+
+def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
+    """Add a bar of colours where a figure names more runs than have a hue of their own.
+
+    Returns:
+        What the bar names, which the legend need not.
+    """
+    names = label_runs(runs)
+    drawn = [axes for axes in figure.axes if _names_all(axes.get_legend_handles_labels()[1], names)]
+    if len(runs) <= len(FEW) or not drawn:
+        return frozenset()
+    count = len(runs)
+    colors = ListedColormap(choose_colors(count))
+    norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + _BAR_INCH)
+    bar = figure.colorbar(
+        ScalarMappable(norm, colors),
+        ax=figure.axes,
+        location="top",
+        fraction=0.04,
+        aspect=width / 0.09,
+        pad=0.02,
+    )
+    bar.outline.set_visible(False)
+    bar.ax.minorticks_off()
+    scale = find_gain_scale(runs)
+    if scale is not None:
+        shown = np.unique(np.linspace(0, count - 1, min(count, _MOST_TICKS)).round().astype(int))
+        bar.set_ticks(shown.tolist(), labels=[f"{scale.values[row]:.3g}" for row in shown])
+        unit = f" [{scale.unit}]" if scale.unit else ""
+        bar.set_label(f"{scale.word} of {count} runs{unit}")
+    elif len(groups := group_by_gain(runs)) > 1:
+        gains = sorted(groups)
+        shown = np.unique(np.linspace(0, len(gains) - 1, min(len(gains), _MOST_TICKS)).round())
+        told = [gains[int(row)] for row in shown]
+        bar.set_ticks(
+            [float(np.mean(groups[kp])) for kp in told], labels=[f"{kp:.3g}" for kp in told]
+        )
+        bar.set_label(f"Kp of {count} runs")
+    else:
+        bar.set_ticks([])
+        bar.set_label(f"{count} runs, from {names[0]} to {names[-1]}")
+    return frozenset(names)
+
+
+def _names_all(labels: Sequence[str], names: Sequence[str]) -> bool:
+    return len({*names} & {*labels}) > len(FEW)

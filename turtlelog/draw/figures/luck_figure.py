@@ -18,8 +18,8 @@ from turtlelog.charts.luck_chart import (
     build_luck_picture,
     spread_labels,
 )
-from turtlelog.draw.figures.direct_labels import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.draw.figures.page import to_rgb
+from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ExplainError, ShowError
 from turtlelog.explain import Luck, Work, choose_metric, measure_luck, require_causes
 from turtlelog.run import Run

@@ -1,13 +1,15 @@
-"""Maps of a sweep: metrics over two keys, with theory's limits of the gain over them."""
+"""Maps of a sweep: metrics over two keys, their colours, and limits of the gain over them."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -19,14 +21,15 @@ from turtlelog.charts.map_values import (
     VERDICT_COLORS,
     VERDICT_WORDS,
     find_edges,
+    find_value_range,
     find_verdict_classes,
     is_logarithmic,
     label_metric,
     list_branches,
     scale_values,
 )
-from turtlelog.draw.figures.page import STROKES
-from turtlelog.draw.figures.value_scale import VALUELESS, ColorScale, build_scale
+from turtlelog.charts.palette import choose_shades
+from turtlelog.draw.figures.page import STROKES, to_rgb
 from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
 from turtlelog.sweep.swept_results import SweptAxis, SweptMetric
 from turtlelog.sweep.swept_views import SweptView, fill_cells
@@ -197,6 +200,21 @@ def _draw_points(axes: Axes, view: SweptView, metric: SweptMetric) -> dict[str, 
     return named
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColorScale:
+    """Colours of the values of one metric.
+
+    Attributes:
+        norm: From values to 0 to 1.
+        colors: Of those.
+        extend: Which ends of the bar are pointed: `neither`, `min`, `max` or `both`.
+    """
+
+    norm: Normalize
+    colors: Colormap
+    extend: str
+
+
 def _add_bar(axes: Axes, drawn: Any, scale: ColorScale) -> None:
     bar = axes.figure.colorbar(drawn, ax=axes, extend=scale.extend, fraction=0.06, pad=0.02)
     bar.outline.set_linewidth(0.4)
@@ -225,7 +243,7 @@ def _hatch_cells(
     named = {}
     for (text, hatch), cells in groups.items():
         shapes = _join_cells(edges, np.array(cells))
-        grey = {**VALUELESS, "hatch": hatch, "linewidth": 0.0}
+        grey = {**_VALUELESS, "hatch": hatch, "linewidth": 0.0}
         axes.add_collection(PolyCollection(shapes, **grey, **looks))
         named[text] = Patch(**{**grey, "linewidth": 0.4})
     return named
@@ -275,3 +293,35 @@ def _draw_limits(
 def name_limit(found: LoopLimits, metric: SweptMetric, name: str) -> str:
     """Return what a legend says of a limit; the metric of a loop tells the loop."""
     return name if metric.loop == found.loop else f"{found.loop}: {name}"
+
+
+_SHADES: Final = 256
+
+_HATCHES: Final = ("", "////", "....", "xxxx")
+"""Of reasons for no value; the last stands for all others."""
+
+_VALUELESS: Final[Mapping[str, Any]] = MappingProxyType({"facecolor": "0.93", "edgecolor": "0.6"})
+
+
+def build_scale(values: Values) -> ColorScale:
+    """Return the scale of values, of which those that are NaN are left out."""
+    ramp = [*map(to_rgb, choose_shades(_SHADES))]
+    found = find_value_range(values)
+    return ColorScale(
+        norm=(LogNorm if found.is_logarithmic else Normalize)(found.low, found.high),
+        colors=ListedColormap(ramp, name="turtlelog"),
+        extend=found.extend,
+    )
+
+
+def group_reasons(metrics: Sequence[SweptMetric]) -> dict[str, tuple[str, str]]:
+    """Return for each reason for no value the words of a legend and a hatch, the most usual first.
+
+    Where there are more than hatches, the rare ones share the last.
+    """
+    counts = Counter(reason for one in metrics for reason in one.reasons if reason is not None)
+    order = [reason for reason, _ in counts.most_common()]
+    few = order if len(order) <= len(_HATCHES) else order[: len(_HATCHES) - 1]
+    others = dict.fromkeys(order, ("no value: others", _HATCHES[-1]))
+    words = {one: (f"no value: {one}", hatch) for one, hatch in zip(few, _HATCHES, strict=False)}
+    return {**others, **words}

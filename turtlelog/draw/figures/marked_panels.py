@@ -18,8 +18,8 @@ from turtlelog.charts.characteristics import (
 )
 from turtlelog.charts.curves import Curve, read_curve
 from turtlelog.charts.many_runs import cut_alike
-from turtlelog.draw.figures.mark_words import GUIDE_ORDER, Table, Word, write_words
 from turtlelog.draw.figures.page import label_runs, style_runs
+from turtlelog.draw.figures.placed_words import GUIDE_ORDER, Table, Word, write_words
 from turtlelog.draw.figures.time_window import fit_height, list_time_axes
 from turtlelog.measure import measure_run
 from turtlelog.run import Run

@@ -1,4 +1,4 @@
-"""The plane: paths from start to goal, and how each run ends or leaves its path."""
+"""The plane: paths from start to goal or along a reference, and how each run ends or leaves it."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -21,24 +21,21 @@ from turtlelog.charts.close_up import (
     list_miss_labels,
     list_ring_labels,
 )
-from turtlelog.charts.curves import (
-    REFERENCE as AIMED,
-)
-from turtlelog.charts.far_origin import (
-    LEAST_SHOWN_M,
-    find_origin,
-    label_coordinate,
-    tell_still,
-)
+from turtlelog.charts.curves import REFERENCE as AIMED
 from turtlelog.charts.many_runs import find_restless
-from turtlelog.charts.plane_scene import list_goals, list_starts
-from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path
-from turtlelog.charts.run_ends import (
+from turtlelog.charts.plane_scene import (
+    LEAST_SHOWN_M,
     MEDIAN_LABEL,
     OUTLINE_LABEL,
     find_gain_ends,
+    find_origin,
     has_grey_paths,
+    label_coordinate,
+    list_goals,
+    list_starts,
+    tell_still,
 )
+from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path
 from turtlelog.charts.tracked_path import (
     WorstPlace,
     find_worst_place,
@@ -46,23 +43,10 @@ from turtlelog.charts.tracked_path import (
     label_worst_place,
     list_paths,
     outline_path,
+    read_way_to_reference,
 )
-from turtlelog.draw.figures.figure_curves import (
-    draw_points,
-    draw_thinned,
-)
-from turtlelog.draw.figures.page import (
-    AIM,
-    REFERENCE,
-    SENSED,
-    choose_colors,
-    style_runs,
-)
-from turtlelog.draw.figures.tracking_panels import (
-    draw_tracked_paths,
-    draw_ways_to_reference,
-    draw_worst_place,
-)
+from turtlelog.draw.figures.figure_curves import draw_points, draw_thinned
+from turtlelog.draw.figures.page import AIM, REFERENCE, SENSED, choose_colors, style_runs
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -115,8 +99,8 @@ def has_one_plane(runs: Sequence[Run]) -> bool:
 
 def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw the way of every run, where it begins and ends, its goal and what it tracks."""
-    draw_tracked_paths(axes, runs)
-    draw_ways_to_reference(axes, runs)
+    _draw_tracked_paths(axes, runs)
+    _draw_ways_to_reference(axes, runs)
     for run, looks in _style_paths(runs):
         driven_m = part_path(run)
         draw_thinned(axes, driven_m[:, 0], driven_m[:, 1], driven_m, **looks)
@@ -254,7 +238,7 @@ def _show_worst(axes: Axes, runs: Sequence[Run], worst: WorstPlace, lettering: L
     """Show where runs are furthest from their path, and how far that is."""
     center, color = np.array(worst.center_xy_m), choose_colors(len(runs))[worst.run]
     _show_square(axes, center - worst.half_m, center + worst.half_m)
-    draw_worst_place(axes, worst, color)
+    _draw_worst_place(axes, worst, color)
     _write(axes, label_worst_place(worst, lettering), color)
     axes.set(title="furthest off the path", ylabel="")
     axes.locator_params(nbins=5)
@@ -302,3 +286,52 @@ def _show_square(axes: Axes, low: Values, high: Values, margin: float = 0.0) -> 
     center, half = (low + high) / 2.0, max(float((high - low).max()) * (0.5 + margin), 1e-3)
     axes.set_xlim(center[0] - half, center[0] + half)
     axes.set_ylim(center[1] - half, center[1] + half)
+
+
+_PATH: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.8", "linewidth": 3.0, "zorder": 1.1, "solid_joinstyle": "miter", "label": "path"}
+)
+"""A broad band, on which the driven way is seen."""
+
+_WAY: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.35", "linewidth": 0.5, "zorder": 2.2, "solid_capstyle": "butt"}
+)
+
+_MOST_WAYS: Final = 60
+"""About two in a centimetre of a path around half a page: more would be a grey area."""
+
+_STEPS: Final = (1.0, 2.0, 5.0, 10.0)
+
+
+def _draw_tracked_paths(axes: Axes, runs: Sequence[Run]) -> None:
+    """Draw each path that a law tracks once, below what was driven."""
+    for number, path in enumerate(list_paths(runs)):
+        name = {} if number else {"label": _PATH["label"]}
+        axes.plot(*outline_path(path).T, **{**_PATH, "label": None, **name})
+
+
+def _draw_ways_to_reference(axes: Axes, runs: Sequence[Run]) -> None:
+    """Draw of a run alone where its reference on the path is, at equal times, as seen from it."""
+    ways_m = read_way_to_reference(runs[0]) if len(runs) == 1 else None
+    if ways_m is None or has_own_way(runs[0]):
+        return
+    run, step_s = runs[0], _choose_step(runs[0].duration_s)
+    times_s = (run.poses.time_ns - run.start_ns) / 1e9
+    rows = np.searchsorted(times_s, np.arange(0.0, times_s[-1] + step_s / 2.0, step_s))
+    rows = rows[rows < len(times_s)]
+    starts_m, gaps = run.poses.xy_m[rows], np.full((len(rows), 2), np.nan)
+    lines = np.stack([starts_m, starts_m + ways_m[rows], gaps], axis=1).reshape(-1, 2)
+    axes.plot(*lines.T, **_WAY, label=f"to the reference, every {step_s:g} s")
+
+
+def _draw_worst_place(axes: Axes, worst: WorstPlace, color: Any) -> None:
+    """Draw how far from the path the run is that is furthest off, in its colour."""
+    ends = np.array([worst.path_xy_m, worst.xy_m])
+    axes.plot(*ends.T, color=color, linewidth=0.8, marker=".", markersize=4.0, zorder=3)
+
+
+def _choose_step(duration_s: float) -> float:
+    """Return a round time of which about as many fit into a run as there is room for."""
+    least_s = max(duration_s, 1e-3) / _MOST_WAYS
+    decade = 10.0 ** np.floor(np.log10(least_s))
+    return float(next(step * decade for step in _STEPS if step * decade >= least_s * (1 - 1e-9)))

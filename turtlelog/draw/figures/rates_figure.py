@@ -11,9 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from turtlelog.charts.command_changes import CommandChange, find_command_changes
 from turtlelog.charts.curves import Curve, read_applied, read_command
-from turtlelog.charts.robot_curves import read_measured
+from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
 from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, label_runs

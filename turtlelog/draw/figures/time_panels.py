@@ -1,20 +1,21 @@
-"""Panels over time: the curves of `charts.time_plots`, their level lines, gaps and outliers."""
+"""Panels over time, and how panels stand in a figure: curves, level lines, gaps and outliers."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
-from turtlelog.charts.axis_ranges import find_range
 from turtlelog.charts.curves import Curve, find_disturbance
-from turtlelog.charts.far_origin import find_origin, label_coordinate, move_near
 from turtlelog.charts.looks import LIMIT_DASH, choose_curve_color, choose_dash
 from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import FEW, Color, choose_run_colors
+from turtlelog.charts.plane_scene import find_origin, label_coordinate, move_near
 from turtlelog.charts.plotted_curves import (
     COMPARED,
     POINTS,
@@ -28,7 +29,8 @@ from turtlelog.charts.plotted_curves import (
     list_plotted,
     take_magnitude,
 )
-from turtlelog.charts.pose_gaps import list_seen_gaps
+from turtlelog.charts.robot_curves import lack_samples, list_seen_gaps
+from turtlelog.charts.time_axes import find_range
 from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_level, draw_points
 from turtlelog.draw.figures.page import (
@@ -41,7 +43,7 @@ from turtlelog.draw.figures.page import (
     style_runs,
     to_rgb,
 )
-from turtlelog.draw.figures.panels import finish
+from turtlelog.draw.figures.plane_panels import draw_paths, show_all
 from turtlelog.run import Run
 
 _LOOKS: Final[Mapping[CurveKind, Mapping[str, Any]]] = MappingProxyType(
@@ -129,7 +131,7 @@ def draw_time_plot(
     has_sign = scale == "log" and name != "distance"
     label = f"|{plot.title}| [{plot.unit}]" if has_sign else plot.label
     label = label_coordinate(name, origin_m) if origin_m else label
-    finish(axes, runs, re.sub(r"Kp e(\w)", r"$K_p e_\1$", label))
+    _finish(axes, runs, re.sub(r"Kp e(\w)", r"$K_p e_\1$", label))
     calm = [run for number, run in enumerate(runs) if number not in restless]
     _fit(axes, calm, plot, scale, is_forced=bool(restless))
     if restless:
@@ -152,7 +154,7 @@ def draw_states(axes: Axes, runs: Sequence[Run], *, names: Sequence[str], label:
     for name, looks in zip(names, choose_lines(len(names)), strict=True):
         for found in list_plotted(runs[0], find_plot(name, runs)):
             draw_curve(axes, found.curve, **looks, label=name)
-    finish(axes, runs, label)
+    _finish(axes, runs, label)
 
 
 def _scale(axes: Axes, scale: Scale) -> None:
@@ -291,3 +293,61 @@ def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
         axes.set_ylim(low - _OUTLIER_ROOM * len(lines) * (high - low), high)
         text = axes.text(0.99, 0.03, "\n".join(lines), fontsize=_WORDS_POINTS, color="0.3")
         text.set(transform=axes.transAxes, ha="right", va="bottom")
+
+
+Draw = Callable[[Axes, Sequence[Run]], None]
+"""Draws one panel of some runs."""
+
+
+def draw_stack(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
+    """Draw panels over each other on one time axis."""
+    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)
+    for axes, panel in zip(grid[:, 0], panels, strict=True):
+        panel(axes, runs)
+    for axes, _ in pairwise(grid[:, 0]):
+        axes.set_xlabel("")
+
+
+def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
+    """Draw where runs drove, and panels on one time axis in two columns around it.
+
+    The plane stands at the top of the left column. Of runs without samples it takes all of that,
+    and of runs without poses there is none.
+    """
+    if not any(len(run.poses) for run in runs):
+        draw_stack(figure, runs, panels)
+        return
+    if lack_samples(runs):
+        grid = figure.add_gridspec(len(panels), 2, width_ratios=(1.0, 1.25))
+        rows = len(panels)
+    else:
+        rows = count_plane_rows(panels)
+        grid = figure.add_gridspec((len(panels) + rows) // 2, 2)
+    plane = figure.add_subplot(grid[:rows, 0])
+    draw_paths(plane, runs)
+    show_all(plane, runs)
+    places = [(row, column) for row in range(grid.nrows) for column in (0, 1)]
+    places = [(row, column) for row, column in places if column or row >= rows]
+    shared: Axes | None = None
+    for panel, (row, column) in zip(panels, places, strict=True):
+        shared = axes = figure.add_subplot(grid[row, column], sharex=shared)
+        panel(axes, runs)
+        if rows == grid.nrows:
+            # Low panels have no room for a unit beside its name.
+            axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
+        if row + 1 < grid.nrows:
+            axes.set_xlabel("")
+            axes.tick_params(labelbottom=False)
+
+
+def count_plane_rows(panels: Sequence[object]) -> int:
+    """Return the rows of two columns that a plane takes so that beside panels no place is empty."""
+    return 1 + (len(panels) + 1) % 2
+
+
+def _finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
+    """Name the axes of a panel over time."""
+    firsts = dict.fromkeys(run.first_row for run in runs)
+    axes.set(xlabel=f"time from the first {' or '.join(firsts)} [s]", ylabel=label)
+    axes.margins(x=0.01)
+    axes.locator_params(axis="x", nbins=6)

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from turtlelog.charts.axis_ranges import find_rest
+from turtlelog.charts.time_axes import find_rest
 from turtlelog.draw.figures.page import Page
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
@@ -47,7 +47,7 @@ def require_window(runs: Sequence[Run], page: Page) -> None:
             )
 
 
-def find_window(runs: Sequence[Run], page: Page) -> tuple[float, float] | None:
+def find_shown_times(runs: Sequence[Run], page: Page) -> tuple[float, float] | None:
     """Return from when to when a page shows runs [s]; None where it shows all of them."""
     if page.from_s is None and page.to_s is None:
         return None
@@ -63,7 +63,7 @@ def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
 
     Without such times an axis along which nothing more happens in its second half ends there.
     """
-    window_s = find_window(runs, page)
+    window_s = find_shown_times(runs, page)
     if window_s is None:
         # Commands that stay the same say nothing of rest.
         if not page.has_marks and (not runs or any(len(run.poses) for run in runs)):

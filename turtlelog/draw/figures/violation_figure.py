@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from turtlelog.charts.looks import LIMIT_DASH
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number
-from turtlelog.draw.figures.direct_labels import WordSpace, place_words
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.page import STROKES, choose_lines, label_runs
+from turtlelog.draw.figures.placed_words import WordSpace, place_words
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 

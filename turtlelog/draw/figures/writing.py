@@ -1,4 +1,4 @@
-"""Figures as files."""
+"""Figures as files, and in notebooks."""
 
 import io
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -26,19 +26,13 @@ from turtlelog.compare import (
     tabulate_whole_runs,
 )
 from turtlelog.draw.documents import choose_essentials
-from turtlelog.draw.figures.figure_kinds import (
-    FIGURES,
-    FigureKind,
-    list_usual_figures,
-)
-from turtlelog.draw.figures.gain_bar import add_gain_bar
+from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind, list_usual_figures
 from turtlelog.draw.figures.left_out import has_table1
-from turtlelog.draw.figures.legend import add_legend
+from turtlelog.draw.figures.legend import add_gain_bar, add_legend
 from turtlelog.draw.figures.marked_panels import mark_panels
 from turtlelog.draw.figures.page import Page, use_looks
 from turtlelog.draw.figures.plane_panels import has_one_plane, stress_window
-from turtlelog.draw.figures.shown_figure import ShownFigure
-from turtlelog.draw.figures.time_window import cut_time_axes, find_window, require_window
+from turtlelog.draw.figures.time_window import cut_time_axes, find_shown_times, require_window
 from turtlelog.draw.output_files import replace_file, replace_together
 from turtlelog.draw.table_formats import format_latex
 from turtlelog.errors import ShowError, describe_unknown, make_portable
@@ -107,7 +101,7 @@ def draw_figure(
         figure = ShownFigure(figsize=size, layout="constrained")
         kind.draw_on(figure, order_by_gain(runs))
         cut_time_axes(figure, runs, page)
-        stress_window(figure, order_by_gain(runs), find_window(runs, page))
+        stress_window(figure, order_by_gain(runs), find_shown_times(runs, page))
         add_legend(figure, without=add_gain_bar(figure, order_by_gain(runs)))
         page.fit(figure)
         if page.has_marks:
@@ -342,3 +336,29 @@ def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list
         write(f"{name}.tex", format_latex(replace(table, label=f"tab:{name}")).encode())
         for name, table in tables.items()
     ]
+
+
+_DPI: Final = 192
+"""Twice what browsers call an inch: sharp on screens of any kind."""
+
+_BROWSER_DPI: Final = 96
+
+
+class ShownFigure(Figure):
+    """A `matplotlib.figure.Figure` that a notebook shows as the value of a cell.
+
+    It takes no magic command, and does not stay in the memory of pyplot.
+    """
+
+    def _repr_png_(self) -> tuple[bytes, dict[str, Any]]:
+        data, dpi = io.BytesIO(), self.dpi
+        with use_looks():
+            try:
+                self.dpi = _DPI
+                if (engine := self.get_layout_engine()) is not None:
+                    engine.execute(self)
+                FigureCanvasAgg(self).print_png(data)
+            finally:
+                self.dpi = dpi
+        width, height = (round(float(inch) * _BROWSER_DPI) for inch in self.get_size_inches())
+        return data.getvalue(), {"width": width, "height": height}

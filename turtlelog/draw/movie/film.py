@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.phase_timelines import TIMELINE, find_phase_zeros
+from turtlelog.charts.time_axes import TIMELINE, find_phase_zeros
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 

@@ -1,16 +1,24 @@
-"""A movie of one run or several, from the first pose to the last."""
+"""A movie of one run or several, into .mp4 as VP9 or .gif.
 
-from collections.abc import Callable, Sequence
+VP9 and its encoder are free of fees, and FFmpeg as OpenCV ships it is under the LGPL. H.264, which
+even older players know, has no encoder that is both at hand and free of the GPL.
+"""
+
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from turtlelog.charts.phase_timelines import TIMELINE
+import numpy as np
+
+from turtlelog.charts.time_axes import TIMELINE
 from turtlelog.compare import order_by_gain
-from turtlelog.draw.movie.encoding import PICTURES_PER_S, encode_movie, require_encoder
 from turtlelog.draw.movie.film import LONGEST_S, SHORTEST_S, plan_film
-from turtlelog.draw.movie.picture import draw_pictures
+from turtlelog.draw.movie.picture import Picture, draw_pictures
+from turtlelog.draw.output_files import replace_file
 from turtlelog.errors import ShowError
 from turtlelog.files.urls import make_path
+from turtlelog.libraries import load_library
 from turtlelog.run import Run
 
 _SIZES: Final = {".mp4": (1280, 720), ".gif": (800, 450)}
@@ -55,4 +63,78 @@ def write_movie(
     film = plan_film(
         runs, timeline=timeline, length_s=length_s, pictures_per_s=PICTURES_PER_S[suffix]
     )
-    encode_movie(draw_pictures(runs, film, size=_SIZES[suffix], on_picture=on_picture), path)
+    _encode_movie(draw_pictures(runs, film, size=_SIZES[suffix], on_picture=on_picture), path)
+
+
+_MOVIE_FORMATS: Final = (".mp4", ".gif")
+
+PICTURES_PER_S: Final = {".mp4": 24.0, ".gif": 20.0}
+"""As in the cinema; VP9 takes 0.13 s of processor time per picture. Pictures of a GIF last whole
+hundredths of a second, and many programs show none of less than five."""
+
+_COLORS: Final = 128
+"""Colours of a GIF: twelve runs with their fainter paths and soft edges need about 90."""
+
+
+def require_encoder(suffix: str) -> None:
+    """Load what writes files of a suffix.
+
+    Raises:
+        ShowError: Where movies do not end so.
+        LibraryError: Where it is not installed.
+    """
+    if suffix not in _MOVIE_FORMATS:
+        raise ShowError(f"movie: expected a name that ends in .mp4 or .gif, found {suffix!r}")
+    load_library("cv2" if suffix == ".mp4" else "PIL.Image")
+
+
+def _encode_movie(pictures: Iterable[Picture], path: Path) -> None:
+    """Write pictures, all of one size; the file is replaced when the new one is complete.
+
+    Raises:
+        ShowError: Where the file cannot be written.
+    """
+    suffix = path.suffix.lower()
+    require_encoder(suffix)
+    with replace_file(path) as part:
+        if suffix == ".mp4":
+            _encode_mp4(pictures, part)
+        else:
+            _encode_gif(pictures, part)
+
+
+def _encode_mp4(pictures: Iterable[Picture], path: Path) -> None:
+    cv2 = load_library("cv2")
+    # OpenCV chooses the encoder by the file's ending, and the name to write to has another one.
+    with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
+        whole = Path(folder) / "movie.mp4"
+        writer: Any = None
+        for picture in pictures:
+            if writer is None:
+                height, width = picture.shape[:2]
+                codec = cv2.VideoWriter_fourcc(*"vp09")
+                rate = PICTURES_PER_S[".mp4"]
+                writer = cv2.VideoWriter(str(whole), cv2.CAP_FFMPEG, codec, rate, (width, height))
+                if not writer.isOpened():
+                    raise ShowError(f"{path}: expected OpenCV to write VP9, found that it cannot")
+            writer.write(np.ascontiguousarray(picture[:, :, ::-1]))
+        if writer is not None:
+            writer.release()
+        path.write_bytes(whole.read_bytes())
+
+
+def _encode_gif(pictures: Iterable[Picture], path: Path) -> None:
+    image = load_library("PIL.Image")
+    shown = [image.fromarray(picture) for picture in pictures]
+    # One table of colours for all, from the last picture, which holds every one: nothing flickers.
+    table = shown[-1].quantize(_COLORS)
+    frames = [picture.quantize(palette=table, dither=image.Dither.NONE) for picture in shown]
+    frames[0].save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=frames[1:],
+        duration=round(1000.0 / PICTURES_PER_S[".gif"]),
+        loop=0,
+        optimize=False,
+    )

@@ -14,8 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
+from matplotlib.text import Text
+from numpy.typing import NDArray
 
-from turtlelog.charts.axis_ranges import find_range
 from turtlelog.charts.close_up import (
     CloseUp,
     Lettering,
@@ -24,9 +25,14 @@ from turtlelog.charts.close_up import (
     list_miss_labels,
 )
 from turtlelog.charts.curves import Curve, choose_rows
-from turtlelog.charts.far_origin import find_origin, label_coordinate, move_near
-from turtlelog.charts.phase_timelines import TIMELINE, locate_run
-from turtlelog.charts.plane_scene import list_goals, list_starts
+from turtlelog.charts.many_runs import shorten_run_names
+from turtlelog.charts.plane_scene import (
+    find_origin,
+    label_coordinate,
+    list_goals,
+    list_starts,
+    move_near,
+)
 from turtlelog.charts.plotted_curves import (
     COMPARED,
     has_own,
@@ -35,13 +41,15 @@ from turtlelog.charts.plotted_curves import (
     list_plotted,
 )
 from turtlelog.charts.robot_curves import part_path
+from turtlelog.charts.time_axes import TIMELINE, find_range, locate_run
 from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
 from turtlelog.charts.tracked_path import list_paths, outline_path
-from turtlelog.draw.figures.page import LOOKS, choose_lines, use_looks
-from turtlelog.draw.movie.encoding import Picture
+from turtlelog.draw.figures.page import LOOKS, choose_lines, label_runs, use_looks
 from turtlelog.draw.movie.film import Film, Values
-from turtlelog.draw.movie.head_line import HEIGHT, name_runs_above
 from turtlelog.run import Run
+
+Picture = NDArray[np.uint8]
+"""Height times width times red, green and blue."""
 
 _INCH: Final = (12.8, 7.2)
 _LOOKS: Final = {
@@ -190,8 +198,8 @@ def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
         _set_curve(stage, figure.add_axes(place), runs, looks, name)
     if close_up is not None:
         _set_goal(stage, runs, looks, close_up)
-    name_runs_above(figure, runs, [look["color"] for look in looks], left=_PLANE[0])
-    stage.clock = figure.text(0.98, HEIGHT, "", ha="right", va="center", animated=True)
+    _name_runs_above(figure, runs, [look["color"] for look in looks], left=_PLANE[0])
+    stage.clock = figure.text(0.98, _HEIGHT, "", ha="right", va="center", animated=True)
     return stage
 
 
@@ -353,3 +361,56 @@ def _find_ratio(figure: Figure, place: tuple[float, float, float, float]) -> flo
     """Return the width of a place over its height."""
     width, height = figure.get_size_inches()
     return float(place[2] * width / (place[3] * height))
+
+
+_HEIGHT: Final = 0.935
+"""Of the line's middle in the picture."""
+
+_MOST_NAMED: Final = 7
+"""Names above the picture: as many as have a hue of their own."""
+
+_NAMES_END: Final = 0.66
+"""Of the width: the rest is the clock's."""
+
+_LEAST_POINTS: Final = 10.0
+"""Of a name: in a .gif of 450 pixels in height smaller letters are a blot."""
+
+
+def _name_runs_above(
+    figure: Figure, runs: Sequence[Run], colors: Sequence[Any], *, left: float
+) -> None:
+    """Name runs in their colours; long names are shortened, then smaller, and of many some."""
+    chosen = list(range(len(runs)))
+    if len(runs) > _MOST_NAMED:
+        chosen = np.linspace(0, len(runs) - 1, 4).round().astype(int).tolist()
+    names = label_runs(runs)
+    short = shorten_run_names(runs, names)
+    named, end = 0, left
+    for words, points in ((names, 17.0), (short, 17.0), (short, 13.0), (short, 10.0)):
+        told = [(words[number], colors[number]) for number in chosen]
+        end, texts = _write_names(figure, told, points, left)
+        named = len(texts)
+        if named == len(chosen) or points <= _LEAST_POINTS:
+            break
+        for text in texts:
+            text.remove()
+    if named < len(runs):
+        figure.text(end, _HEIGHT, f"({named} of {len(runs)} runs)", va="center")
+
+
+def _write_names(
+    figure: Figure, told: Sequence[tuple[str, Any]], points: float, left: float
+) -> tuple[float, list[Text]]:
+    """Write names beside each other while there is room; return where they end, and the texts."""
+    texts: list[Text] = []
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    for name, color in told:
+        text = figure.text(left, _HEIGHT, name, color=color)
+        text.set(fontsize=points, fontweight="bold", va="center")
+        right = left + text.get_window_extent(renderer).width / figure.bbox.width
+        if right > _NAMES_END:
+            text.remove()
+            break
+        texts.append(text)
+        left = right + 0.02
+    return left, texts

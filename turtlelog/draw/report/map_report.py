@@ -11,8 +11,7 @@ import numpy as np
 from turtlelog.compare import Column, Table
 from turtlelog.display import describe_count, show_angle
 from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep
-from turtlelog.draw.output_files import replace_file
-from turtlelog.draw.page_policy import write_policy_tag
+from turtlelog.draw.output_files import replace_file, write_policy_tag
 from turtlelog.draw.report.report_file import hash_file
 from turtlelog.draw.report.sections import show, write_table
 from turtlelog.sweep.gain_borders import LoopLimits, find_borders, tell_borders

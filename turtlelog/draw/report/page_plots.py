@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.charts.axis_ranges import find_range
+from turtlelog.charts.captions import describe_plot
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.curves import Values
@@ -19,15 +19,15 @@ from turtlelog.charts.plotted_curves import (
     CurveKind,
     PlottedCurve,
     TimePlot,
+    group_states,
     has_own,
     leaves_out,
     list_own,
     list_plot_levels,
     list_plotted,
 )
-from turtlelog.charts.pose_gaps import list_seen_gaps
-from turtlelog.charts.state_groups import group_states
-from turtlelog.charts.text_alternatives import describe_plot
+from turtlelog.charts.robot_curves import list_seen_gaps
+from turtlelog.charts.time_axes import find_range
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.draw.report.drawn import (
@@ -39,9 +39,8 @@ from turtlelog.draw.report.drawn import (
     thin,
     to_hex,
 )
-from turtlelog.draw.report.marked_plots import draw_marks
+from turtlelog.draw.report.marked_plots import RED, draw_violations, mark_plots
 from turtlelog.draw.report.planes import draw_planes
-from turtlelog.draw.report.violation_plots import RED, draw_violations
 from turtlelog.libraries import load_library
 from turtlelog.measure import Metric
 from turtlelog.run import Run
@@ -214,7 +213,7 @@ def _draw_plot(
     _set_height(figure, drawn, plot, source.data["ys"])
     _shade_gaps(figure, drawn)
     signals = {entry.signal for entry in plot.curves if entry.signal}
-    draw_marks(plots, figure, drawn, signals, marked[0])
+    mark_plots(plots, figure, drawn, signals, marked[0])
     for found in marked[1]:
         if found.first_s is not None and _concerns(found, name):
             figure.add_layout(

@@ -5,17 +5,18 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.charts.captions import describe_plane
 from turtlelog.charts.close_up import CloseUp, format_length
 from turtlelog.charts.looks import choose_turtle_size
-from turtlelog.charts.plane_scene import is_in_world, list_goals
-from turtlelog.charts.robot_curves import find_break_rows, part_path
-from turtlelog.charts.run_ends import (
+from turtlelog.charts.plane_scene import (
     MEDIAN_LABEL,
     OUTLINE_LABEL,
     find_gain_ends,
     has_grey_paths,
+    is_in_world,
+    list_goals,
 )
-from turtlelog.charts.text_alternatives import describe_plane
+from turtlelog.charts.robot_curves import find_break_rows, part_path
 from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin, to_hex
 from turtlelog.libraries import load_library
@@ -73,7 +74,9 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
             _draw_ends(figure, drawn, shown)
         if is_grey:
             _draw_many_ends(figure, drawn)
-            figure.legend.update(visible=shown is None, location="bottom_left")
+            # There is no legend where each gain has too few runs for an outline.
+            for legend in figure.legend:
+                legend.update(visible=shown is None, location="bottom_left")
         figure.x_range.renderers = figure.y_range.renderers = still
         size_m = 0.07 * shown.half_m if shown else 0.045 * _measure_size(drawn)
         size_m *= choose_turtle_size(len(drawn))

@@ -11,7 +11,7 @@ from turtlelog.compare import Table, format_cell
 from turtlelog.compare.run_names import list_differing
 from turtlelog.display import describe_count
 from turtlelog.draw.report.drawn import to_hex
-from turtlelog.draw.report.violation_plots import MOST_VIOLATIONS
+from turtlelog.draw.report.marked_plots import MOST_VIOLATIONS
 from turtlelog.escapes import escape_controls
 from turtlelog.explain import Attribution, write_sentences
 from turtlelog.run import Run

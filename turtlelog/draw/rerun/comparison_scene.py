@@ -10,7 +10,6 @@ import rerun as rr
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import name_ends
-from turtlelog.charts.far_origin import move_near
 from turtlelog.charts.looks import choose_turtle_size
 from turtlelog.charts.many_runs import (
     MANY,
@@ -20,10 +19,10 @@ from turtlelog.charts.many_runs import (
     find_restless,
     group_equal,
     join_run_names,
-    shorten_names,
+    shorten_run_names,
 )
 from turtlelog.charts.palette import Color, choose_run_colors
-from turtlelog.charts.run_ends import has_grey_paths
+from turtlelog.charts.plane_scene import has_grey_paths, move_near
 from turtlelog.compare import name_runs, order_by_gain
 from turtlelog.draw.documents import document_runs
 from turtlelog.draw.rerun import entities, plane
@@ -35,7 +34,9 @@ from turtlelog.draw.rerun.content import (
 )
 from turtlelog.draw.rerun.entities import ALONG_TRACK, RUNS, join_path, name_part
 from turtlelog.draw.rerun.layout import build_comparison_layout, is_small
+from turtlelog.draw.rerun.legends import draw_legend, draw_scale, tell_span, title_scale
 from turtlelog.draw.rerun.marks import draw_phases, list_events
+from turtlelog.draw.rerun.plane import Look, count_segments, draw_trail, draw_turtle
 from turtlelog.draw.rerun.plots import (
     LevelLines,
     Series,
@@ -45,7 +46,6 @@ from turtlelog.draw.rerun.plots import (
     list_references,
 )
 from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording, send_comparison_properties
-from turtlelog.draw.rerun.run_legend import draw_legend, draw_scale, tell_span, title_scale
 from turtlelog.draw.rerun.timelines import (
     RunStream,
     Timelines,
@@ -53,7 +53,6 @@ from turtlelog.draw.rerun.timelines import (
     build_compared_timelines,
     read_span,
 )
-from turtlelog.draw.rerun.turtles import Look, count_segments, draw_trail, draw_turtle
 from turtlelog.draw.rerun.views import choose_phase_rows
 from turtlelog.draw.rerun.world import (
     LETTERING,
@@ -209,7 +208,7 @@ def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[s
     """Return a name for each group of equal runs: one is drawn, and says that it is all of them."""
     names = name_runs(runs)
     firsts = [runs[first] for first, *_ in groups]
-    brief = shorten_names(firsts, [names[first] for first, *_ in groups])
+    brief = shorten_run_names(firsts, [names[first] for first, *_ in groups])
     return [
         name if len(group) == 1 else _name_equal(name, [names[number] for number in group])
         for name, group in zip(brief, groups, strict=True)

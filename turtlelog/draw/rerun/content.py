@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.axis_ranges import find_range
 from turtlelog.charts.close_up import CloseUp, find_close_up
 from turtlelog.charts.curves import find_end_of_turn
-from turtlelog.charts.phase_timelines import TIMELINE, WALL_TIMELINE, name_phase_timeline
-from turtlelog.charts.state_groups import StateGroup, group_states
+from turtlelog.charts.plotted_curves import StateGroup, group_states
+from turtlelog.charts.time_axes import TIMELINE, WALL_TIMELINE, find_range, name_phase_timeline
 from turtlelog.charts.time_plots import list_controlled
 from turtlelog.charts.tracked_path import WorstPlace, find_worst_place
 from turtlelog.display import describe_count

@@ -20,6 +20,13 @@ from turtlelog.compare import Column, Table
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.content import Content, describe_content, find_largest_shown
 from turtlelog.draw.rerun.entities import GHOSTS, RUNS, join_path, name_part
+from turtlelog.draw.rerun.explanation_pictures import (
+    count_ends,
+    draw_luck_ends,
+    draw_luck_picture,
+    draw_reason,
+    draw_waterfall_picture,
+)
 from turtlelog.draw.rerun.ghosts import (
     Ghost,
     build_ideal_ghost,
@@ -29,7 +36,6 @@ from turtlelog.draw.rerun.ghosts import (
     list_gaps,
 )
 from turtlelog.draw.rerun.layout import build_explanation_layout
-from turtlelog.draw.rerun.luck_picture import count_ends, draw_luck_ends, draw_luck_picture
 from turtlelog.draw.rerun.marks import (
     draw_dead_times,
     draw_lines,
@@ -38,6 +44,7 @@ from turtlelog.draw.rerun.marks import (
     list_events,
     list_pause_times,
 )
+from turtlelog.draw.rerun.plane import Look, count_segments, draw_trail, draw_turtle
 from turtlelog.draw.rerun.plots import (
     LevelLines,
     Series,
@@ -53,8 +60,6 @@ from turtlelog.draw.rerun.timelines import (
     build_compared_timelines,
     read_span,
 )
-from turtlelog.draw.rerun.turtles import Look, count_segments, draw_trail, draw_turtle
-from turtlelog.draw.rerun.waterfall import draw_reason, draw_waterfall
 from turtlelog.draw.rerun.world import draw_close_up, draw_world, draw_worst_place, find_way_bounds
 from turtlelog.draw.table_formats import format_markdown
 from turtlelog.errors import ShowError
@@ -133,7 +138,7 @@ def write_explanation_rrd(
         else:
             waterfall = draw_up_attribution(found)
             ghosts = dict(zip(what_ifs, metrics[1:], strict=False))
-            draw_waterfall(stream, waterfall, _tell_ghosts(found, ghosts))
+            draw_waterfall_picture(stream, waterfall, _tell_ghosts(found, ghosts))
         if picture is not None:
             draw_luck_picture(stream, picture)
             draw_luck_ends(stream, picture, content.goal)

@@ -11,12 +11,12 @@ from turtlelog.charts import palette
 from turtlelog.charts.close_up import format_length
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.palette import Color
-from turtlelog.charts.phase_timelines import TIMELINE, locate_run
+from turtlelog.charts.time_axes import TIMELINE, locate_run
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path, name_part
+from turtlelog.draw.rerun.plane import MOST_SEGMENTS, Look, draw_trail, draw_turtle
 from turtlelog.draw.rerun.plots import Series
 from turtlelog.draw.rerun.timelines import RunStream, Timelines, Values, build_index
-from turtlelog.draw.rerun.turtles import MOST_SEGMENTS, Look, draw_trail, draw_turtle
 from turtlelog.draw.rerun.world import Bounds
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import wrap_angle

@@ -6,12 +6,12 @@ from typing import Final
 import rerun as rr
 import rerun.blueprint as rrb
 
-from turtlelog.charts.phase_timelines import TIMELINE
-from turtlelog.charts.plotted_curves import Column
-from turtlelog.charts.state_groups import StateGroup
+from turtlelog.charts.plotted_curves import Column, StateGroup
+from turtlelog.charts.time_axes import TIMELINE
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import Content
-from turtlelog.draw.rerun.run_legend import view_legend, view_scale
+from turtlelog.draw.rerun.explanation_pictures import view_picture, view_waterfall
+from turtlelog.draw.rerun.legends import view_legend, view_scale
 from turtlelog.draw.rerun.views import (
     view_document,
     view_events,
@@ -22,7 +22,6 @@ from turtlelog.draw.rerun.views import (
     view_speed,
     view_worst,
 )
-from turtlelog.draw.rerun.waterfall import view_picture, view_waterfall
 
 Corners = Mapping[str, rrb.Corner2D]
 

@@ -1,16 +1,145 @@
-"""Legends of the plots of a run alone: a line for each colour, two at most.
-
-The viewer joins curves of one name to one line of a legend, in the colour of the lowest curve.
-"""
+"""Legends in the colours of runs: of one, of several, or of many the bar of a gain."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.curves import Level
+from turtlelog.charts.many_runs import GainScale
 from turtlelog.charts.palette import Color
+from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.marks import Mark, name_marks
 from turtlelog.draw.rerun.plots import LevelLines, Series
+
+_SCALE_WIDTH: Final = 12.0
+"""Of the bar that tells the colours of many runs, in heights of it."""
+
+_SCALE_DEPTH: Final = 2.5
+
+_LEGEND_WIDTH: Final = 12.0  # in heights of a row
+
+_LEGEND_LETTERS: Final = 48
+"""Of all columns together: with dots and gaps they take 400 of 430 pixels."""
+
+_MOST_COLUMNS: Final = 4
+"""Of names; more columns of short ones would be read as lines."""
+
+_MOST_NAMES: Final = 28
+"""In four columns and seven lines, which a window of 1200 x 860 has room for."""
+
+_LEGEND_RADIUS: Final = 5.0  # [points]
+
+_SCALE_HEIGHT: Final = 1.0
+
+_SCALE_LINES: Final = 8
+"""Lines side by side that fill a cell: the viewer rounds the ends of a thick one."""
+
+_SCALE_LABELS: Final = 12
+"""Values in a view 500 pixels wide: 40 each."""
+
+
+def view_legend(names: Sequence[str]) -> rrb.View:
+    """Show the names of many runs in their colours."""
+    shown = [names[number] for number in choose_names(len(names))]
+    last_row = float(arrange_names(shown)[-1, 1])
+    return rrb.Spatial2DView(
+        origin="/",
+        contents=[join_path(entities.LEGEND)],
+        name="Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs",
+        background=palette.GROUND,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=(0.0, _LEGEND_WIDTH), y_range=(-0.5, last_row + 1.0)
+        ),
+    )
+
+
+def view_scale(title: str) -> rrb.View:
+    """Show the bar of the colours of many runs."""
+    return rrb.Spatial2DView(
+        origin="/",
+        contents=[f"{join_path(entities.LEGEND)}/**"],
+        name=title,
+        background=palette.GROUND,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=(-0.3, _SCALE_WIDTH + 0.3), y_range=(-0.5, _SCALE_DEPTH)
+        ),
+    )
+
+
+def draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[Color]) -> None:
+    """Draw runs' names in their colours."""
+    chosen = choose_names(len(names))
+    shown = [names[number] for number in chosen]
+    points = rr.Points2D(
+        arrange_names(shown),
+        radii=rr.Radius.ui_points(_LEGEND_RADIUS),
+        colors=[colors[number] for number in chosen],
+        labels=shown,
+        show_labels=True,
+    )
+    stream.log(join_path(entities.LEGEND), points, static=True)
+
+
+def draw_scale(stream: rr.RecordingStream, scale: GainScale, colors: Sequence[Color]) -> None:
+    """Draw a bar of the runs' colours in their order, with the values of some below it."""
+    width = _SCALE_WIDTH / len(colors)
+    edges = np.arange(len(colors) + 1) * width
+    bar = rr.LineStrips2D(
+        [
+            [(x, (row + 0.5) * _SCALE_HEIGHT / _SCALE_LINES) for x in edges[number : number + 2]]
+            for number in range(len(colors))
+            for row in range(_SCALE_LINES)
+        ],
+        radii=_SCALE_HEIGHT / _SCALE_LINES * 0.6,
+        colors=palette.pack_colors([color for color in colors for _ in range(_SCALE_LINES)]),
+    )
+    stream.log(join_path(entities.LEGEND, "bar"), bar, static=True)
+    count = min(len(colors), _SCALE_LABELS)
+    shown = np.unique(np.linspace(0, len(colors) - 1, count).round().astype(int)).tolist()
+    labels = rr.Points2D(
+        [((number + 0.5) * width, _SCALE_HEIGHT) for number in shown],
+        radii=rr.Radius.ui_points(0.0),
+        colors=[colors[number] for number in shown],
+        labels=[f"{scale.values[number]:.3g}" for number in shown],
+        show_labels=True,
+    )
+    stream.log(join_path(entities.LEGEND, "values"), labels, static=True)
+
+
+def title_scale(scale: GainScale) -> str:
+    """Return what the bar shows, for its title."""
+    return f"{len(scale.values)} runs, coloured by {scale.word}: {tell_span(scale)}"
+
+
+def tell_span(scale: GainScale) -> str:
+    """Return the least and the greatest value of the bar."""
+    return f"{min(scale.values):g} to {max(scale.values):g}"
+
+
+def choose_names(count: int) -> tuple[int, ...]:
+    """Return which of many runs are named: as many as there is room for, the last among them.
+
+    Colours of many runs follow their order, so that those between are known from their neighbours.
+    """
+    if count <= _MOST_NAMES:
+        return tuple(range(count))
+    return tuple(np.unique(np.linspace(0, count - 1, _MOST_NAMES).round().astype(int)).tolist())
+
+
+def arrange_names(names: Sequence[str]) -> NDArray[np.float64]:
+    """Return places in a grid, y downward, shape (n, 2): the longest name sets its columns."""
+    longest = max(len(name) for name in names)
+    columns = max(1, min(_MOST_COLUMNS, _LEGEND_LETTERS // longest))
+    number = np.arange(len(names))
+    across = (number % columns + 0.5) * (_LEGEND_WIDTH / columns)
+    return np.column_stack([across, number // columns])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

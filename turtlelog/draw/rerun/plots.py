@@ -18,12 +18,13 @@ from turtlelog.charts.plotted_curves import (
     POINTS,
     CurveKind,
     PlottedCurve,
+    StateGroup,
     TimePlot,
+    group_states,
     has_own,
     list_plot_levels,
     list_plotted,
 )
-from turtlelog.charts.state_groups import StateGroup, group_states
 from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path

@@ -1,4 +1,4 @@
-"""How a robot follows its commands as a Rerun recording: command, motion, model and residual."""
+"""How a robot follows its commands as a Rerun recording, alone or beside a simulated one."""
 
 from pathlib import Path
 from typing import Final
@@ -6,9 +6,12 @@ from typing import Final
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.palette import Color
+from turtlelog.compare import ErrorBand, RobotComparison
+from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.draw.rerun.content import find_emptiest_corner
 from turtlelog.draw.rerun.layout import link_views
 from turtlelog.draw.rerun.rrd_file import open_recording
@@ -17,7 +20,7 @@ from turtlelog.identify import AxisTraces, RobotModel, trace_axis
 from turtlelog.run import Run
 
 _TITLES: Final = {"speed": "speed [m/s]", "turn_rate": "turn rate [rad/s]"}
-TIMELINE: Final = "robot_time"
+_TIMELINE: Final = "robot_time"
 _RESIDUAL: Final = "residual"
 
 _CURVES: Final[tuple[tuple[str, Color, float], ...]] = (
@@ -44,15 +47,15 @@ def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
     if not traces:
         reasons = "; ".join(axis.reason for axis in model.axes)
         raise ShowError(f"{path}: no axis was identified: {reasons}")
-    views = [view for found in traces for view in list_views(found)]
+    views = [view for found in traces for view in _list_views(found)]
     shares = [2.0, 1.0] * len(traces)
     layout = link_views(rrb.Vertical(*views, row_shares=shares))
     with open_recording(path, name=f"{run.name}, identified", layout=layout) as stream:
         for found in traces:
-            draw_axis(stream, found)
+            _draw_axis(stream, found)
 
 
-def list_views(found: AxisTraces) -> list[rrb.View]:
+def _list_views(found: AxisTraces) -> list[rrb.View]:
     """Return a view of the rates of an axis, and one of what its model leaves."""
     title = _TITLES[found.axis]
     rates = [f"/{found.axis}/{name}" for name, _, _ in _CURVES if name != _RESIDUAL]
@@ -76,12 +79,110 @@ def list_views(found: AxisTraces) -> list[rrb.View]:
     ]
 
 
-def draw_axis(stream: rr.RecordingStream, found: AxisTraces) -> None:
+def _draw_axis(stream: rr.RecordingStream, found: AxisTraces) -> None:
     """Log the rates of an axis, and what its model leaves."""
     time_ns = np.rint(found.time_s * 1e9).astype("timedelta64[ns]")
-    index = [rr.TimeColumn(TIMELINE, duration=time_ns)]
+    index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
     for name, color, width in _CURVES:
         entity = f"/{found.axis}/{name}"
         style = rr.SeriesLines(names=name, colors=palette.pack_colors([color]), widths=[width])
         stream.log(entity, style, static=True)
         stream.send_columns(entity, index, rr.Scalars.columns(scalars=getattr(found, name)))
+
+
+_PLANE: Final = "/plane"
+_PATH_PIXELS: Final = 1.2
+
+
+def write_prediction_rrd(found: RobotComparison, path: str | Path) -> None:
+    """Write a recording of a recorded robot beside a simulated one.
+
+    Args:
+        found: Result of `turtlelog.compare.compare_robot`.
+        path: The .rrd file; replaced when the new one is complete.
+
+    Raises:
+        ShowError: If the file cannot be written.
+    """
+    link = rrb.TimeAxis(link="LinkToGlobal")
+    longest = [band for band in found.bands if band.horizon_s == found.bands[-1].horizon_s]
+    errors = [
+        rrb.TimeSeriesView(
+            origin=_name_errors(band),
+            name=_title_errors(band),
+            axis_x=link,
+        )
+        for band in longest
+    ]
+    rates = [view for traces in found.traces for view in _list_views(traces)[:1]]
+    plane = rrb.Spatial2DView(
+        origin=_PLANE,
+        name="recorded path, and predictions that begin on it",
+        background=palette.GROUND,
+    )
+    layout = link_views(
+        rrb.Horizontal(plane, rrb.Vertical(*errors, *rates), column_shares=[1.0, 1.2])
+    )
+    name = f"{found.name} beside {found.scenario}"
+    with open_recording(path, name=name, layout=layout) as stream:
+        _draw_plane(stream, found)
+        for band in longest:
+            _draw_errors(stream, band, found.start_s)
+        for traces in found.traces:
+            _draw_axis(stream, traces)
+
+
+def _name_errors(band: ErrorBand) -> str:
+    return f"/errors/{band.quantity}"
+
+
+def _title_errors(band: ErrorBand) -> str:
+    unit, _ = SHOWN_UNITS[band.quantity]
+    return f"error of {band.quantity} after {band.horizon_s:g} s [{unit}]"
+
+
+def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
+    # A 2D view looks down, so its y points down.
+    pieces = [_flip(piece) for piece in found.predict_pieces()]
+    # The recorded path lies below, and shows on both sides.
+    for name, strips, color, pixels in (
+        ("recorded", [_flip(found.recorded.xy_m)], palette.MEASURED, 2.0 * _PATH_PIXELS),
+        ("simulated", pieces, palette.MODEL, _PATH_PIXELS),
+    ):
+        strip = rr.LineStrips2D(
+            strips,
+            colors=palette.pack_colors([color]),
+            radii=rr.Radius.ui_points(pixels),
+            draw_order=-pixels,
+            labels=[name],
+            show_labels=False,
+        )
+        stream.log(f"{_PLANE}/{name}", strip, static=True)
+    starts = rr.Points2D(
+        [piece[0] for piece in pieces],
+        colors=palette.pack_colors([palette.MODEL]),
+        radii=rr.Radius.ui_points(4.0 * _PATH_PIXELS),
+    )
+    stream.log(f"{_PLANE}/begins", starts, static=True)
+
+
+def _flip(xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(xy_m * np.array([1.0, -1.0]))
+
+
+def _draw_errors(stream: rr.RecordingStream, band: ErrorBand, start_s: float) -> None:
+    _, factor = SHOWN_UNITS[band.quantity]
+    time_ns = np.rint((band.time_s + start_s) * 1e9).astype("timedelta64[ns]")
+    index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
+    curves: list[tuple[str, NDArray[np.float64] | None, Color]] = [
+        ("recorded", band.recorded, palette.MEASURED),
+        ("least simulated", band.low, palette.REFERENCE),
+        ("largest simulated", band.high, palette.REFERENCE),
+    ]
+    for name, values, color in curves:
+        if values is None:
+            continue
+        entity = f"{_name_errors(band)}/{name.replace(' ', '_')}"
+        colors = palette.pack_colors([color])
+        stream.log(entity, rr.SeriesLines(names=name, colors=colors), static=True)
+        stream.send_columns(entity, index, rr.Scalars.columns(scalars=factor * values))

@@ -1,4 +1,4 @@
-"""One run as a Rerun recording."""
+"""One run as a Rerun recording, in a file or in the widget of a notebook."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -7,18 +7,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import rerun as rr
+from rerun.notebook import Viewer
 
 from turtlelog.charts import palette
-from turtlelog.charts.far_origin import move_near
+from turtlelog.charts.plane_scene import move_near
 from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities, plane
-from turtlelog.draw.rerun.content import (
-    Content,
-    describe_content,
-    find_corners,
-    find_largest_shown,
-)
-from turtlelog.draw.rerun.entities import join_path
+from turtlelog.draw.rerun.content import Content, describe_content, find_corners, find_largest_shown
+from turtlelog.draw.rerun.entities import APPLICATION_ID, join_path
 from turtlelog.draw.rerun.ghosts import Ghost, build_ideal_ghost, draw_ghost, draw_key
 from turtlelog.draw.rerun.layout import build_run_layout, is_small
 from turtlelog.draw.rerun.legends import name_legends
@@ -31,6 +27,7 @@ from turtlelog.draw.rerun.marks import (
     list_marks,
     list_responses,
 )
+from turtlelog.draw.rerun.plane import Look, draw_turtle
 from turtlelog.draw.rerun.plots import (
     LevelLines,
     Series,
@@ -39,8 +36,13 @@ from turtlelog.draw.rerun.plots import (
     list_references,
     list_series,
 )
-from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording, send_run_properties
-from turtlelog.draw.rerun.seen_walls import draw_surroundings, widen_plane
+from turtlelog.draw.rerun.rrd_file import (
+    draw_documents,
+    open_recording,
+    require_enabled,
+    send_run_properties,
+    strict_mode,
+)
 from turtlelog.draw.rerun.timelines import (
     RunStream,
     Values,
@@ -48,8 +50,13 @@ from turtlelog.draw.rerun.timelines import (
     build_run_timelines,
     read_span,
 )
-from turtlelog.draw.rerun.turtles import Look, draw_turtle
-from turtlelog.draw.rerun.world import draw_close_up, draw_world, draw_worst_place
+from turtlelog.draw.rerun.world import (
+    draw_close_up,
+    draw_surroundings,
+    draw_world,
+    draw_worst_place,
+    widen_plane,
+)
 from turtlelog.log.ros2.bag_scans import Surroundings
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
@@ -238,3 +245,24 @@ def _draw_events(run_stream: RunStream, single: Single, content: Content) -> Non
         name, entity = single.names[plot], f"{plot}/{_EVENT_LINES}"
         draw_lines(run_stream, entity, name, palette.MAIN, times_ns, largest=largest)
     list_events(run_stream, run)
+
+
+def build_run_widget(run: Run, size: tuple[int, int]) -> Viewer:
+    """Return a widget of this width and height [pixels] that holds all of a run.
+
+    Raises:
+        ShowError: Where the environment switches Rerun off.
+    """
+    scene = build_run_scene(run, size=size)
+    with strict_mode():
+        # The properties that Rerun would send hold the wall-clock time.
+        stream = rr.RecordingStream(APPLICATION_ID, send_properties=False)
+        require_enabled(stream, run.name)
+        stream.set_log_time_enabled(False)
+        width, height = size
+        layout = build_run_layout(scene.content)
+        viewer = Viewer(width=width, height=height, recording=stream, blueprint=layout)
+        stream.send_recording_name(run.name)
+        scene.draw(stream)
+        stream.flush()
+    return viewer

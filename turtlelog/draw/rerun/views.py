@@ -10,8 +10,8 @@ from rerun.blueprint.archetypes import VisibleTimeRanges
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import CloseUp, format_length
 from turtlelog.charts.many_runs import MANY
-from turtlelog.charts.phase_timelines import TIMELINE
-from turtlelog.charts.run_ends import MANY_PATHS
+from turtlelog.charts.plane_scene import MANY_PATHS
+from turtlelog.charts.time_axes import TIMELINE
 from turtlelog.charts.tracked_path import WorstPlace
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import Content

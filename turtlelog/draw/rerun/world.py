@@ -1,4 +1,4 @@
-"""What the runs of a picture share in the plane: border, starts, goals, how close each run ends."""
+"""What runs share in the plane: border, walls that a robot saw, starts, goals, how each ends."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,11 +19,20 @@ from turtlelog.charts.close_up import (
     list_ring_labels,
 )
 from turtlelog.charts.palette import Color
-from turtlelog.charts.plane_scene import is_in_world, list_goals, list_places, list_starts
-from turtlelog.charts.run_ends import MEDIAN_LABEL, OUTLINE_LABEL, find_gain_ends
+from turtlelog.charts.plane_scene import (
+    MEDIAN_LABEL,
+    OUTLINE_LABEL,
+    find_gain_ends,
+    is_in_world,
+    list_goals,
+    list_places,
+    list_starts,
+)
 from turtlelog.charts.tracked_path import WorstPlace, label_worst_place, list_paths, outline_path
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
+from turtlelog.draw.rerun.timelines import Timelines, Values, build_index
+from turtlelog.log.ros2.bag_scans import CELL_M, Surroundings
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
 
@@ -296,3 +305,56 @@ def _write_words(
         show_labels=True,
     )
     stream.log(join_path(entity), words, static=True)
+
+
+_MAP_ORDER: Final = 5.0  # paths that are tracked have 15, traces 20
+_WALL_ORDER: Final = 6.0
+_SCAN_ORDER: Final = 16.0
+_SCAN_RADIUS: Final = 1.75  # [points]
+
+_WIDEST: Final = 3.0
+"""The plane grows at most so many times for what is around the path, which stays readable."""
+
+_SHARE: Final = 0.95
+"""Of the walls that the plane shows: rays through a door lead far away."""
+
+
+def draw_surroundings(
+    stream: rr.RecordingStream,
+    seen: Surroundings,
+    timelines: Timelines,
+    shift_m: Values,
+) -> None:
+    """Draw what is around the robot; `shift_m` is added to all of it, as to the run's poses."""
+    for entity, xy_m, size_m, color, order in (
+        (entities.MAP, seen.map_xy_m, seen.map_cell_m, palette.TRACKED, _MAP_ORDER),
+        (entities.WALLS, seen.walls_xy_m, CELL_M, palette.WALLS, _WALL_ORDER),
+    ):
+        if len(xy_m):
+            cells = rr.Points2D(
+                xy_m + shift_m, radii=size_m / 2.0, colors=[color], draw_order=order
+            )
+            stream.log(join_path(entity), cells, static=True)
+    if not len(seen.time_ns):
+        return
+    look = rr.Points2D.from_fields(
+        radii=rr.Radius.ui_points(_SCAN_RADIUS), colors=[palette.SCAN], draw_order=_SCAN_ORDER
+    )
+    stream.log(join_path(entities.SCAN), look, static=True)
+    points = rr.Points2D.columns(positions=np.concatenate(seen.scans_xy_m) + shift_m)
+    stream.send_columns(
+        join_path(entities.SCAN),
+        indexes=build_index(timelines.read(seen.time_ns)),
+        columns=points.partition([len(one) for one in seen.scans_xy_m]),
+    )
+
+
+def widen_plane(bounds: Bounds, seen: Surroundings, shift_m: Values) -> Bounds:
+    """Return the bounds of the plane with most of the walls within, as far as paths stay large."""
+    walls = np.concatenate([seen.walls_xy_m, seen.map_xy_m]) + shift_m
+    if not len(walls):
+        return bounds
+    away = np.abs(walls - np.asarray(bounds.center_xy_m)).max(axis=1)
+    wanted_m = float(np.quantile(away, _SHARE)) * 1.05
+    half_m = min(max(wanted_m, bounds.half_size_m), _WIDEST * bounds.half_size_m)
+    return Bounds(center_xy_m=bounds.center_xy_m, half_size_m=half_m)

@@ -45,7 +45,7 @@ _LARGE: Final = 2**22
 _LINE: Final = 64  # bytes; columns start at a multiple
 
 
-def read_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
+def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     """Return the messages that start at these places as columns: fields, times and sequence.
 
     Raises:
@@ -186,7 +186,7 @@ def fill_rows(
     """Copy messages of a topic into its columns, as `FixedColumns.fill` does.
 
     Raises:
-        LogError: As `read_rows`.
+        LogError: As `decode_rows`.
     """
     try:
         return columns.fill(block.data, starts, first)
@@ -197,10 +197,10 @@ def fill_rows(
 def make_empty_rows(plan: TopicPlan) -> Rows:
     """Return the columns of a topic without messages."""
     block = Block(data=b"", byte=0, offsets={}, rest=())
-    return read_rows(plan, block, np.empty(0, np.int64))
+    return decode_rows(plan, block, np.empty(0, np.int64))
 
 
-def select_rows(
+def pick_rows(
     rows: Mapping[str, Column], chosen: NDArray[np.bool_] | NDArray[np.int64] | slice
 ) -> Rows:
     """Return some of the rows."""

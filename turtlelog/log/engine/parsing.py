@@ -25,9 +25,8 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.framing import RECORD, MessageWalk
 from turtlelog.log.engine.limits import LONGEST_DESCRIBED, MOST_DESCRIBED
-from turtlelog.log.engine.message_walk import MessageWalk
 from turtlelog.log.error_boundary import DamageError
 
 Rare = TypeVar("Rare")

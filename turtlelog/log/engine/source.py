@@ -3,12 +3,13 @@
 import os
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar
 
 import numpy as np
 
+from turtlelog.errors import LogError
 from turtlelog.files.urls import expect_reads
 from turtlelog.log.engine.blocks import (
     Block,
@@ -23,17 +24,17 @@ from turtlelog.log.engine.decode import (
     LOG_TIME,
     FixedColumns,
     Rows,
+    decode_rows,
     fill_rows,
     keep_columns,
-    read_rows,
+    pick_rows,
     rewrite_ros1,
-    select_rows,
     unpack_messages,
 )
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.json_messages import keep_flat
 from turtlelog.log.engine.limits import COLUMNS, Allowance, measure_stored
 from turtlelog.log.engine.parsing import gather_heads, read_record
-from turtlelog.log.engine.selection import EVER, Selection
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.summary import (
     Ends,
@@ -47,12 +48,16 @@ from turtlelog.log.error_boundary import DamageError
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
+
 T = TypeVar("T")
 
 _Job = tuple[ChunkEntry, bytes, Mapping[str, int]]
 
 _THREADS: Final = min(os.cpu_count() or 1, 4)
 _AHEAD: Final = 2**25  # bytes of chunks that are unpacked before they are asked for
+
+EVER: Final = 2**64
+"""A log time after all others [ns]."""
 
 
 class Source:
@@ -186,6 +191,84 @@ class Piece:
     rest: tuple[Any, ...] = ()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """Which messages are asked for.
+
+    Attributes:
+        topics: By name; None for all that can be understood.
+        start_ns: Least log time.
+        end_ns: The log time before which they end.
+        is_lenient: Whether topics may be missing or not understood; then all chunks are read and
+            checked.
+        is_flat: Whether fields must be numbers and texts, not sequences of texts or messages: those
+            take some hundred times the memory of their bytes.
+        is_counted: Whether rows may take only as much as the size of the file lets expect.
+        kept: By topic: the only columns that its rows keep, log time among them; of others all.
+    """
+
+    topics: frozenset[str] | None = None
+    start_ns: int = 0
+    end_ns: int = EVER
+    is_lenient: bool = False
+    is_flat: bool = False
+    is_counted: bool = False
+    kept: Mapping[str, Collection[str]] = field(default_factory=dict)
+
+    @property
+    def is_ever(self) -> bool:
+        """Whether no message is left out for its time."""
+        return self.start_ns <= 0 and self.end_ns >= EVER
+
+    def choose_plans(self, catalogue: Catalogue) -> dict[str, TopicPlan]:
+        """Return the plans of the topics asked for, as far as they are known so far.
+
+        Raises:
+            LogError: Where one that is asked for by name cannot be understood.
+        """
+        plans = {}
+        known = catalogue.topics
+        for topic in sorted(known if self.topics is None else self.topics.intersection(known)):
+            plan = self.choose_plan(catalogue, topic)
+            if plan is not None:
+                plans[topic] = plan
+        return plans
+
+    def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
+        """Return the plan of a topic, None where it is not asked for.
+
+        Raises:
+            LogError: Where it is asked for by name and cannot be understood.
+        """
+        if self.topics is not None and topic not in self.topics:
+            return None
+        plan = catalogue.find_plan(topic)
+        if plan.reason and self.topics is not None and not self.is_lenient:
+            raise LogError(plan.describe_reason())
+        if self.is_flat and plan.sequence is not None:
+            expected = "fields of numbers and texts"
+            raise LogError(
+                f"topic {topic}: expected {expected}, found the sequence {plan.sequence}"
+            )
+        if self.is_flat and plan.json is not None:
+            plan = replace(plan, json=keep_flat(plan.json))
+        return None if plan.reason else plan
+
+    def require_topics(self, catalogue: Catalogue) -> None:
+        """Check that every topic asked for by name is there; where none is, that one can be read.
+
+        Raises:
+            LogError: Where one is not, or no topic of the file can be understood.
+        """
+        if self.topics is None and not self.is_lenient:
+            plans = [catalogue.find_plan(topic) for topic in sorted(catalogue.topics)]
+            if plans and all(plan.reason for plan in plans):
+                raise LogError("; ".join(plan.describe_reason() for plan in plans[:_MOST_REASONS]))
+        missing = (self.topics or frozenset()).difference(catalogue.topics)
+        for topic in () if self.is_lenient else sorted(missing):
+            raise LogError(f"topic {topic}: expected it in the file, found no such topic")
+
+
 def iterate_pieces(
     source: Source | SqliteSource,
     selection: Selection,
@@ -265,10 +348,10 @@ def read_piece(
             first = block.before.get(topic, 0)
             if fill_rows(plan, unpacked, starts, wholes[topic], first):
                 continue
-        rows = keep_columns(read_rows(plan, unpacked, starts), selection.kept.get(topic))
+        rows = keep_columns(decode_rows(plan, unpacked, starts), selection.kept.get(topic))
         if not selection.is_ever:
             times = rows[LOG_TIME]
-            rows = select_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
+            rows = pick_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
         if len(rows[LOG_TIME]):
             found[topic] = rows
     counts = {channel: len(starts) for channel, starts in offsets.items()}
@@ -343,3 +426,7 @@ def _check_counts(
                 f"byte {source.summary_start}: channel {channel}: expected {expected} messages"
                 f" as the statistics say, found {counts[channel]}"
             )
+
+
+_MOST_REASONS: Final = 3
+"""Topics that an error names with their reasons."""

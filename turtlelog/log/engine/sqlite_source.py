@@ -22,8 +22,7 @@ from turtlelog.log.engine.blocks import Block
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.parsing import COUNTED_HEAD, HEADING, MESSAGE_HEAD
-from turtlelog.log.engine.sqlite_file import open_connection
-from turtlelog.log.engine.sqlite_tables import describe_topics, list_tables
+from turtlelog.log.engine.sqlite_file import list_tables, open_connection, read_channels
 from turtlelog.log.error_boundary import DamageError
 
 if TYPE_CHECKING:
@@ -109,7 +108,7 @@ class SqliteSource:
         tables = list_tables(self.execute)
         connection.set_authorizer(_authorize)
         self.catalogue = Catalogue(allowance := Allowance(stored_size))
-        self._numbers = describe_topics(self.execute, tables, self.catalogue, allowance)
+        self._numbers = read_channels(self.execute, tables, self.catalogue, allowance)
         self.row_number = tables["messages"].row_number
 
     def execute(self, query: str, *values: object) -> "sqlite3.Cursor":

@@ -17,14 +17,13 @@ from turtlelog.log.engine.decode import (
     FixedColumns,
     Rows,
     make_empty_rows,
-    select_rows,
+    pick_rows,
 )
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
-from turtlelog.log.engine.selection import EVER, Selection
-from turtlelog.log.engine.source import Piece, Source, count_rows, iterate_pieces
+from turtlelog.log.engine.source import EVER, Piece, Selection, Source, count_rows, iterate_pieces
 from turtlelog.log.engine.sqlite_source import SqliteSource
-from turtlelog.run.tabular import Tabular
+from turtlelog.run.tables import Tabular
 
 _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
 
@@ -71,7 +70,7 @@ class TopicColumns(Tabular):
             log_time_ns=self.log_time_ns[rows],
             publish_time_ns=self.publish_time_ns[rows],
             sequence=self.sequence[rows],
-            fields=select_rows(self.fields, rows),
+            fields=pick_rows(self.fields, rows),
         )
 
     def _tabulate(self) -> Mapping[str, Any]:
@@ -224,7 +223,7 @@ def _join_rows(parts: list[Rows]) -> Rows:
         rows = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     times = rows[LOG_TIME]
     if len(times) > 1 and (times[1:] < times[:-1]).any():
-        rows = select_rows(rows, np.argsort(times, kind="stable"))
+        rows = pick_rows(rows, np.argsort(times, kind="stable"))
     return rows
 
 
@@ -297,5 +296,5 @@ class _RowStore:
     @property
     def parts(self) -> list[Rows]:
         """All rows, in one part where their number was right."""
-        whole = [select_rows(self._whole, slice(self._used))] if self._used else []
+        whole = [pick_rows(self._whole, slice(self._used))] if self._used else []
         return [*whole, *self._others]

@@ -25,6 +25,7 @@ from turtlelog.log.engine.framing import (
     is_padding,
     is_record_start,
     measure_record,
+    skip_followed,
 )
 from turtlelog.log.engine.limits import (
     CHUNKS,
@@ -34,7 +35,6 @@ from turtlelog.log.engine.limits import (
     UNPACKED,
     Allowance,
 )
-from turtlelog.log.engine.message_walk import skip_followed
 
 _BATCH: Final = 2**20  # bytes of lone records handed on together
 _LONGEST_NAME: Final = 64  # bytes; of a compression

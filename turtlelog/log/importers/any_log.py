@@ -9,8 +9,13 @@ from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.engine.framing import MCAP0_MAGIC
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.importers.paper_layouts import PAPER_MARKS, parse_paper_csv, parse_paper_json
-from turtlelog.log.importers.paper_log import PaperLog, build_paper_run
+from turtlelog.log.importers.paper_log import (
+    PAPER_MARKS,
+    PaperLog,
+    build_paper_run,
+    parse_paper_csv,
+    parse_paper_json,
+)
 from turtlelog.log.importers.plain_tables import import_plain_table
 from turtlelog.log.importers.table_text import read_header
 from turtlelog.run import Run

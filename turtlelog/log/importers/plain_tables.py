@@ -13,9 +13,9 @@ from turtlelog.errors import LogError, RunError
 from turtlelog.files.urls import make_path
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.importers.table_cells import Cells, Times, Values
-from turtlelog.log.importers.table_columns import Choice, choose_columns
+from turtlelog.log.importers.table_columns import Choice, assign_columns
 from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_plain_table
-from turtlelog.log.planar import compute_heading, compute_tilt, describe_plane, lift_poses
+from turtlelog.log.planar import compute_heading, compute_tilt, describe_height, lift_poses
 from turtlelog.log.read_choice import CHOSEN
 from turtlelog.log.ros2.bag_columns import separate_times, wrap_far_headings
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
@@ -50,7 +50,7 @@ def import_plain_table(path: str | Path, columns: Mapping[str, str] | None = Non
     path = make_path(path)
     with name_file(path, expected="a table"):
         table = read_plain_table(path)
-        chosen = choose_columns(table.names, columns or {}, table.units)
+        chosen = assign_columns(table.names, columns or {}, table.units)
         _require_columns(table, chosen)
         try:
             return _build_run(path, Cells(table, chosen))
@@ -99,7 +99,7 @@ def _build_run(path: Path, cells: Cells) -> Run:
     absent = [*_NEVER, *(() if len(commands) else ("commands",))]
     pose_time_ns, moved = separate_times(time_ns[has_pose] - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses["heading"])
-    plane = describe_plane(poses.get("z"), poses.get("tilt"))
+    plane = describe_height(poses.get("z"), poses.get("tilt"))
     notes = {
         CHOSEN: cells.describe(),
         "columns": cells.describe(),

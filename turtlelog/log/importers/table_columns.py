@@ -130,7 +130,7 @@ class Choice:
         return UNITS[QUANTITIES[self.field]]
 
 
-def choose_columns(
+def assign_columns(
     names: Sequence[str], asked: Mapping[str, str], units: Mapping[str, str]
 ) -> dict[str, Choice]:
     """Return the columns that hold something known, by what they hold.

@@ -23,14 +23,12 @@ from turtlelog.log.engine.decode import (
 )
 from turtlelog.log.engine.limits import Allowance, measure_stored
 from turtlelog.log.engine.message_types import read_type
-from turtlelog.log.engine.selection import Selection
-from turtlelog.log.engine.source import Source, read_piece
+from turtlelog.log.engine.source import Selection, Source, read_piece
 from turtlelog.log.engine.summary import salvage_summary
 from turtlelog.log.engine.topic_columns import TopicColumns, build_columns, collect_parts
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.error_boundary import DamageError
-from turtlelog.log.recording.head import HEAD, Head, parse_head
-from turtlelog.log.recording.recovery_note import describe_recovery
+from turtlelog.log.recording.head import HEAD, Head, describe_recovery, parse_head
 from turtlelog.log.recording.topics import (
     CONTROL,
     LAW_STATE,

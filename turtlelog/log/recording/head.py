@@ -1,15 +1,17 @@
-"""What a recording says of itself: the metadata record, the law's declaration, the scenario."""
+"""What a recording says of itself: metadata, declaration, scenario, and what it has lost."""
 
 import zlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+from mcap.records import Metadata
 
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
+from turtlelog.log.engine.walk import Loss
 from turtlelog.log.read_choice import CHOSEN
 from turtlelog.log.recording.topics import MEASURED, SENSED, SHAPED
 from turtlelog.run import Clock
@@ -22,19 +24,19 @@ if TYPE_CHECKING:
     from turtlelog.run import Run
     from turtlelog.scenario import Scenario
 
+
 HEAD: Final = "turtlelog"
 """Name of the metadata record."""
 
 CHECKSUM: Final = "checksum"
 """Entry that holds the crc32 of the others, as JSON in order of their names, in hexadecimal."""
 
-FORMAT_VERSION: Final = 2
+_FORMAT_VERSION: Final = 2
 SCENARIO_FILE: Final = "scenario.toml"
 """Attachment that holds a whole scenario."""
 
-PARAMETER_FILE: Final = "parameters.toml"
+_PARAMETER_FILE: Final = "parameters.toml"
 """Attachment that holds what is known of a scenario."""
-
 
 _USUAL: Final = 2**13
 """Bytes of an attachment whose tables are kept for the next file: 32 of them take some 25 MB at
@@ -44,7 +46,6 @@ _LONGEST: Final = 2**18
 """Bytes of the record, and of an attachment that is read; ours take a few thousand. TOML needs some
 hundred bytes of memory for each."""
 
-
 MAY_BE_ABSENT: Final = (
     *("wanted_speed_m_s", "wanted_turn_rate_rad_s", "bearing_rad", "heading_error_rad"),
     *("error_xy_m", "distance_m", "world_velocity_m_s"),
@@ -52,7 +53,6 @@ MAY_BE_ABSENT: Final = (
 """Columns of `SampleColumns` that are None where they are not recorded."""
 
 _REFERENCE: Final = ("reference_xy_m", "reference_heading_rad")
-
 
 _LONGEST_DECLARATION: Final = _LONGEST // 2
 """Bytes of JSON; the rest of the record needs room, too. 250 names of 60 letters take 16 KiB."""
@@ -96,7 +96,7 @@ class Head:
 def describe_run(run: "Run") -> Head:
     """Return the head of a run's recording."""
     return Head(
-        format_version=FORMAT_VERSION,
+        format_version=_FORMAT_VERSION,
         source=run.source,
         name=run.name,
         stop_reason=run.stop_reason,
@@ -121,7 +121,7 @@ def describe_scenario(
 ) -> Head:
     """Return the head of a recording of a scenario that runs, or has run."""
     return Head(
-        format_version=FORMAT_VERSION,
+        format_version=_FORMAT_VERSION,
         source="simulation",
         name=scenario.name,
         stop_reason=stop_reason,
@@ -164,7 +164,7 @@ def format_head(head: Head) -> dict[str, str]:
     if head.goal_heading_rad is not None:
         record["goal_heading_rad"] = repr(float(head.goal_heading_rad))
     # MCAP has no checksum for a metadata record that is read without the rest of the file.
-    return {**record, CHECKSUM: sum_up(record)}
+    return {**record, CHECKSUM: sum_up_record(record)}
 
 
 def parse_head(record: Mapping[str, str]) -> Head:
@@ -176,11 +176,11 @@ def parse_head(record: Mapping[str, str]) -> Head:
     if (size := sum(len(key) + len(value) for key, value in record.items())) > _LONGEST:
         raise LogError(f"metadata {HEAD}: expected up to {_LONGEST} bytes, found {size}")
     version = _decode(record, "format_version", int)
-    if version > FORMAT_VERSION:
-        raise LogError(f"format version {version}: this turtlelog reads up to {FORMAT_VERSION}")
+    if version > _FORMAT_VERSION:
+        raise LogError(f"format version {version}: this turtlelog reads up to {_FORMAT_VERSION}")
     if version < 1:
-        raise LogError(f"format version {version}: expected 1 to {FORMAT_VERSION}")
-    if _get(record, CHECKSUM) != sum_up(record):
+        raise LogError(f"format version {version}: expected 1 to {_FORMAT_VERSION}")
+    if _get(record, CHECKSUM) != sum_up_record(record):
         raise LogError(f"metadata {HEAD}: expected checksum {record[CHECKSUM]}: it is damaged")
     heading = _decode(record, "goal_heading_rad", float) if "goal_heading_rad" in record else None
     return Head(
@@ -225,7 +225,7 @@ def format_scenario_file(run: "Run") -> dict[str, bytes]:
         tables = nest_parameters(run.parameters)
     except ScenarioError as err:
         raise LogError(f"parameters: {err}") from err
-    name = SCENARIO_FILE if run.scenario_is_complete else PARAMETER_FILE
+    name = SCENARIO_FILE if run.scenario_is_complete else _PARAMETER_FILE
     return {name: format_toml(tables).encode()}
 
 
@@ -235,7 +235,7 @@ def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any
     Raises:
         LogError: Where the attachment is no TOML.
     """
-    name = SCENARIO_FILE if SCENARIO_FILE in attachments else PARAMETER_FILE
+    name = SCENARIO_FILE if SCENARIO_FILE in attachments else _PARAMETER_FILE
     text = attachments.get(name, b"")
     if len(text) > _LONGEST:
         raise LogError(f"attachment {name}: expected up to {_LONGEST} bytes, found {len(text)}")
@@ -291,7 +291,7 @@ def _list_more_topics(run: "Run") -> list[str]:
     ]
 
 
-def sum_up(record: Mapping[str, str]) -> str:
+def sum_up_record(record: Mapping[str, str]) -> str:
     """Return the checksum of the entries, that of `CHECKSUM` left out."""
     rest = {key: value for key, value in sorted(record.items()) if key != CHECKSUM}
     return f"{zlib.crc32(msgspec.json.encode(rest)):08x}"
@@ -341,3 +341,80 @@ def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declarat
     if kind is None and not has_samples:
         return Declaration()
     return SEQUENTIAL_P if kind is None or kind == DEFAULT_LAW else _OTHER_LAW
+
+
+RECOVERY: Final = "turtlelog_recovery"
+"""Name of the metadata record that tells a recovered file from one that was always whole."""
+
+_NOTE: Final = "recovered"
+
+LOSS_NOTES: Final = ("partial", "recovered")
+"""Notes of a run that say what its recording has lost."""
+
+_FROM_DAMAGED: Final = "from a damaged or unfinished file: "
+_NO_MESSAGE: Final = "no message is lost"
+
+_SUMMARY_ALONE: Final = "no data is lost, only the summary is damaged"
+NO_LOSS: Final = (_SUMMARY_ALONE, f"{_FROM_DAMAGED}{_NO_MESSAGE}")
+"""How the notes begin of files of which nothing is lost but the summary; what follows a semicolon
+is another loss."""
+
+
+def describe_damages(damages: Sequence[Loss]) -> str:
+    """Say in one line how much is lost; the first place stands for all."""
+    if not damages:
+        return _SUMMARY_ALONE
+    lost, places = sum(damage.end - damage.start for damage in damages), len(damages)
+    times = "1 place" if places == 1 else f"{places} places"
+    extent = f"{lost} bytes are lost in" if lost else "not whole in"
+    return f"{extent} {times}: byte {damages[0].start}: {damages[0].reason}"
+
+
+def format_recovery(
+    lost: Sequence[Loss], missing: Mapping[str, int] | None, unchecked: Mapping[str, int]
+) -> dict[str, str]:
+    """Return the metadata record: each entry as JSON, and the checksum of all."""
+    entries = {"lost": lost, "missing": missing, "unchecked": unchecked}
+    record = {name: msgspec.json.encode(value).decode() for name, value in entries.items()}
+    return {**record, CHECKSUM: sum_up_record(record)}
+
+
+def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
+    """Return the note `recovered` for a file with these records; none where it was always whole.
+
+    Raises:
+        LogError: Where the record is not as it was written.
+    """
+    found = [
+        record.metadata
+        for record in records
+        if isinstance(record, Metadata) and record.name == RECOVERY
+    ]
+    if not found:
+        return {}
+    losses = "; ".join(dict.fromkeys(map(_describe, found)))
+    return {_NOTE: f"{_FROM_DAMAGED}{losses}"}
+
+
+def _describe(record: Mapping[str, str]) -> str:
+    if record.get(CHECKSUM) != sum_up_record(record):
+        raise LogError(f"metadata {RECOVERY}: damaged, its checksum does not match")
+    lost = _decode_loss(record, "lost", tuple[Loss, ...])
+    missing = _decode_loss(record, "missing", dict[str, int] | None)
+    if missing is None:
+        count = "nobody knows how many messages are lost"
+    elif missing:
+        count = "lost " + ", ".join(f"{count} of {topic}" for topic, count in missing.items())
+    else:
+        count = _NO_MESSAGE
+    places = [f"byte {loss.start}: {loss.reason}" for loss in lost[:1]]
+    if len(lost) > 1:
+        places.append("1 more place" if len(lost) == 2 else f"{len(lost) - 1} more places")
+    return f"{count} ({', and '.join(places)})" if places else count
+
+
+def _decode_loss(record: Mapping[str, str], key: str, kind: Any) -> Any:
+    try:
+        return msgspec.json.decode(record[key], type=kind)
+    except (KeyError, msgspec.MsgspecError) as err:
+        raise LogError(f"metadata {RECOVERY}: {key}: expected its JSON, found {err}") from err

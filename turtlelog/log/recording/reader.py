@@ -21,8 +21,7 @@ from turtlelog.log.engine.framing import MCAP0_MAGIC, check_start
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import NoMcapError, open_mcap
-from turtlelog.log.engine.selection import Selection
-from turtlelog.log.engine.source import read_piece
+from turtlelog.log.engine.source import Selection, read_piece
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
 from turtlelog.log.error_boundary import DamageError, UnfinishedError, name_file, open_file
@@ -41,9 +40,9 @@ from turtlelog.log.recording.head import (
     Head,
     add_lost,
     declare_format1,
+    describe_damages,
     parse_scenario_file,
 )
-from turtlelog.log.recording.recovery_note import describe_damages
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
@@ -70,7 +69,6 @@ Values = NDArray[np.float64]
 _FOUND_LATE: Final = frozenset(MAY_BE_ABSENT) - {"wanted_speed_m_s", "wanted_turn_rate_rad_s"}
 _EVERYTHING: Final = Selection()
 _ANY_SIZE: Final = 2**40  # bytes; nobody knows how large it becomes
-_ADVICE: Final = "turtlelog convert --recover FILE -o OUT rewrites what it still holds"
 NOTHING_LEFT: Final = "no message can be recovered: copy the file again from its source"
 """What is said of a damaged file that nothing recovers."""
 
@@ -111,7 +109,7 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
             survey = _survey_rest(stream)
             if may_be_foreign and is_unfinished and survey is not None and not survey.is_own:
                 raise ForeignFileError(f"{damage}: not a recording by turtlelog")
-            raise LogError(f"{damage}: {_advise(survey)}")
+            raise LogError(f"{damage}: {_advise(path, survey)}")
         try:
             contents, dropped = reconcile_contents(salvage_contents(stream))
             run, lost = _build_part(contents), describe_damages(contents.damages) + dropped
@@ -129,9 +127,11 @@ def _survey_rest(stream: BinaryIO) -> Survey | None:
         return None
 
 
-def _advise(survey: Survey | None) -> str:
+def _advise(path: str | Path, survey: Survey | None) -> str:
     """Return what to do about a damaged file: nothing recovers one that holds no message."""
-    return _ADVICE if survey is None or any(survey.counts.values()) else NOTHING_LEFT
+    if survey is None or any(survey.counts.values()):
+        return f"turtlelog convert --recover {path} -o OUT rewrites what can be read"
+    return NOTHING_LEFT
 
 
 def _build_whole_run(contents: Contents) -> Run:

@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import read_type
-from turtlelog.log.recording.run_writer import describe_event, describe_pose
+from turtlelog.log.recording.run_writer import describe_pose, tabulate_event
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
@@ -189,7 +189,7 @@ class TickRecords:
                 later_ns += [sample.published_ns for sample in tick.published]
                 self._end_phase(max([time_ns, *later_ns]), tick.stop_reason)
             for event in tick.events:
-                self._add_varied(EVENT, event.time_ns, describe_event(event))
+                self._add_varied(EVENT, event.time_ns, tabulate_event(event))
         return self._collect()
 
     def _add_pose(self, time_ns: int, tick: Tick) -> None:

@@ -1,9 +1,9 @@
 """Bags that ROS 2 or another recorder wrote -> Run, and what makes a folder a bag.
 
-In the order in which a bag is read: `bag_folder` and `bag_metadata` find its files, `bag` opens
-them, `bag_topics` chooses topics, `bag_poses` and `bag_transforms` find the poses, `bag_columns`
-makes columns of messages, `reported_rates` judges what odometry reports, `stamps` and `bag_clock`
-time them, `bag_references` adds goal and path, `bag_samples` a controller's samples,
+In the order in which a bag is read: `bag_metadata` and `bag` find its files and open them,
+`bag_topics` chooses topics, `bag_poses`, `bag_transforms` and `computed_poses` find the poses,
+`bag_columns` makes columns of messages, `reported_motion` judges what odometry reports, `stamps`
+and `bag_clock` time them, `bag_references` adds goal and path, `bag_commands` commands and samples,
 and `bag_reader` builds the run.
 
 The names stand in `__init__.pyi` and load on first use.

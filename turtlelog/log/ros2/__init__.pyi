@@ -1,4 +1,4 @@
-from .bag_folder import (
+from .bag import (
     list_bag_files as list_bag_files,
     read_bag_info as read_bag_info,
 )

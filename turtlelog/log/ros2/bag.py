@@ -1,15 +1,27 @@
-"""A bag that is open for reading: what its files hold, and the messages of its topics."""
+"""A bag: which files it has, what is in them, and the messages of its topics."""
 
+import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import chain
-from pathlib import Path
+from dataclasses import dataclass, field, replace
+from itertools import chain, pairwise
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Final
 
+from turtlelog.display import split_numbers
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
+from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.engine.topic_columns import TopicColumns, read_some_columns
-from turtlelog.log.file_info import RecordingInfo, TopicInfo, merge_topics, read_info
-from turtlelog.log.ros2.bag_folder import find_bag_files
+from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_info import (
+    RecordingInfo,
+    TopicInfo,
+    list_absent,
+    merge_topics,
+    read_info,
+    sort_topics,
+)
+from turtlelog.log.ros2.bag_metadata import METADATA_FILE, BagMetadata, read_bag_metadata
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +65,7 @@ def open_bag(path: str | Path) -> Bag:
         LogError: Where it is no bag, or one of its files cannot be read, is cut or is damaged.
     """
     path = make_path(path)
-    found = find_bag_files(path)
+    found = _find_bag_files(path)
     infos = {file: read_info(file) for file in found.files}
     if found.notes:
         first = found.files[0]
@@ -64,3 +76,255 @@ def open_bag(path: str | Path) -> Bag:
                 f"{file}: no end of an MCAP file: truncated or unfinished: {info.notes['partial']}"
             )
     return Bag(path=path, infos=infos)
+
+
+_PART: Final = re.compile(r"_[0-9]+(?:\.[A-Za-z0-9]+)+$")
+"""How the names of a bag's parts end."""
+
+_MOST_NAMED: Final = 6
+"""Files that an error names: one line of a terminal."""
+
+_MOST_OVERLAP: Final = 0.5
+"""Of the shorter of two parts: queued messages overlap by seconds, two recordings wholly."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagFiles:
+    """The files of a bag.
+
+    Attributes:
+        files: In order of time, as far as the bag says.
+        duration_ns: First to last message as the bag says [ns]; None where it does not.
+        notes: `bag_files` where the metadata is missing or broken, or names another file.
+    """
+
+    files: tuple[Path, ...]
+    duration_ns: int | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+
+def list_bag_files(path: str | Path) -> tuple[Path, ...]:
+    """Return the files of a bag in its own order: those of a folder, or a lone file.
+
+    Raises:
+        LogError: As `_find_bag_files`.
+    """
+    return _find_bag_files(path).files
+
+
+def _find_bag_files(path: str | Path) -> BagFiles:
+    """Return the files of a bag: those that metadata.yaml names and, without it, those there are.
+
+    Raises:
+        LogError: Where a folder holds no files of a bag, lacks one that its metadata names, or
+            mixes kinds.
+    """
+    path = make_path(path)
+    if not path.is_dir():
+        return BagFiles(files=(path,))
+    present = _list_present(path)
+    place = path / METADATA_FILE
+    is_described = True
+    try:
+        metadata = read_bag_metadata(path)
+    except LogError as err:
+        is_described, found = False, _take_present(path, present, str(err))
+    else:
+        with name_file(place, expected="the description of a bag"):
+            found = _find_named(path, metadata, present)
+    with name_file(path, expected="a bag"):
+        _require_one_kind(found.files)
+        _require_distinct(found.files)
+    if not is_described:
+        _require_one_bag(path, found.files)
+    return found
+
+
+def list_present_files(folder: Path) -> tuple[Path, ...]:
+    """Return the files of a bag to recover, in its own order if it has one.
+
+    Raises:
+        LogError: Where there are none.
+    """
+    try:
+        return _find_bag_files(folder).files
+    except LogError as err:
+        return _take_present(folder, _list_present(folder), str(err)).files
+
+
+def _list_present(folder: Path) -> tuple[Path, ...]:
+    with name_file(folder, expected="a bag"):
+        files = filter(_is_bag_file, folder.iterdir())
+        return tuple(sorted(files, key=lambda file: split_numbers(file.name)))
+
+
+def read_compression(folder: Path) -> str:
+    """Return `message` where a bag says that its messages are compressed one by one."""
+    try:
+        found = read_bag_metadata(folder).compression
+    except LogError:
+        return ""
+    return found if found == "message" else ""
+
+
+def _is_bag_file(file: Path) -> bool:
+    return file.name.lower().endswith(BAG_SUFFIXES) and file.is_file()
+
+
+def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFiles:
+    """Return the files that are there, where nothing that can be read names them.
+
+    Raises:
+        LogError: Where there are none.
+    """
+    if not present:
+        if not (folder / METADATA_FILE).exists():
+            ros1 = next(iter(sorted(folder.glob("*.bag"))), None)
+            if ros1 is not None:
+                raise LogError(f"{folder}: a folder with the ROS 1 bag {ros1.name}: name that file")
+            raise LogError(
+                f"{folder}: no recordings in this folder (no {METADATA_FILE}, .mcap or .db3 files)"
+            )
+        raise LogError(reason)
+    names = ", ".join(file.name for file in present)
+    if not (folder / METADATA_FILE).exists():
+        reason = f"{METADATA_FILE} is missing"
+    return BagFiles(files=present, notes={"bag_files": f"{reason}; in order of name: {names}"})
+
+
+def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) -> BagFiles:
+    """Return the files that the metadata names; one that was renamed, where it is the only one.
+
+    Raises:
+        LogError: Where one is missing, or named twice.
+    """
+    files: dict[Path, None] = {}  # in order, and quick to look into
+    missing: list[str] = []
+    base = folder.resolve().as_posix()
+    for name in metadata.files:
+        file = _find_file(folder, name, base)
+        if file is None:
+            missing.append(name)
+        elif file in files:
+            raise LogError(f"relative_file_paths: expected each file once, found {file.name} twice")
+        else:
+            files[file] = None
+    duration_ns = metadata.duration_ns
+    if not missing:
+        return BagFiles(files=tuple(files), duration_ns=duration_ns)
+    others = [file for file in present if file not in files]
+    names = ", ".join(file.name for file in others) or "none"
+    if len(missing) != len(others) or (files and len(others) > 1):
+        raise LogError(f"relative_file_paths: expected the file {missing[0]}, found {names[:200]}")
+    found = [*files] or others
+    if files:
+        found.insert(metadata.files.index(missing[0]), others[0])
+    lost = ", ".join(missing)
+    note = f"{METADATA_FILE} names {lost}, not in the folder; read instead: {names}"
+    return BagFiles(files=tuple(found), duration_ns=duration_ns, notes={"bag_files": note})
+
+
+def _find_file(folder: Path, name: str, base: str) -> Path | None:
+    """Return a file of a bag, whose folder is `base` from the root on.
+
+    Early versions put the folder's name in front. What is named elsewhere is not read: a recording
+    does not choose what is opened.
+    """
+    place = PurePosixPath(name.replace("\\", "/"))
+    within = place.relative_to(base) if place.is_relative_to(base) else place
+    if within.is_absolute() or PureWindowsPath(name).drive or ".." in within.parts:
+        return None
+    for file in (folder / within, folder / within.name):
+        if within.name and file.is_file():
+            return file
+    return None
+
+
+def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
+    """Refuse several files that are no parts of one bag: rosbag2 numbers them (drive_0.db3)."""
+    if len(files) < 2:
+        return
+    stems = {_PART.sub("", file.name) for file in files}
+    are_numbered = len(stems) == 1 and all(_PART.search(file.name) for file in files)
+    if not are_numbered or not _follow_each_other(files):
+        names = ", ".join(file.name for file in files[:_MOST_NAMED])
+        more = f" and {len(files) - _MOST_NAMED} more" if len(files) > _MOST_NAMED else ""
+        raise LogError(
+            f"{folder}: a folder of {len(files)} recordings, not one bag (it has no readable"
+            f" {METADATA_FILE}): name one of them: {names}{more}"
+        )
+
+
+def _follow_each_other(files: tuple[Path, ...]) -> bool:
+    """Return whether one file begins about when the one before ends, as parts of a bag do.
+
+    Neighbours may overlap by messages that waited when the bag was split. Recordings by turtlelog
+    begin at 0 each, and none has parts.
+    """
+    spans: list[tuple[int, int]] = []
+    for file in files:
+        try:
+            info = read_info(file)
+        except LogError:  # whoever reads the file says what is wrong
+            continue
+        if info.format_version is not None:
+            return False
+        if info.span_ns is not None:
+            spans.append(info.span_ns)
+    return all(
+        one[1] - other[0] <= _MOST_OVERLAP * min(one[1] - one[0], other[1] - other[0])
+        for one, other in pairwise(sorted(spans))
+    )
+
+
+def _require_one_kind(files: tuple[Path, ...]) -> None:
+    """Refuse files of SQLite beside files of MCAP: no recorder writes both into one bag."""
+    kinds = {".db3" in file.suffixes for file in files}
+    if len(kinds) > 1:
+        names = ", ".join(file.name for file in files)
+        raise LogError(f"expected files of one storage, found MCAP beside SQLite: {names[:200]}")
+
+
+def _require_distinct(files: tuple[Path, ...]) -> None:
+    """Refuse a file that stands in the folder under two names: its messages would come twice."""
+    places: dict[tuple[int, int], Path] = {}
+    for file in files if len(files) > 1 else ():
+        found = file.stat()
+        first = places.setdefault((found.st_dev, found.st_ino), file)
+        if first is not file and found.st_ino:
+            raise LogError(f"expected each file once, found {first.name} and {file.name} are one")
+
+
+def read_bag_info(path: str | Path) -> RecordingInfo:
+    """Return what is in a bag folder: its files' topics together.
+
+    A folder around one of turtlelog's own recordings is described as that recording.
+
+    Raises:
+        LogError: Where it is no bag, or one of its files cannot be read.
+    """
+    path = make_path(path)
+    found = _find_bag_files(path)
+    infos = [read_info(file) for file in found.files]
+    if len(infos) == 1 and infos[0].format_version is not None:
+        return replace(infos[0], notes={**infos[0].notes, **found.notes})
+    topics = sort_topics(merge_topics(topic for info in infos for topic in info.topics))
+    duration_ns = found.duration_ns
+    if duration_ns is None and (spans := [info.span_ns for info in infos if info.span_ns]):
+        duration_ns = max(end for _, end in spans) - min(start for start, _ in spans)
+    name = path.resolve().name
+    return RecordingInfo(
+        file=str(path),
+        format_version=None,
+        source=f"rosbag2: {name}",
+        name=name,
+        complete=all(info.complete for info in infos),
+        duration_s=None if duration_ns is None else duration_ns / 1e9,
+        topics=topics,
+        absent=list_absent(topics),
+        not_understood=tuple(dict.fromkeys(text for info in infos for text in info.not_understood)),
+        notes={
+            **{name: text for info in infos for name, text in info.notes.items()},
+            **found.notes,
+        },
+    )

@@ -23,19 +23,18 @@ from turtlelog.log.ros2.bag_topics import (
     choose_joint_topic,
     choose_pose_topic,
     list_by_fields,
-    list_names,
+    list_first_names,
 )
 from turtlelog.log.ros2.bag_transforms import (
     TRANSFORM,
     FrameChoice,
     Tree,
-    build_columns,
+    build_link_columns,
     choose_frames,
     collect_links,
     trace_frame,
 )
-from turtlelog.log.ros2.satellite_poses import locate_fixes
-from turtlelog.log.ros2.wheel_odometry import integrate_wheels
+from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
 
 Found = list[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""
@@ -148,7 +147,7 @@ def _pick_fix(topics: Collection[TopicInfo]) -> Pick | None:
 
 def note_pick(name: str, pick: Pick, more: str = "") -> dict[str, str]:
     """Return notes on a topic that was chosen, and on those that could have been meant."""
-    others = {f"other_{name}s": list_names(pick.others)} if pick.others else {}
+    others = {f"other_{name}s": list_first_names(pick.others)} if pick.others else {}
     still = {"still": f"{pick.still} never moves and was left out"} if pick.still else {}
     return {name: pick.describe() + more, **others, **still}
 
@@ -271,7 +270,7 @@ def _trace_poses(
     unheld = np.zeros(len(link.time_ns), dtype=bool)
     for one in held:
         unheld |= link.time_ns < one.time_ns[0]
-    columns = build_columns(link, topic).select(~unheld)
+    columns = build_link_columns(link, topic).select(~unheld)
     notes = note_pick("pose_topic", pick, f": {chosen.world} -> {chosen.robot}")
     notes |= _note_frames(chosen, [one.describe() for one in held], int(unheld.sum()))
     if not len(columns):
@@ -295,7 +294,7 @@ def _trace_poses(
 def _note_frames(chosen: FrameChoice, held: Sequence[str], dropped: int) -> dict[str, str]:
     notes = {}
     if chosen.others:
-        notes["other_frames"] = list_names(chosen.others)
+        notes["other_frames"] = list_first_names(chosen.others)
     if held:
         notes["held_transforms"] = f"{', '.join(held)}: the newest that was recorded counts"
     if dropped:

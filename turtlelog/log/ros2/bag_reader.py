@@ -13,7 +13,7 @@ from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.file_info import RecordingInfo, TopicInfo
-from turtlelog.log.planar import describe_plane, lift_poses
+from turtlelog.log.planar import describe_height, lift_poses
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -38,6 +38,7 @@ from turtlelog.log.ros2.bag_columns import (
 )
 from turtlelog.log.ros2.bag_commands import (
     NEVER_IN_BAGS,
+    add_samples,
     build_commands,
     choose_commands,
     name_bag,
@@ -47,20 +48,21 @@ from turtlelog.log.ros2.bag_commands import (
 from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_references import Track, add_references
 from turtlelog.log.ros2.bag_robots import BagRobot, describe_robots, require_robot, select_robot
-from turtlelog.log.ros2.bag_samples import add_samples
 from turtlelog.log.ros2.bag_topics import (
     TRANSFORMS,
     NoPosesError,
     Pick,
     describe_unread_topics,
 )
-from turtlelog.log.ros2.reported_path import (
+from turtlelog.log.ros2.reported_motion import (
+    LATERAL,
     PATH_NOTE,
+    SPEED,
     describe_paths,
     describe_small_leaps,
+    judge_rates,
     measure_paths,
 )
-from turtlelog.log.ros2.reported_rates import LATERAL, SPEED, judge_rates
 from turtlelog.run import PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
@@ -243,7 +245,7 @@ def _build_run(
         **times.notes,
         **rate_notes,
     }
-    plane = describe_plane(columns.get("z"), columns.get("tilt"))
+    plane = describe_height(columns.get("z"), columns.get("tilt"))
     if plane is not None or vertical:
         notes["plane"] = f"{plane or 'the robot leaves the plane'}{_tell_vertical(vertical)}"
     notes |= {} if leaps is None else {"leaps": leaps}

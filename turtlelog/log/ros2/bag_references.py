@@ -13,7 +13,7 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.read_choice import ReadChoice, parse_goal
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
-from turtlelog.log.ros2.bag_topics import choose_goal_topic, choose_path_topics, list_names
+from turtlelog.log.ros2.bag_topics import choose_goal_topic, choose_path_topics, list_first_names
 from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, rotate
 from turtlelog.run import Run
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
@@ -78,7 +78,7 @@ def add_references(run: Run, bag: Bag, source: PoseSource, track: Track, choice:
     if paths:
         since_ns = 0 if goal is None else goal.time_ns
         path = find_path(paths, plans[0].topic, track, since_ns=since_ns)
-        others = list_names([topic.topic for topic in plans[1:]])
+        others = list_first_names([topic.topic for topic in plans[1:]])
         notes |= {"path": path.note} | ({"other_path_topics": others} if others else {})
         if path.points is not None:
             notes["path_topic"] = f"{plans[0].topic} ({plans[0].type})"

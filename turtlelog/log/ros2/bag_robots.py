@@ -15,8 +15,8 @@ from turtlelog.log.ros2.bag_topics import (
     POSE_TYPES,
     is_another_thing,
     is_measured,
-    list_names,
-    split_numbers,
+    list_first_names,
+    list_numbers,
 )
 
 _NUMBER: Final = re.compile(r"\d+")
@@ -106,9 +106,11 @@ def select_robot(
         if not any(robot.poses for robot in robots) and any(map(_tells_poses, topics)):
             return topics, ()  # whose poses there are, nothing tells
         if len({_NUMBER.sub("#", one) for one in names}) > 1:
-            raise LogError(f"{len(names)} robots, {list_names(names)}: choose with --robot NAME")
+            raise LogError(
+                f"{len(names)} robots, {list_first_names(names)}: choose with --robot NAME"
+            )
         posed = [robot.name for robot in robots if robot.poses and robot.poses.count > 1]
-        name = min(posed or names, key=split_numbers)
+        name = min(posed or names, key=list_numbers)
     if name not in names:
         return topics, robots
     others = {topic for robot in robots if robot.name != name for topic in robot.topics}
@@ -117,7 +119,7 @@ def select_robot(
 
 def describe_robots(robots: Sequence[BagRobot], chosen: str | None) -> str:
     """Return the robots of a bag in words, and which of them is read."""
-    names = list_names([robot.name for robot in robots])
+    names = list_first_names([robot.name for robot in robots])
     which = "" if chosen is None else f"{chosen} of "
     return f"{which}{names}: --robot NAME chooses"
 
@@ -130,7 +132,7 @@ def require_robot(name: str, topic: str, robots: Collection[BagRobot]) -> None:
     """
     if name in topic.split("/")[:-1]:
         return
-    known = list_names([robot.name for robot in robots]) or f"a bag of one robot, on {topic}"
+    known = list_first_names([robot.name for robot in robots]) or f"a bag of one robot, on {topic}"
     raise LogError(f"robot {name}: no topic below that name; found {known}")
 
 
@@ -157,7 +159,7 @@ def _choose_names(words: dict[str, set[bool]]) -> list[str]:
         for word, kinds in words.items()
         if len(kinds) == 2 or (counts[_NUMBER.sub("#", word)] > 1 and _NUMBER.search(word))
     ]
-    return sorted(names, key=lambda name: (_NUMBER.sub("#", name), split_numbers(name)))
+    return sorted(names, key=lambda name: (_NUMBER.sub("#", name), list_numbers(name)))
 
 
 def _collect(name: str, place: _Place, held: Sequence[TopicInfo]) -> BagRobot:

@@ -14,7 +14,7 @@ from turtlelog.log.error_boundary import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_poses import read_tree
-from turtlelog.log.ros2.bag_topics import list_names
+from turtlelog.log.ros2.bag_topics import list_first_names
 from turtlelog.log.ros2.bag_transforms import (
     Tree,
     find_carrier,
@@ -147,7 +147,7 @@ def _read(
 def _name_others(topics: Collection[TopicInfo], scan: TopicInfo) -> Iterator[str]:
     others = [one.topic for one in topics if one.type == SCAN and one.count and one != scan]
     if others:
-        yield f"Other scans are left out: {list_names(others)}."
+        yield f"Other scans are left out: {list_first_names(others)}."
 
 
 def _collect(bag: Bag, topic: TopicInfo) -> list[TopicColumns]:

@@ -106,7 +106,7 @@ _MOST_LISTED: Final = 100
 """Names in one note; a file of 400 kB can have 65,000 topics."""
 
 
-def list_names(names: Sequence[str]) -> str:
+def list_first_names(names: Sequence[str]) -> str:
     """Return names for a note; of very many the first, and how many more there are."""
     few = ", ".join(names[:_MOST_LISTED])
     more = len(names) - _MOST_LISTED
@@ -152,7 +152,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     best = _list_first(fitting, lambda topic: _rank_poses(topic, homes))
     if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
         # Robots that are told apart by number alone: the first.
-        best = [min(best, key=lambda topic: split_numbers(topic.topic))]
+        best = [min(best, key=lambda topic: list_numbers(topic.topic))]
     chosen = _require_one(best, "pose_topic", "--pose-topic")
     others = [topic for topic in fitting if topic != chosen and topic.type not in TRANSFORM_TYPES]
     return Pick(topic=chosen, others=tuple(topic.topic for topic in others))
@@ -451,7 +451,7 @@ def _take_last(topic: str) -> str:
     return topic.rpartition("/")[2]
 
 
-def split_numbers(name: str) -> list[tuple[int, str]]:
+def list_numbers(name: str) -> list[tuple[int, str]]:
     """Return the numbers in a name, to sort by; of any length, which Python makes no number of."""
     digits = (found.lstrip("0") for found in _NUMBER.findall(name))
     return [(len(found), found) for found in digits]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.ros2.bag_topics import FRAME_TRANSFORM, TRANSFORMS, split_numbers
+from turtlelog.log.ros2.bag_topics import FRAME_TRANSFORM, TRANSFORMS, list_numbers
 
 Values = NDArray[np.float64]
 
@@ -221,7 +221,7 @@ def choose_frames(
             f"transforms: expected one robot, found {pairs[:300]}: choose with --pose-frame and"
             " --world-frame, or with --robot NAME"
         )
-    ordered = sorted(found, key=lambda pair: split_numbers("|".join(pair)))
+    ordered = sorted(found, key=lambda pair: list_numbers("|".join(pair)))
     others = tuple(" -> ".join(pair) for pair in ordered[1:])
     top, robot = ordered[0]
     return FrameChoice(
@@ -456,7 +456,7 @@ def _normalise(turn: Values) -> Values:
     return np.asarray(turn / np.where(length == 0.0, 1.0, length))
 
 
-def build_columns(link: Link, topic: str) -> TopicColumns:
+def build_link_columns(link: Link, topic: str) -> TopicColumns:
     """Return a link as messages of TransformStamped, as if a topic had held it alone."""
     numbers = {
         **{f"transform.{name}": link.place_m[:, k] for k, name in enumerate(_NUMBERS)},

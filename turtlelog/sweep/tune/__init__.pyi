@@ -7,28 +7,24 @@ from .goal import (
     TuningGoal as TuningGoal,
     parse_goal as parse_goal,
 )
-from .monte_carlo import (
-    Spread as Spread,
-    Variation as Variation,
-    choose_variations as choose_variations,
-    read_intervals as read_intervals,
-    simulate_variants as simulate_variants,
-)
-from .neighbourhood import (
+from .robust_values import (
     NEIGHBOURS as NEIGHBOURS,
     KeyRange as KeyRange,
     Neighbourhood as Neighbourhood,
+    Spread as Spread,
+    Variation as Variation,
+    choose_variations as choose_variations,
     explore_best as explore_best,
+    read_intervals as read_intervals,
+    simulate_variants as simulate_variants,
 )
 from .search import (
+    SearchedKey as SearchedKey,
     Tuned as Tuned,
     find_best as find_best,
+    parse_searched_keys as parse_searched_keys,
     search_best as search_best,
     sum_up as sum_up,
-)
-from .searched_keys import (
-    SearchedKey as SearchedKey,
-    parse_searched_keys as parse_searched_keys,
 )
 from .tune_scenario import (
     FEWEST as FEWEST,

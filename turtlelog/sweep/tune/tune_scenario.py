@@ -21,9 +21,8 @@ from turtlelog.scenario import (
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.tune.candidates import Candidates
 from turtlelog.sweep.tune.goal import TuningGoal
-from turtlelog.sweep.tune.neighbourhood import NEIGHBOURS, Neighbourhood, explore_best
-from turtlelog.sweep.tune.search import Tuned, search_best
-from turtlelog.sweep.tune.searched_keys import SearchedKey, parse_searched_keys
+from turtlelog.sweep.tune.robust_values import NEIGHBOURS, Neighbourhood, explore_best
+from turtlelog.sweep.tune.search import SearchedKey, Tuned, parse_searched_keys, search_best
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

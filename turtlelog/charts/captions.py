@@ -1,7 +1,10 @@
-"""How runs ended, in a sentence: `run`, `plot`, `report` and `view` say it."""
+"""Runs and pictures in sentences: how runs ended, and what a picture shows who cannot see it."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.compare import name_runs
 from turtlelog.display import describe_count, format_short
@@ -54,3 +57,60 @@ def describe_end(run: Run) -> str:
 
 def _measure(run: Run, *names: str) -> Mapping[str, Metric]:
     return measure_run(run, only=names)
+
+
+_MOST_NAMED: Final = 6
+"""Runs that are described one by one; of more a listener loses the first."""
+
+
+def describe_plot(title: str, curves: Sequence[tuple[str, NDArray[np.float64]]]) -> str:
+    """Return what a plot over time shows: where each curve begins and ends, and its range.
+
+    Args:
+        title: Of the plot, with the unit of its values.
+        curves: Name and values of what each run did, shape (n,); values that are not finite are
+            gaps.
+    """
+    finite = [(name, values[np.isfinite(values)]) for name, values in curves]
+    known = [(name, values) for name, values in finite if len(values)]
+    if not known:
+        return f"{title}: no values."
+    if len(known) <= _MOST_NAMED:
+        said = [f"{name}: {_describe_values(values)}" for name, values in known]
+        return f"{title} over time. {'; '.join(said)}."
+    values = np.concatenate([values for _, values in known])
+    return (
+        f"{title} over time of {describe_count(len(known), 'run')},"
+        f" between {_write(values.min())} and {_write(values.max())}."
+    )
+
+
+def _describe_values(values: NDArray[np.float64]) -> str:
+    return (
+        f"from {_write(values[0])} to {_write(values[-1])},"
+        f" between {_write(values.min())} and {_write(values.max())}"
+    )
+
+
+def _write(value: float) -> str:
+    return f"{value + 0.0:.4g}"  # no negative zero
+
+
+def describe_plane(title: str, ends: Sequence[tuple[str, NDArray[np.float64]]]) -> str:
+    """Return what a plane shows: where each run begins and ends.
+
+    Args:
+        title: Of the plane.
+        ends: Name of each run, and its poses [m], shape (n, 2).
+    """
+    if len(ends) > _MOST_NAMED:
+        return f"{title}: the paths of {describe_count(len(ends), 'run')} in the plane."
+    said = [
+        f"{name} drives from {_write_place(xy_m[0])} to {_write_place(xy_m[-1])} m"
+        for name, xy_m in ends
+    ]
+    return f"{title}. {'; '.join(said)}."
+
+
+def _write_place(xy_m: NDArray[np.float64]) -> str:
+    return f"({xy_m[0]:.4g}, {xy_m[1]:.4g})"

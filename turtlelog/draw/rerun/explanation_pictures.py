@@ -1,0 +1,361 @@
+"""An explanation as pictures: the steps of an attribution, and the luck of a run."""
+
+from collections.abc import Callable, Sequence
+from textwrap import wrap
+from typing import Final
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from turtlelog.charts import palette
+from turtlelog.charts.attribution_steps import AttributionStep, StepScale, Waterfall
+from turtlelog.charts.close_up import CloseUp
+from turtlelog.charts.luck_chart import LuckLine, LuckPicture, spread_labels
+from turtlelog.charts.palette import Color
+from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.entities import join_path
+
+_WIDTH: Final = 100.0
+"""Of the picture; all else is in its units, of which one is 7 pixels in a window of 1200 x 860."""
+
+_HEIGHT: Final = 36.0
+_FOOT: Final = 2.0
+"""Below it: in a small window words keep their height, and stand lower."""
+_LETTER: Final = 0.95
+_SMALL_LETTER: Final = 2.3
+"""Width of a letter in a window of 700 x 450, where a unit is 3 pixels."""
+_PADDING: Final = 2.4  # around words
+_ABOVE: Final = 1.9  # The viewer writes words below their point.
+_GAP: Final = 0.6
+_LINE: Final = 3.6
+_TICK: Final = 0.7
+_MOST_TICKS: Final = 3
+"""Steps of the axis: its values have room also in a window of 700 x 450."""
+_BAR_SHARE: Final = 0.66  # of a row
+_HIGHEST_BAR: Final = 5.5
+_LEAST_SCALE: Final = 25.0
+"""Longest bar at least, however long its words are."""
+
+_PROSE_LETTER: Final = 0.84
+"""Of long lines, in which narrow letters and wide ones make up for each other."""
+
+_LETTERS: Final = 100
+"""Of a line of text."""
+
+
+def draw_waterfall_picture(
+    stream: rr.RecordingStream, waterfall: Waterfall, more: Sequence[str] = ()
+) -> None:
+    """Draw the bars from top to bottom over an axis.
+
+    Args:
+        stream: The recording.
+        waterfall: What it consists of.
+        more: Lines below its notes.
+    """
+    steps, scale, notes = waterfall.steps, waterfall.scale, (*waterfall.notes, *more)
+    names_end = max(_measure_words(step.name) for step in steps)
+    (low, high), width = waterfall.span, _find_scale(waterfall, names_end)
+
+    def place(value: float) -> float:
+        return names_end + _GAP + (value - low) * width
+
+    pitch = _HEIGHT / (len(steps) + 1 + len(notes))
+    axis_y = len(steps) * pitch
+    half = min(_BAR_SHARE * pitch, _HIGHEST_BAR) / 2.0
+    middles = (np.arange(len(steps)) + 0.5) * pitch
+    words: list[tuple[float, float, str, Color]] = []
+    joints = [[(place(0.0), 0.0), (place(0.0), axis_y)]]
+    for number, (step, y) in enumerate(zip(steps, middles.tolist(), strict=True)):
+        left, right = sorted((place(step.start), place(step.end)))
+        _draw_bar(stream, number, (left, y - half), (right, y + half), step.color)
+        words.append((names_end - _measure_words(step.name) / 2.0, y, step.name, palette.GOAL))
+        words.append((_place_words(step, names_end, right), y, step.text, palette.GOAL))
+    for x, above, below in zip(map(place, waterfall.joints), middles, middles[1:], strict=False):
+        joints.append([(x, float(above) + half), (x, float(below) - half)])
+    ticks = choose_ticks([low, high], scale)
+    joints.append([(place(min(low, *ticks)), axis_y), (place(high), axis_y)])
+    joints += [[(place(tick), axis_y), (place(tick), axis_y + _TICK)] for tick in ticks]
+    for tick in ticks:
+        words.append((place(tick), axis_y + 0.5 * pitch, write_tick(tick, scale), palette.START))
+    for number, note in enumerate(notes):
+        y = axis_y + (number + 1.5) * pitch
+        words.append((_WIDTH / 2.0, y, note, palette.START))
+    lines = rr.LineStrips2D(joints, radii=rr.Radius.ui_points(0.5), colors=[palette.REFERENCE])
+    stream.log(join_path(entities.STEPS, "joints"), lines, static=True)
+    _write_words(stream, entities.STEPS, words)
+
+
+def draw_reason(stream: rr.RecordingStream, sentences: Sequence[str]) -> None:
+    """Write in place of the steps why there are none."""
+    lines = [line for sentence in sentences for line in wrap(sentence, _LETTERS)]
+    most = int(_HEIGHT // _LINE)
+    if len(lines) > most:
+        lines = [*lines[: most - 1], "..."]
+    words = [
+        (
+            (_PROSE_LETTER * len(line) + _PADDING) / 2.0,
+            (number + 0.5) * _LINE,
+            line,
+            palette.GOAL,
+        )
+        for number, line in enumerate(lines)
+    ]
+    _write_words(stream, entities.STEPS, words)
+
+
+def view_waterfall(title: str) -> rrb.View:
+    """Return the view of the steps, or of the reason why there are none."""
+    return view_picture(title, entities.STEPS)
+
+
+def view_picture(title: str, entity: str) -> rrb.View:
+    """Return the view of a picture in the units of this one."""
+    return rrb.Spatial2DView(
+        origin="/",
+        contents=f"{join_path(entity)}/**",
+        name=title,
+        background=palette.GROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, _WIDTH), y_range=(0.0, _HEIGHT + _FOOT)),
+    )
+
+
+def choose_ticks(ends: Sequence[float], scale: StepScale) -> list[float]:
+    """Return round values between the ends of bars, 0 among them, in the metric's unit."""
+    low, high = min(0.0, *ends) * scale.factor, max(0.0, *ends) * scale.factor
+    if not high > low:
+        return [0.0]
+    decade = 10.0 ** np.floor(np.log10((high - low) / _MOST_TICKS))
+    step = next(s * decade for s in (1.0, 2.0, 5.0, 10.0) if s * decade * _MOST_TICKS > high - low)
+    numbers = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1.0)
+    return [float(number * step / scale.factor) + 0.0 for number in numbers]
+
+
+def write_tick(value: float, scale: StepScale) -> str:
+    """Return a value of the axis with its unit."""
+    return f"{round(value * scale.factor, 12):g} {scale.unit}".strip()
+
+
+def _place_words(step: AttributionStep, names_end: float, bar_end: float) -> float:
+    """Return the middle of the words behind a bar: those of a short bar keep off its name.
+
+    Words keep their size where the window is small, and stand around their middle.
+    """
+    half = _measure_words(step.text) / 2.0
+    clear = names_end + _SMALL_LETTER * len(step.text) / 2.0
+    return max(bar_end + _GAP + half, min(clear, _WIDTH - half))
+
+
+def _find_scale(waterfall: Waterfall, names_end: float) -> float:
+    """Return the width of a unit, so that the words behind each bar have room."""
+    low, high = waterfall.span
+    span = high - low
+    if not span > 0.0:
+        return 1.0
+    room = _WIDTH - names_end - 2.0 * _GAP
+    scales = [
+        (room - _measure_words(step.text)) / (max(step.start, step.end) - low)
+        for step in waterfall.steps
+        if max(step.start, step.end) > low
+    ]
+    return max(min([room / span, *scales]), _LEAST_SCALE / span)
+
+
+def _measure_words(text: str) -> float:
+    """Return how wide words are in the units of the picture, with room around them."""
+    return _LETTER * len(text) + _PADDING
+
+
+def _draw_bar(
+    stream: rr.RecordingStream,
+    number: int,
+    low: tuple[float, float],
+    high: tuple[float, float],
+    color: Color,
+) -> None:
+    """Draw a filled rectangle: an image of one colour, since boxes are but outlines."""
+    entity = join_path(entities.STEPS, f"bar_{number}")
+    width, height = max(high[0] - low[0], 0.15), high[1] - low[1]
+    frame = rr.Transform3D(
+        translation=[*low, 0.0], mat3x3=np.diag([width / 2.0, height / 2.0, 1.0])
+    )
+    stream.log(entity, frame, static=True)
+    image = rr.Image(np.full((2, 2, 3), color, dtype=np.uint8))
+    stream.log(entity, image, static=True)
+
+
+def _write_words(
+    stream: rr.RecordingStream, entity: str, words: Sequence[tuple[float, float, str, Color]]
+) -> None:
+    """Write words around their middles."""
+    points = rr.Points2D(
+        [(x, y - _ABOVE) for x, y, _, _ in words],
+        radii=rr.Radius.ui_points(0.0),
+        colors=[color for *_, color in words],
+        labels=[text for _, _, text, _ in words],
+        show_labels=True,
+    )
+    stream.log(join_path(entity, "words"), points, static=True)
+
+
+_LEFT: Final = 9.0
+"""Where the axis stands: words of values have room before it."""
+
+_RIGHT: Final = 77.0
+"""Where the curves end; their names stand behind, in the units of the waterfall."""
+
+_AXIS_FOOT: Final = 30.0
+"""Where the axis of the starts lies."""
+_PLAIN: Final = StepScale(factor=1.0, unit="", decimals=0)
+
+_END_RADIUS: Final = 1.6  # [points]
+_LINE_RADIUS: Final = 0.9
+_THIN_RADIUS: Final = 0.5
+_DOT_RADIUS: Final = 1.6
+_RECORDED_RADIUS: Final = 4.0
+
+_Words = tuple[float, float, str, Color]
+Values = NDArray[np.float64]
+
+
+def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:
+    """Draw the value over the starts, each curve with its name at its right end."""
+    lines = wrap(" ".join(shown.sentences), _LETTERS)
+    if len(lines) > 1:
+        lines = [line for text in shown.sentences for line in wrap(text, _LETTERS)]
+    words: list[_Words] = [
+        (_place_prose(line), (number + 0.5) * _LINE, line, palette.GOAL)
+        for number, line in enumerate(lines)
+    ]
+    top = (len(lines) + 0.5) * _LINE
+    low, high = shown.limits
+    first, last = float(shown.places[0]), float(shown.places[-1])
+
+    def place(points: Values) -> Values:
+        across = _LEFT + 1.5 + (points[:, 0] - first) / (last - first) * (_RIGHT - _LEFT - 1.5)
+        up = _AXIS_FOOT - (points[:, 1] - low) / (high - low) * (_AXIS_FOOT - top)
+        return np.stack([across, up], axis=1)
+
+    height = _LINE * (high - low) / (_AXIS_FOOT - top)
+    ends = [shown.find_end(line) for line in shown.lines]
+    names = spread_labels([end[1] for end in ends], height, shown.limits)
+    for number, (line, end, name) in enumerate(zip(shown.lines, ends, names, strict=True)):
+        _draw_line(stream, f"{len(shown.lines) - number}", shown, line, place)
+        at, leader = place(np.array([end, (last, name)]))
+        aside = [at, (_RIGHT + 1.0, leader[1])]
+        entity = join_path(entities.LUCK, "leaders", str(number))
+        _draw_strips(stream, entity, [np.array(aside)], line.color, _THIN_RADIUS)
+        middle = _RIGHT + 1.0 + _measure_words(line.name) / 2.0
+        words.append((middle, float(leader[1]), line.name, line.color))
+    if shown.recorded is not None:
+        words.append(_mark_recorded(stream, shown, shown.recorded, place))
+    words += _draw_axes(stream, shown, top, place)
+    _write_words(stream, entities.LUCK, words)
+
+
+def draw_luck_ends(
+    stream: rr.RecordingStream, shown: LuckPicture, close_up: CloseUp | None
+) -> None:
+    """Draw where the starts end in the close-up of the goal, below the ends of the runs."""
+    if shown.plane is None or close_up is None:
+        return
+    ends_m = np.concatenate([shown.plane.ends_m, shown.plane.ghosts_m])
+    colors = [palette.MAIN] * len(shown.plane.ends_m)
+    colors += [palette.GHOST] * len(shown.plane.ghosts_m)
+    dots = rr.Points2D(
+        ends_m + np.array(close_up.goal_xy_m),
+        radii=rr.Radius.ui_points(_END_RADIUS),
+        colors=colors,
+    )
+    stream.log(join_path(entities.LUCK_ENDS), dots, static=True)
+
+
+def count_ends(shown: LuckPicture, close_up: CloseUp | None) -> str:
+    """Return how many starts end in the close-up, to end its title with; empty without both."""
+    if shown.plane is None or close_up is None:
+        return ""
+    ends_m = shown.plane.ends_m
+    inside = int((np.abs(ends_m) <= close_up.half_m).all(axis=1).sum())
+    what = "starts" if shown.varied == "start" else "seeds"
+    return f", dots: {inside} of {len(ends_m)} {what}"
+
+
+def _place_prose(line: str) -> float:
+    return (_PROSE_LETTER * len(line) + _PADDING) / 2.0
+
+
+def _draw_line(
+    stream: rr.RecordingStream,
+    name: str,
+    shown: LuckPicture,
+    line: LuckLine,
+    place: Callable[[Values], Values],
+) -> None:
+    """Draw the parts of a curve; points where it is of the run, or of one start alone."""
+    points = place(np.stack([shown.places, line.values], axis=1))
+    entity = join_path(entities.LUCK, f"curve_{name}")
+    parts = [points[first : last + 1] for first, last in line.pieces]
+    strips = [part for part in parts if len(part) > 1]
+    if strips:
+        _draw_strips(stream, entity, strips, line.color, _LINE_RADIUS)
+    is_run = line.kind == "run"
+    dots = [part for part in parts if is_run or len(part) == 1]
+    if dots:
+        marks = rr.Points2D(
+            np.concatenate(dots), radii=rr.Radius.ui_points(_DOT_RADIUS), colors=[line.color]
+        )
+        stream.log(join_path(entity, "starts"), marks, static=True)
+
+
+def _draw_strips(
+    stream: rr.RecordingStream, entity: str, strips: list[Values], color: Color, radius: float
+) -> None:
+    drawn = rr.LineStrips2D(strips, radii=rr.Radius.ui_points(radius), colors=[color])
+    stream.log(entity, drawn, static=True)
+
+
+def _mark_recorded(
+    stream: rr.RecordingStream,
+    shown: LuckPicture,
+    recorded: tuple[float, float],
+    place: Callable[[Values], Values],
+) -> _Words:
+    """Mark the run itself; return its words, on the side of the curve that has more room."""
+    ((x, y),) = place(np.array([recorded])).tolist()
+    dot = rr.Points2D([(x, y)], radii=rr.Radius.ui_points(_RECORDED_RADIUS), colors=[palette.MAIN])
+    stream.log(join_path(entities.LUCK, "recorded"), dot, static=True)
+    is_high = recorded[1] > sum(shown.limits) / 2.0
+    return x, y + (_LINE if is_high else -_LINE), shown.recorded_name, palette.MAIN
+
+
+def _draw_axes(
+    stream: rr.RecordingStream,
+    shown: LuckPicture,
+    top: float,
+    place: Callable[[Values], Values],
+) -> list[_Words]:
+    """Draw both axes; return their words."""
+    first, last = float(shown.places[0]), float(shown.places[-1])
+    low, high = shown.limits
+    rises = [tick for tick in choose_ticks([low, high], _PLAIN) if low <= tick <= high]
+    across = [first, 0.0, last] if first < 0.0 else [first, last]
+    lefts = place(np.array([(first, tick) for tick in rises])).tolist()
+    feet = place(np.array([(tick, low) for tick in across])).tolist()
+    strips = [[(_LEFT, top), (_LEFT, _AXIS_FOOT)], [(_LEFT, _AXIS_FOOT), (_RIGHT, _AXIS_FOOT)]]
+    strips += [[(_LEFT - _TICK, y), (_LEFT, y)] for _, y in lefts]
+    strips += [[(x, _AXIS_FOOT), (x, _AXIS_FOOT + _TICK)] for x, _ in feet]
+    axes = [np.array(strip) for strip in strips]
+    _draw_strips(stream, join_path(entities.LUCK, "axes"), axes, palette.REFERENCE, _THIN_RADIUS)
+    words = [
+        (_LEFT - _TICK - _measure_words(text) / 2.0, y, text, palette.START)
+        for (_, y), text in zip(lefts, [write_tick(tick, _PLAIN) for tick in rises], strict=True)
+    ]
+    words += [
+        (x, _AXIS_FOOT + 0.5 * _LINE, f"{tick:.3g}", palette.START)
+        for (x, _), tick in zip(feet, across, strict=True)
+    ]
+    label = f"{shown.value_label} over {shown.place_label}"
+    words.append((_place_prose(label), _HEIGHT - 0.3 * _LINE, label, palette.START))
+    return words

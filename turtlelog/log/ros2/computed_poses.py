@@ -1,0 +1,384 @@
+"""Poses computed of other messages: of a satellite receiver, and of what two wheels turned."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import describe_count, format_short
+from turtlelog.errors import LogError
+from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.ros2.stamps import read_stamps
+from turtlelog.run.angles import wrap_angle
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JoinedMessages:
+    """Messages in order of log time.
+
+    Attributes:
+        topic: Their topic.
+        type: Their type.
+        log_ns: When each was recorded [ns], shape (n,).
+        publish_ns: When each was published [ns], shape (n,).
+        sequence: Number that the publisher gave each, shape (n,).
+        stamp_ns: When each was stamped [ns], shape (n,); zeros where the type has no stamps.
+        frame: In which they are, as the first one names it.
+        fields: Those that were asked for, each of n rows.
+    """
+
+    topic: str
+    type: str
+    log_ns: NDArray[np.int64]
+    publish_ns: NDArray[np.int64]
+    sequence: NDArray[np.uint32]
+    stamp_ns: NDArray[np.int64]
+    frame: str
+    fields: Mapping[str, NDArray[Any]]
+
+    def __len__(self) -> int:
+        return len(self.log_ns)
+
+    @property
+    def motion_s(self) -> Values:
+        """Time of the motion [s], shape (n,): stamps that rise, or else log times."""
+        is_usable = len(self) and (self.stamp_ns > 0).all() and (np.diff(self.stamp_ns) >= 0).all()
+        time_ns = self.stamp_ns if is_usable else self.log_ns
+        return np.asarray((time_ns - time_ns[:1]) / 1e9)
+
+    def make_poses(self, rows: NDArray[np.int64], columns: Mapping[str, Values]) -> TopicColumns:
+        """Return poses that were computed of some messages, as if the topic had held them."""
+        stamp_ns = self.stamp_ns[rows]
+        return TopicColumns(
+            topic=self.topic,
+            type=self.type,
+            log_time_ns=self.log_ns[rows],
+            publish_time_ns=self.publish_ns[rows],
+            sequence=self.sequence[rows],
+            fields={
+                "header.stamp.sec": stamp_ns // 1_000_000_000,
+                "header.stamp.nanosec": stamp_ns % 1_000_000_000,
+                **columns,
+            },
+        )
+
+
+def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> JoinedMessages:
+    """Return the messages of a topic in all files.
+
+    Args:
+        found: Of each file, at least one.
+        names: Of the fields that are wanted.
+
+    Raises:
+        LogError: Where a field is missing.
+    """
+    for columns in found:
+        for name in names:
+            if name not in columns.fields:
+                raise LogError(
+                    f"topic {columns.topic}: expected {columns.type} with a field {name}, found"
+                    f" {', '.join(columns.fields)}"
+                )
+    log_ns = np.concatenate([columns.log_time_ns for columns in found])
+    order = np.argsort(log_ns, kind="stable")
+    stamps = [read_stamps(columns) for columns in found]
+    known = [of_file for of_file in stamps if of_file is not None]
+    stamp_ns = np.concatenate(known) if len(known) == len(found) else np.zeros_like(log_ns)
+    frames = [columns.fields.get("header.frame_id") for columns in found]
+    named = [str(column[0]).lstrip("/") for column in frames if column is not None and len(column)]
+    return JoinedMessages(
+        topic=found[0].topic,
+        type=found[0].type,
+        log_ns=log_ns[order],
+        publish_ns=np.concatenate([columns.publish_time_ns for columns in found])[order],
+        sequence=np.concatenate([columns.sequence for columns in found])[order],
+        stamp_ns=stamp_ns[order],
+        frame=[*named, ""][0],
+        fields={
+            name: np.concatenate([np.asarray(columns.fields[name]) for columns in found])[order]
+            for name in names
+        },
+    )
+
+
+_FIX_FIELDS: Final = ("latitude", "longitude", "altitude", "status.status")
+
+_AXIS_M: Final = 6_378_137.0
+_FLATTENING: Final = 1.0 / 298.257223563
+"""Of the ellipsoid of WGS84 (NGA.STND.0036)."""
+
+_LEAST_WAY_M: Final = 0.5
+"""Way at least over which a course is taken [m]: for a noise of 5 cm or less."""
+
+_NOISES: Final = 10.0
+"""Way in standard deviations of the noise: its ends turn it by sqrt(2) / 10 rad, 8 deg."""
+
+_LONGEST_S: Final = 10.0
+"""Time in which a receiver that moves comes so far [s]: at 0.05 m/s half a metre. One that stands
+wanders by metres in minutes."""
+
+_FEWEST: Final = 3
+"""Fixes that a course needs: its own, one behind and one ahead."""
+
+_MEDIAN_OF_SECOND: Final = 2.884
+"""Median length of second differences of positions in the plane, in standard deviations of the
+noise of one axis: sqrt(6) of a second difference, times sqrt(2 ln 2) of a Rayleigh distribution."""
+
+
+def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str, str]]:
+    """Return the poses that fixes of sensor_msgs/NavSatFix tell, and notes on them.
+
+    x is east, y north and z up of the first fix. The heading is the course where the receiver
+    moves, held where it stands, and the first one before that.
+
+    Args:
+        found: Messages of NavSatFix, by file.
+
+    Raises:
+        LogError: Where there is no fix, or the receiver never moves.
+    """
+    messages = _join_messages(found, _FIX_FIELDS)
+    latitude_deg, longitude_deg, altitude_m, status = (
+        np.asarray(messages.fields[name], dtype=np.float64) for name in _FIX_FIELDS
+    )
+    is_fix = (status >= 0) & (np.abs(latitude_deg) <= 90.0) & (np.abs(longitude_deg) <= 360.0)
+    # A receiver that has found nothing yet publishes zeros, off the coast of Africa.
+    is_fix &= (latitude_deg != 0.0) | (longitude_deg != 0.0)
+    rows = np.flatnonzero(is_fix)
+    if not len(rows):
+        raise LogError(
+            f"topic {messages.topic}: expected a satellite fix, found none in"
+            f" {describe_count(len(messages), 'message')}"
+        )
+    height_m = np.where(np.isfinite(altitude_m[rows]), altitude_m[rows], 0.0)
+    place_m = project_fixes(latitude_deg[rows], longitude_deg[rows], height_m)
+    heading_rad, way_m, held = find_courses(messages.motion_s[rows], place_m[:, :2])
+    if np.isnan(heading_rad).any():
+        standing = _describe_standing(messages.motion_s[rows], place_m)
+        raise LogError(
+            f"topic {messages.topic}: expected a receiver that moves by {way_m:.2g} m within"
+            f" {_LONGEST_S:g} s, found {standing}: it has no heading"
+        )
+    columns = {"x": place_m[:, 0], "y": place_m[:, 1], "theta": heading_rad}
+    if np.isfinite(altitude_m[rows]).all():
+        columns["z"] = place_m[:, 2]
+    lost = len(messages) - len(rows)
+    notes = {
+        "heading": (
+            f"the course over {way_m:.2g} m, as a receiver has no heading; held at either end and"
+            f" where it stands, for {held} of {len(rows)} poses"
+        ),
+        "origin": (
+            f"x is east and y north of {latitude_deg[rows[0]]:.7f} deg,"
+            f" {longitude_deg[rows[0]]:.7f} deg (WGS84)"
+        ),
+    }
+    if lost:
+        notes["heading"] += f"; {describe_count(lost, 'message')} without a fix left out"
+    return messages.make_poses(rows, columns), notes
+
+
+def _describe_standing(time_s: Values, place_m: Values) -> str:
+    """Return what a receiver without a course does instead."""
+    if len(time_s) < _FEWEST:
+        return f"fewer than {_FEWEST} fixes"
+    step_s = float(np.median(np.diff(time_s)))
+    if step_s > _LONGEST_S / 2.0:
+        return f"fixes {step_s:.3g} s apart, which is too seldom"
+    extent_m = format_short(float(np.ptp(place_m[:, :2], axis=0).max()), "m")
+    return f"a slower one, within {extent_m} in all"
+
+
+def project_fixes(latitude_deg: Values, longitude_deg: Values, height_m: Values) -> Values:
+    """Return places east, north and up of the first one [m], shape (n, 3)."""
+    latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
+    squared = _FLATTENING * (2.0 - _FLATTENING)
+    normal_m = _AXIS_M / np.sqrt(1.0 - squared * np.sin(latitude) ** 2)
+    across_m = (normal_m + height_m) * np.cos(latitude)
+    centred_m = np.column_stack(
+        [
+            across_m * np.cos(longitude),
+            across_m * np.sin(longitude),
+            (normal_m * (1.0 - squared) + height_m) * np.sin(latitude),
+        ]
+    )
+    sin, cos = np.sin(latitude[0]), np.cos(latitude[0])
+    sin_long, cos_long = np.sin(longitude[0]), np.cos(longitude[0])
+    axes = np.array(
+        [
+            [-sin_long, cos_long, 0.0],
+            [-sin * cos_long, -sin * sin_long, cos],
+            [cos * cos_long, cos * sin_long, sin],
+        ]
+    )
+    return np.asarray((centred_m - centred_m[0]) @ axes.T)
+
+
+def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:
+    """Return the courses [rad], the way that they are taken over [m], and how many are held.
+
+    A course leads from the last position that is half that way behind to the first that is half of
+    it ahead, where both lie within ten seconds. Otherwise the one before holds, at the beginning
+    the first. NaN throughout for what never moves.
+
+    Args:
+        time_s: Of the positions, not decreasing [s], shape (n,).
+        xy_m: Positions [m], shape (n, 2).
+    """
+    second_m = np.hypot(*np.diff(xy_m, n=2, axis=0).T)
+    noise_m = float(np.median(second_m)) / _MEDIAN_OF_SECOND if len(second_m) else 0.0
+    way_m = max(_LEAST_WAY_M, _NOISES * noise_m)
+    courses_rad = np.full(len(xy_m), np.nan)
+    starts = np.searchsorted(time_s, time_s - _LONGEST_S)
+    ends = np.searchsorted(time_s, time_s + _LONGEST_S, side="right")
+    for row, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        behind = _find_far(xy_m[start:row][::-1] - xy_m[row], way_m / 2.0)
+        ahead = _find_far(xy_m[row + 1 : end] - xy_m[row], way_m / 2.0)
+        if behind is None or ahead is None:
+            continue
+        first, last = row - 1 - behind, row + 1 + ahead
+        x_m, y_m = xy_m[last] - xy_m[first]
+        # Of a turn on the spot both ends are at one place, and tell nothing.
+        is_far = np.hypot(x_m, y_m) >= way_m / 2.0
+        if is_far and time_s[last] - time_s[first] <= _LONGEST_S:
+            courses_rad[row] = np.arctan2(y_m, x_m)
+    known = np.flatnonzero(np.isfinite(courses_rad))
+    held = len(xy_m) - len(known)
+    if len(known):
+        places = np.searchsorted(known, np.arange(len(xy_m)), side="right") - 1
+        courses_rad = courses_rad[known[np.maximum(places, 0)]]
+    return courses_rad, way_m, held
+
+
+def _find_far(offsets_m: Values, least_m: float) -> int | None:
+    """Return the first of some offsets that is long enough; None: none is."""
+    far = np.flatnonzero(np.hypot(*offsets_m.T) >= least_m)
+    return int(far[0]) if len(far) else None
+
+
+_JOINT_FIELDS = ("name", "position", "velocity")
+
+
+def integrate_wheels(
+    found: Sequence[TopicColumns], joints: tuple[str, str], wheels_m: tuple[float, float]
+) -> tuple[TopicColumns, str]:
+    """Return the poses that two wheels of sensor_msgs/JointState tell, and how, in words.
+
+    The robot starts at the origin, along x. From message to message it drives the arc of both
+    wheels, which is exact where they turn evenly in between. Where positions are absent their
+    velocities are integrated, the mean of two messages over the time between their stamps.
+
+    Args:
+        found: Messages of JointState, by file.
+        joints: Names of the left and the right wheel.
+        wheels_m: Radius of the wheels, and the track between them [m].
+
+    Raises:
+        LogError: Where no message holds both joints, or one has neither position nor velocity.
+    """
+    messages = _join_messages(found, _JOINT_FIELDS)
+    places = _find_joints(messages, joints)
+    rows = np.flatnonzero((places >= 0).all(axis=1))
+    if not len(rows):
+        raise LogError(_describe_missing(messages, joints))
+    turned_rad = _pick(messages.fields["position"], places, rows)
+    rates_rad_s = _pick(messages.fields["velocity"], places, rows)
+    notes = [f"of {joints[0]} and {joints[1]}, radius {wheels_m[0]:g} m, track {wheels_m[1]:g} m"]
+    has_positions = bool(np.isfinite(turned_rad).all())
+    if has_positions:
+        turned_rad, wraps = _unwrap(turned_rad)
+        steps_rad = np.diff(turned_rad, axis=0)
+        if wraps:
+            notes.append(f"{describe_count(wraps, 'step')} beyond half a turn taken as wrapped")
+    elif np.isfinite(rates_rad_s).all():
+        step_s = np.diff(messages.motion_s[rows])
+        steps_rad = (rates_rad_s[1:] + rates_rad_s[:-1]) / 2.0 * step_s[:, np.newaxis]
+        notes.append("by their velocities, as positions are absent")
+    else:
+        raise LogError(
+            f"topic {messages.topic}: expected a position or a velocity of {joints[0]} and"
+            f" {joints[1]} in every message, found neither in all"
+        )
+    columns = _drive_arcs(wheels_m[0] * steps_rad, wheels_m[1])
+    if not has_positions:
+        # Beside positions the velocities are left out: of many robots they have another unit.
+        left_m_s, right_m_s = wheels_m[0] * rates_rad_s.T
+        columns |= {
+            "measured_speed": (left_m_s + right_m_s) / 2.0,
+            "measured_turn_rate": (right_m_s - left_m_s) / wheels_m[1],
+        }
+    return messages.make_poses(rows, columns), ", ".join(notes)
+
+
+def _drive_arcs(steps_m: Values, track_m: float) -> dict[str, Values]:
+    """Return x, y [m] and heading `theta` [rad] of a differential drive from the origin.
+
+    Args:
+        steps_m: Ways of the left and the right wheel from pose to pose [m], shape (n - 1, 2).
+        track_m: Distance of the wheels [m].
+    """
+    turned_rad = (steps_m[:, 1] - steps_m[:, 0]) / track_m
+    heading_rad = np.concatenate([[0.0], np.cumsum(turned_rad)])
+    # The chord of an arc: sin(a) / a of half the turn; np.sinc is sin(pi x) / (pi x).
+    chord_m = steps_m.mean(axis=1) * np.sinc(turned_rad / 2.0 / np.pi)
+    middle_rad = heading_rad[:-1] + turned_rad / 2.0
+    ways = {"x": chord_m * np.cos(middle_rad), "y": chord_m * np.sin(middle_rad)}
+    return {
+        **{name: np.concatenate([[0.0], np.cumsum(way)]) for name, way in ways.items()},
+        "theta": wrap_angle(heading_rad),
+    }
+
+
+def _find_joints(messages: JoinedMessages, joints: tuple[str, str]) -> NDArray[np.int64]:
+    """Return where the joints stand in each message, shape (n, 2); -1: nowhere."""
+    places = np.full((len(messages), 2), -1)
+    known: Mapping[tuple[str, ...], tuple[int, ...]] = {}
+    for row, names in enumerate(messages.fields["name"]):
+        listed = tuple(names)
+        if listed not in known:
+            found = tuple(listed.index(joint) if joint in listed else -1 for joint in joints)
+            known = {**known, listed: found}
+        places[row] = known[listed]
+    return places
+
+
+def _pick(
+    column: NDArray[np.object_], places: NDArray[np.int64], rows: NDArray[np.int64]
+) -> Values:
+    """Return two numbers of each message; NaN where it has none of a joint."""
+    picked = np.full((len(rows), 2), np.nan)
+    for number, row in enumerate(rows.tolist()):
+        values = column[row]
+        for side, place in enumerate(places[row].tolist()):
+            if place < len(values):
+                picked[number, side] = values[place]
+    return picked
+
+
+def _unwrap(turned_rad: Values) -> tuple[Values, int]:
+    """Return angles without wraps of joints that stay within one turn, and how many there were."""
+    # From -180 to 180 deg or from 0 to 360 deg: what an encoder of one turn tells.
+    low_rad, high_rad = (float(end) for end in (turned_rad.min(), turned_rad.max()))
+    most_rad = np.pi * (1.0 + 1e-6)  # positions may have 32 bits
+    is_wrapped = max(-low_rad, high_rad) <= most_rad or (
+        low_rad >= 0.0 and high_rad <= 2.0 * most_rad
+    )
+    wraps = int((np.abs(np.diff(turned_rad, axis=0)) > np.pi).sum()) if is_wrapped else 0
+    return (np.unwrap(turned_rad, axis=0) if wraps else turned_rad), wraps
+
+
+def _describe_missing(messages: JoinedMessages, joints: tuple[str, str]) -> str:
+    names = sorted({name for listed in messages.fields["name"] for name in listed})
+    lacking = [joint for joint in joints if joint not in names]
+    if not lacking:
+        return (
+            f"topic {messages.topic}: expected {joints[0]} and {joints[1]} in one message, found"
+            " each in others"
+        )
+    found = ", ".join(names)[:300] or "none"
+    return f"topic {messages.topic}: expected the joint {lacking[0]}, found {found}"

@@ -1,0 +1,376 @@
+"""How far the best values can go alone, and how they do where the loop is not quite as thought."""
+
+import json
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from turtlelog.errors import TuneError
+from turtlelog.files.text_files import read_text_file
+from turtlelog.scenario import Scenario, flatten_scenario, override_scenario, resolve_scenario
+from turtlelog.simulate.streams import list_streams
+from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point
+from turtlelog.sweep.tune.goal import TuningGoal
+from turtlelog.sweep.tune.search import SearchedKey, Tuned, sum_up
+
+_WORSE: Final = 0.1
+"""Share of the best objective by which it may become worse: what one rounds a gain for."""
+
+_OF_SPREAD: Final = 0.01
+"""Share of the way from the best to the middle candidate by which it may, where that is more: of a
+best of 0 every share is 0."""
+
+_POINTS: Final = 16
+"""Looked at between the best and each bound, closer to the best at first."""
+
+_ROUNDS: Final = 5
+"""Neighbourhoods that are looked at: of a metric that hangs on single samples each may hold a
+better one."""
+
+_HALVINGS: Final = 8
+"""Of the step in which it ends: to 1/256 of it."""
+
+NEIGHBOURS: Final = 2 * (_POINTS + _HALVINGS)
+"""Candidates that a neighbourhood takes for each key, at most."""
+
+End = Literal["objective", "constraint", "no value", "bound"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyRange:
+    """How far a key can go from its best value, with all others at theirs.
+
+    Attributes:
+        key: Dotted.
+        low: Least value that is still good.
+        high: Largest.
+        low_end: What ends it below: the objective is worse, a constraint breaks, there is no value,
+            or the bound that was given.
+        high_end: Likewise above.
+        low_constraint: The constraint that breaks below; empty where none does.
+        high_constraint: Likewise above.
+    """
+
+    key: str
+    low: float
+    high: float
+    low_end: End
+    high_end: End
+    low_constraint: str = ""
+    high_constraint: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Neighbourhood:
+    """How far the keys can go, each alone.
+
+    Attributes:
+        slack: By how much the objective may become worse.
+        ranges: Of each key.
+    """
+
+    slack: float
+    ranges: tuple[KeyRange, ...]
+
+
+@dataclass(slots=True)
+class _Walk:
+    """From the best to a bound: the last good share of the way, and the first that is not."""
+
+    place: int
+    bound: float
+    good: float = 0.0
+    bad: float | None = None
+    end: End = "bound"
+    constraint: str = ""
+
+
+def explore_best(
+    candidates: Candidates, keys: Sequence[SearchedKey], found: Tuned, *, is_maximised: bool = False
+) -> tuple[Tuned, Neighbourhood]:
+    """Return the best with its neighbourhood: where that holds a better one, this one's.
+
+    Args:
+        candidates: Simulates and judges.
+        keys: That vary.
+        found: The best so far, which fulfils the constraints.
+        is_maximised: Whether the objective should be large.
+    """
+    sign = -1.0 if is_maximised else 1.0
+    for _ in range(_ROUNDS):
+        around = explore_neighbourhood(candidates, keys, found.best, sign=sign)
+        before, found = found, sum_up(candidates, keys, is_maximised=is_maximised)
+        if found.best is before.best:
+            break
+    return replace(found, best=before.best, at_bounds=before.at_bounds), around
+
+
+def explore_neighbourhood(
+    candidates: Candidates, keys: Sequence[SearchedKey], best: Candidate, *, sign: float = 1.0
+) -> Neighbourhood:
+    """Return how far each key can go alone, on the points of a walk to each bound.
+
+    Args:
+        candidates: Simulates and judges.
+        keys: That vary.
+        best: Whose neighbourhood it is; it fulfils the constraints.
+        sign: 1 where the objective should be small, -1 where it should be large.
+    """
+    assert best.objective is not None
+    slack = _find_slack(candidates, best.objective)
+    limit = sign * best.objective + slack
+    walks = [_Walk(place, bound) for place, key in enumerate(keys) for bound in (key.low, key.high)]
+
+    def move(walk: _Walk, share: float) -> Point:
+        point = [*best.point]
+        here, key = point[walk.place], keys[walk.place]
+        point[walk.place] = key.round(here + share * (walk.bound - here))
+        return tuple(point)
+
+    def look(asked: Sequence[tuple[_Walk, float]]) -> list[tuple[End, str] | None]:
+        found = candidates.evaluate([move(walk, share) for walk, share in asked])
+        return [_find_fault(one, limit, sign) for one in found]
+
+    shares = [(step / _POINTS) ** 2 for step in range(1, _POINTS + 1)]
+    asked = [(walk, share) for walk in walks for share in shares]
+    for (walk, share), fault in zip(asked, look(asked), strict=True):
+        if walk.bad is None:
+            _enter(walk, share, fault)
+    for _ in range(_HALVINGS):
+        halved = [(one, (one.good + one.bad) / 2.0) for one in walks if one.bad is not None]
+        for (walk, share), fault in zip(halved, look(halved), strict=True):
+            _enter(walk, share, fault)
+    ranges = (
+        _describe(key.key, below, above, move)
+        for key, below, above in zip(keys, walks[::2], walks[1::2], strict=True)
+    )
+    return Neighbourhood(slack=slack, ranges=tuple(ranges))
+
+
+def _enter(walk: _Walk, share: float, fault: tuple[End, str] | None) -> None:
+    if fault is None:
+        walk.good = share
+    else:
+        walk.bad, (walk.end, walk.constraint) = share, fault
+
+
+def _describe(
+    key: str, below: _Walk, above: _Walk, move: Callable[[_Walk, float], Point]
+) -> KeyRange:
+    return KeyRange(
+        key=key,
+        low=move(below, below.good)[below.place],
+        high=move(above, above.good)[above.place],
+        low_end=below.end,
+        high_end=above.end,
+        low_constraint=below.constraint,
+        high_constraint=above.constraint,
+    )
+
+
+def _find_slack(candidates: Candidates, best: float) -> float:
+    """Return by how much the objective may become worse than the best."""
+    values = [
+        one.objective
+        for one in candidates.list_known()
+        if one.is_feasible and one.objective is not None
+    ]
+    return max(_WORSE * abs(best), _OF_SPREAD * abs(median(values) - best))
+
+
+def _find_fault(one: Candidate, limit: float, sign: float) -> tuple[End, str] | None:
+    """Return why a candidate is no longer good, None where it is."""
+    broken = [found for found in one.constraints if not found.holds]
+    if broken:
+        return "constraint", broken[0].expression
+    if one.objective is None:
+        return "no value", ""
+    return ("objective", "") if sign * one.objective > limit else None
+
+
+_DELAY: Final = "loop.transport_delay_ticks"
+_SEED: Final = "seed"
+
+_PARTS: Final = {
+    **{
+        name: name for name in ("gain", "dead_time_s", "lag_s", "bound", "deadband", "reverse_gain")
+    },
+    "rate_limit": "acceleration",
+}
+_AXES: Final = {"speed": "speed", "turn_rate": "turn"}
+_MOST_BYTES: Final = 2**24
+"""Of what `identify --json` printed: of one robot it prints some kB."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variation:
+    """A key of the scenario that variants draw.
+
+    Attributes:
+        key: Dotted.
+        low: Least value.
+        high: Largest; every value between, whole ones where it counts, is as likely.
+        is_whole: Whether it counts.
+    """
+
+    key: str
+    low: float
+    high: float
+    is_whole: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """What variants of a candidate come to.
+
+    Attributes:
+        runs: How many.
+        with_value: In how many the objective has a value.
+        holds: In how many every constraint holds, and the objective has a value.
+        median: Of the objective, of those that have one; None where none has.
+        low: 5 % of them are below, interpolated.
+        high: 5 % are above.
+        worst: The worst of them.
+        varied: What was drawn.
+    """
+
+    runs: int
+    with_value: int
+    holds: int
+    median: float | None
+    low: float | None
+    high: float | None
+    worst: float | None
+    varied: tuple[Variation, ...]
+
+
+def choose_variations(
+    scenario: Scenario, runs: int, more: Sequence[Variation] = ()
+) -> tuple[Variation, ...]:
+    """Return what variants of a scenario draw.
+
+    The seed, where the scenario has random effects: without them it changes nothing. The transport
+    delay, by a tick to either side: no program on a clock of ticks is nearer than that to its
+    model. And what else is given, as the intervals of an identified robot.
+
+    Args:
+        scenario: The best one, whose law may run.
+        runs: How many variants there will be.
+        more: Further keys; one of the two above takes its place.
+    """
+    given = {one.key: one.high for one in more}
+    resolved = resolve_scenario(override_scenario(scenario, given, source="--spread"))
+    found: list[Variation] = []
+    if list_streams(resolved) and _SEED not in given:
+        first = resolved.seed
+        found.append(Variation(key=_SEED, low=first, high=first + runs - 1, is_whole=True))
+    if _DELAY not in given:
+        ticks = resolved.loop.transport_delay_ticks
+        found.append(Variation(key=_DELAY, low=max(ticks - 1, 0), high=ticks + 1, is_whole=True))
+    return (*found, *more)
+
+
+def read_intervals(path: Path, scenario: Scenario) -> tuple[Variation, ...]:
+    """Return the intervals of a robot's gains, dead times, lags and limits.
+
+    Args:
+        path: What `turtlelog identify --json` printed.
+        scenario: Around that robot.
+
+    Raises:
+        TuneError: Where the file is another, or the scenario has another robot.
+    """
+    try:
+        text = read_text_file(path, most=_MOST_BYTES)
+    except OSError as err:
+        raise TuneError(f"{path}: expected a file, found: {err.strerror or err}") from err
+    try:
+        axes = json.loads(text)["axes"]
+        intervals = {
+            f"plant.{_AXES[axis['axis']]}_{name}": (axis[part]["low"], axis[part]["high"])
+            for axis in axes
+            for part, name in _PARTS.items()
+            if axis.get(part) is not None
+        }
+    except (ValueError, KeyError, TypeError, RecursionError) as err:
+        expected = "what `turtlelog identify --json` prints"
+        raise TuneError(f"{path}: is not {expected}") from err
+    parameters = flatten_scenario(scenario)
+    known = {
+        key: (float(low), float(high))
+        for key, (low, high) in intervals.items()
+        if _is_number(low) and _is_number(high) and key in parameters
+    }
+    if not known:
+        expected = (
+            "intervals of a robot that the scenario drives, as `identify --scenario` writes it"
+        )
+        raise TuneError(f"{path}: has no {expected}")
+    # A dead time of 0 is as likely as the interval around it; below 0 there is none.
+    return tuple(
+        Variation(key=key, low=max(low, 0.0), high=max(high, 0.0))
+        for key, (low, high) in known.items()
+    )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+
+
+def simulate_variants(
+    scenario: Scenario,
+    goal: TuningGoal,
+    variations: Sequence[Variation],
+    *,
+    runs: int,
+    seed: int = 0,
+    jobs: "int | Executor | None" = None,
+    **more: Any,
+) -> Spread:
+    """Simulate variants of a scenario, and return what they come to.
+
+    Args:
+        scenario: The best one.
+        goal: What they are judged by.
+        variations: What they draw, each evenly from its range and by itself.
+        runs: How many.
+        seed: Of what is drawn; the seeds of the scenario go on one by one.
+        jobs: As in `Candidates`.
+        more: Likewise.
+    """
+    generator = np.random.default_rng(seed)
+    columns = [_draw(one, runs, generator) for one in variations]
+    points = [*zip(*columns, strict=True)]
+    candidates = Candidates(
+        scenario, [one.key for one in variations], goal, jobs=jobs, expected=runs, **more
+    )
+    found = candidates.evaluate(points)
+    values = [one.objective for one in found if one.objective is not None]
+    low, middle, high = (
+        np.quantile(values, [0.05, 0.5, 0.95]).tolist() if values else (None, None, None)
+    )
+    worst = min if goal.is_maximised else max
+    return Spread(
+        runs=runs,
+        with_value=len(values),
+        holds=sum(one.is_feasible for one in found),
+        median=middle,
+        low=low,
+        high=high,
+        worst=worst(values, default=None),
+        varied=tuple(variations),
+    )
+
+
+def _draw(one: Variation, count: int, generator: np.random.Generator) -> list[Any]:
+    if one.key == _SEED:
+        return [int(one.low) + number % round(one.high - one.low + 1) for number in range(count)]
+    if one.is_whole:
+        drawn: list[Any] = generator.integers(int(one.low), int(one.high) + 1, count).tolist()
+        return drawn
+    return generator.uniform(one.low, one.high, count).tolist()  # type: ignore[no-any-return]
