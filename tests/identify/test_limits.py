@@ -17,7 +17,13 @@ from tests.identify.limited_robots import (
 )
 from tests.identify.robots import Log, make_run
 from tests.known import known
-from turtlelog.identify import AxisModel, Estimate, build_robot_scenario, predict_axis, read_doubts
+from turtlelog.identify import (
+    AxisModel,
+    Estimate,
+    build_robot_scenario,
+    predict_axis,
+    read_robot_notes,
+)
 from turtlelog.identify.doubts import cover_rivals
 from turtlelog.identify.held_response import LaggedResponse, hold_commands, limit_within
 from turtlelog.identify.robot_structure import Structure
@@ -213,7 +219,7 @@ def test_in_doubt_advice_has_the_longer_delay_and_says_so() -> None:
     delay_s = plant.turn_dead_time_s + plant.turn_lag_s
     assert delay_s >= known(axis.total_delay_s).high - 1e-5
     assert plant.turn_gain == pytest.approx(known(axis.gain).high, rel=1e-4)
-    assert read_doubts(robot.text) == [f"Doubt: {axis.doubts[0]}"]
+    assert read_robot_notes(robot.text) == [f"Doubt: {axis.doubts[0]}"]
     assert max(turn_as_advised(model, run, BRAKING)) <= 6.0
 
 

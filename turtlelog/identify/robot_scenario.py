@@ -33,7 +33,8 @@ _FEWEST: Final = 10
 """Fewest intervals from which a period is computed."""
 
 _DOUBT: Final = "Doubt: "
-"""What a sentence begins with that later answers repeat."""
+_NOTE: Final = "Note: "
+"""What sentences begin with that later answers repeat: notes of the identification."""
 
 _WHOLE: Final = 0.05
 """Share by which the timer's period may be off a multiple of the poses' to be made one: two clocks
@@ -89,25 +90,26 @@ class RobotScenario:
         return "".join(f"# {line}\n" for line in lines) + "\n" + format_scenario(self.scenario)
 
 
-def read_doubts(text: str) -> list[str]:
-    """Return the doubts about its robot that a scenario file names in comments."""
+def read_robot_notes(text: str) -> list[str]:
+    """Return the doubts and notes of the identification that a scenario file has in comments."""
     found: list[str] = []
-    is_doubt = False
+    is_told = False
     for line in text.splitlines():
         if not line.startswith("#"):
             break
         said = line.removeprefix("# ")
-        is_doubt = said.startswith(_DOUBT) or (is_doubt and said.startswith("  "))
-        if said.startswith(_DOUBT):
+        begins = said.startswith((_DOUBT, _NOTE))
+        is_told = begins or (is_told and said.startswith("  "))
+        if begins:
             found.append(said)
-        elif is_doubt:
+        elif is_told:
             found[-1] += f" {said.strip()}"
     return found
 
 
 def _wrap(note: str) -> list[str]:
-    """Return the lines of a note; those of a doubt show where it ends."""
-    indent = "  " if note.startswith(_DOUBT) else ""
+    """Return the lines of a note; those that later answers repeat show where it ends."""
+    indent = "  " if note.startswith((_DOUBT, _NOTE)) else ""
     return textwrap.wrap(note, 97, subsequent_indent=indent)
 
 
@@ -138,7 +140,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
     values: dict[str, Any] = {"name": model.files[0] or "robot", "loop.pose_precision": "float64"}
     doubts = [doubt for axis in model.axes for doubt in axis.doubts]
     notes = [_DOUBT + doubt for doubt in doubts]
-    notes += [note for note in model.notes if note not in doubts]
+    notes += [_NOTE + note for note in model.notes if note not in doubts]
     for keys, sentences in parts:
         values |= keys
         notes += sentences
