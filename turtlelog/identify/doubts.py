@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import join_words
 from turtlelog.identify.axis_fit import DEAD_TIME, GAIN, LAG, TOTAL, AxisFit, solve_part
-from turtlelog.identify.axis_motion import NAMES
+from turtlelog.identify.axis_motion import NAMES, Axis
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate
 from turtlelog.identify.robot_structure import Structure
@@ -27,7 +27,7 @@ _FEWEST: Final = 50
 
 _APART: Final = 4.0
 """Standard deviations by which two parts of the motion must differ to be a curve that the model
-leaves: by chance in 1 of 1,000 robots, of 16 differences each."""
+leaves: by chance in 1 of 800 robots, of 20 differences each."""
 
 _LIKELY: Final = 2.0
 """The same where the model leaves a curve, so that something must differ."""
@@ -101,8 +101,9 @@ def _list_parts(structure: Structure) -> list[str]:
 def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     """Return an axis whose intervals cover what parts of the motion say that differ.
 
-    Small commands and large ones, those of either sign, rising and falling ones, and both halves of
-    the log have one set of values where the model explains the motion. Where it leaves a curve they
+    Small commands and large ones, those of either sign, rising and falling ones, both halves of the
+    log, and what is commanded with the other axis or without it have one set of values where the
+    model explains the motion. Where it leaves a curve they
     count as different sooner, and all intervals grow by what neighbours share.
     """
     excess = measure_curve(fit)
@@ -111,13 +112,13 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     if is_curve:
         for field in _FIELDS:
             covered = _stretch(covered, field, _measure_sharing(fit))
-    for names, is_first in _split_steps(fit):
+    for pair, is_first in _split_steps(found.axis, fit):
         differing = [*_compare_parts(fit, is_first, _LIKELY if is_curve else _APART)]
         for field, values in differing:
             for value in values:
                 covered = _widen(covered, field, value)
         if differing:
-            said.append(f"{names[0]} from {names[1]} ones")
+            said.append(pair)
     if not (said or is_curve) or not _matters(covered):
         return covered
     what = f" Commands differ: {join_words(said)}." if said else ""
@@ -162,21 +163,25 @@ def _clip(fit: AxisFit) -> Values:
     return np.where(fit.is_outlier, 0.0, np.clip(fit.white, -_MOST, _MOST))
 
 
-def _split_steps(fit: AxisFit) -> Iterator[tuple[tuple[str, str], NDArray[np.bool_]]]:
+def _split_steps(axis: Axis, fit: AxisFit) -> Iterator[tuple[str, NDArray[np.bool_]]]:
     """Yield what the steps are divided by: in which of them the first of two commands acts."""
     dead_time_s = float(fit.parameters[DEAD_TIME])
-    acting, before = [], []
+    acting, before, beside = [], [], []
     for motion in fit.model.motions:
         end_s = motion.time_s[motion.first + 1] - dead_time_s
         held = motion.commands.place(end_s).held
         acting.append(motion.commands.value[held])
         before.append(motion.commands.value[np.maximum(held - 1, 0)])
+        other = motion.beside
+        beside.append(0.0 * end_s if other is None else other.value[other.place(end_s).held])
     value, earlier = np.concatenate(acting), np.concatenate(before)
     change = np.abs(value - earlier)
-    yield ("small", "large"), change <= float(np.median(change))
-    yield ("positive", "negative"), value + earlier > 0.0
-    yield ("rising", "falling"), np.abs(value) > np.abs(earlier)
-    yield ("earlier", "later"), np.arange(len(value)) < len(value) // 2
+    yield "small from large ones", change <= float(np.median(change))
+    yield "positive from negative ones", value + earlier > 0.0
+    yield "rising from falling ones", np.abs(value) > np.abs(earlier)
+    yield "earlier from later ones", np.arange(len(value)) < len(value) // 2
+    other_name = NAMES["turn_rate" if axis == "speed" else "speed"]
+    yield f"those with a {other_name} from those without one", np.concatenate(beside) != 0.0
 
 
 def _compare_parts(
