@@ -196,6 +196,8 @@ def _compare_parts(
     for field, weights in _list_contrasts(len(fit.parameters)).items():
         moves = [float(weights @ moved) for moved, _ in solved]
         variances = [float(weights @ covariance @ weights) for _, covariance in solved]
+        if min(variances) <= 0.0:  # a part that does not show the value at all, to rounding
+            continue
         error = float(np.sqrt(sum(variances)))
         if abs(moves[0] - moves[1]) > apart * error:
             value = _evaluate(fit, field)
