@@ -90,6 +90,8 @@ def find_near(name: str, known: Iterable[str], *, most: int = 3) -> list[str]:
     meant = f"{place}{dot}{_SYNONYMS.get(last, last)}"
     if meant in listed:
         return [meant]
+    if not dot and (named := [one for one in listed if one.endswith(f".{meant}")]):
+        return named[:most]
     for word in dict.fromkeys([name, meant]):
         if near := difflib.get_close_matches(word, listed, n=most):
             ratios = [difflib.SequenceMatcher(a=word, b=one).ratio() for one in near]

@@ -17,10 +17,10 @@ from turtlelog.plants.kinds import PLANTS
 from turtlelog.processes import count_cores
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
+from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.collect import simulate_run
 from turtlelog.simulate.compiled_loops import CompiledLoops, is_kept
 from turtlelog.simulate.compiled_run import CompiledRunner
-from turtlelog.simulate.scenario_law import declare_scenario, is_built_in
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 
 COST_S: Final = 1.0

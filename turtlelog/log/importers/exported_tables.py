@@ -334,6 +334,7 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
             Event(time_ns=int(time_ns), kind=kind, text=text)
             for time_ns, kind, text in zip(*events.values(), strict=True)
         ),
+        simulated_by=_parse_fact(facts, "simulated_by", dict[str, str] | None) or {},
         absent=tuple(absent),
     )
 
