@@ -90,6 +90,8 @@ def find_near(name: str, known: Iterable[str], *, most: int = 3) -> list[str]:
     meant = f"{place}{dot}{_SYNONYMS.get(last, last)}"
     if meant in listed:
         return [meant]
+    if not dot and (named := [one for one in listed if one.endswith(f".{meant}")]):
+        return named[:most]
     for word in dict.fromkeys([name, meant]):
         if near := difflib.get_close_matches(word, listed, n=most):
             ratios = [difflib.SequenceMatcher(a=word, b=one).ratio() for one in near]
@@ -191,7 +193,7 @@ class LawError(TurtlelogError):
 
 
 class ParameterError(LawError, ValueError):
-    """A parameter of a law that does not go with the others; the line begins with its key."""
+    """A parameter of a law that contradicts the others; the line begins with its key."""
 
 
 class ScenarioError(TurtlelogError):

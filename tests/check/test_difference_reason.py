@@ -1,17 +1,24 @@
+import json
+import re
 import time
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 import turtlelog as tl
 from turtlelog.check import CheckResult, Tolerances, match_run
 from turtlelog.check.difference_reason import add_reason
+from turtlelog.check.reference import MetricsFile, format_metrics, read_metrics_file
 from turtlelog.compare import Tolerance
+from turtlelog.errors import CheckError
 from turtlelog.run import Run
 from turtlelog.scenario import get_preset
 
 NEAR = Tolerance(abs=1e-3, reason="a test")
+ERROR = "final.position_error"
 
 
 @cache
@@ -86,6 +93,112 @@ def test_laws_that_nobody_trusts_are_not_run_for_a_reason() -> None:
     other = replace(run, parameters={**run.parameters, "law.kind": "mine.py:Law"})
     why = read_why(add_reason(other, run, judge("final.position_error")))
     assert "mine.py:Law runs only if its code is trusted" in why[1]
+
+
+def write_metrics(folder: Path, run: Run, **changes: Any) -> MetricsFile:
+    """Return the file of metrics of a run, with entries changed; None leaves one out."""
+    (entry,) = json.loads(format_metrics(run, "good.mcap"))
+    entry |= changes
+    file = folder / "good.json"
+    file.write_text(json.dumps({k: v for k, v in entry.items() if v is not None}), "utf-8")
+    found = read_metrics_file(file)
+    assert found is not None
+    return found
+
+
+def explain_metrics(reference: MetricsFile, run: Run, **options: Any) -> tuple[str, ...]:
+    results = match_run(run, reference, Tolerances(metrics={ERROR: NEAR}), file="new.mcap")
+    assert all(one.reference is reference for one in results)
+    return read_why(add_reason(run, reference, results, **options))
+
+
+def test_a_file_of_metrics_with_its_scenario_is_simulated_again(tmp_path: Path) -> None:
+    reference = write_metrics(tmp_path, simulate("paper-kp2"))
+    assert explain_metrics(reference, simulate("paper-kp10")) == (
+        "final.position_error rose from 0.0010 m to 0.1067 m: the gains add 0.1071 m, the shorter"
+        " pause takes 0.0014 m away.",
+        f"The scenario in good.json, simulated again, has the {len(reference.metrics)} metrics of"
+        " that file.",
+    )
+
+
+def test_a_file_of_metrics_alone_has_no_cause_and_the_line_says_what_to_type(
+    tmp_path: Path,
+) -> None:
+    reference = write_metrics(tmp_path, simulate("paper-kp2"), scenario=None)
+    assert explain_metrics(reference, simulate("paper-kp10")) == (
+        "Not explained: good.json has no scenario. Accept a good recording anew (--turtlelog-accept"
+        " stores it), or with a good recording: turtlelog compare GOOD.mcap new.mcap --why"
+        " final.position_error",
+    )
+
+
+@pytest.mark.parametrize(("part", "is_apart"), [(0.9e-6, False), (1.1e-6, True)])
+def test_metrics_that_their_scenario_does_not_give_explain_nothing(
+    tmp_path: Path, part: float, *, is_apart: bool
+) -> None:
+    good = simulate("paper-kp2")
+    metrics = [
+        one.to_dict()
+        | ({"value": one.value * (1.0 + part)} if one.id == ERROR and one.value else {})
+        for one in tl.measure_run(good).values()
+    ]
+    software = {**good.simulated_by, "numpy": "1.0"}
+    reference = write_metrics(tmp_path, good, metrics=metrics, simulated_by=software)
+    why = explain_metrics(reference, simulate("paper-kp10"))
+    assert (why[0].startswith("Not explained: final.position_error is 0.00101132 m in")) == is_apart
+    assert (f"differs: NumPy 1.0, then {good.simulated_by['numpy']}." in why[-1]) == is_apart
+    assert "No setting differs between that scenario and this run." not in why
+
+
+def test_a_run_of_the_same_settings_says_so_where_their_metrics_changed(tmp_path: Path) -> None:
+    run = simulate("paper-kp10")
+    metrics = [
+        one.to_dict() | ({"value": 0.05} if one.id == ERROR else {})
+        for one in tl.measure_run(run).values()
+    ]
+    why = explain_metrics(write_metrics(tmp_path, run, metrics=metrics), run)
+    assert why == (
+        "Not explained: final.position_error is 0.05 m in good.json, and 0.106728 m if its scenario"
+        " is simulated again.",
+        "No setting differs between that scenario and this run.",
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("sequential-p", "mine.py:Law", "mine.py:Law, the law in "),
+        ("max_duration_s = 60.0", "max_duration_s = 601.0", "a scenario of up to 601 s takes too"),
+        ("[limits]", "[limits", "good.json: scenario: not TOML"),
+        ("[limits]", "[limit]", "good.json: scenario: limit: "),
+    ],
+)
+def test_a_scenario_that_cannot_run_says_why(tmp_path: Path, old: str, new: str, told: str) -> None:
+    good = simulate("paper-kp2")
+    (entry,) = json.loads(format_metrics(good, "good.mcap"))
+    text = entry["scenario"]
+    assert old in text
+    reference = write_metrics(tmp_path, good, scenario=text.replace(old, new))
+    (why,) = explain_metrics(reference, simulate("paper-kp10"))
+    assert why.startswith("Not explained: ")
+    assert told in why
+
+
+@pytest.mark.parametrize(
+    ("entry", "told"),
+    [
+        ({"scenario": 3}, "scenario: Expected `str`, got `int`"),
+        ({"simulated_by": []}, "simulated_by: Expected `object`, got `array`"),
+        ({"simulated_by": {"numpy": 2}}, "simulated_by: Expected `str`, got `int`"),
+        ({"metrics": []}, "metrics: must not be empty"),
+    ],
+)
+def test_wrong_entries_of_a_file_of_metrics_are_named(
+    tmp_path: Path, entry: dict[str, Any], told: str
+) -> None:
+    with pytest.raises(CheckError, match=re.escape(f"good.json: {told}")):
+        write_metrics(tmp_path, simulate("paper-kp2"), **entry)
 
 
 @pytest.mark.parametrize("name", ["final.position_error", "run.duration"])

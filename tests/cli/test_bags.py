@@ -155,7 +155,7 @@ def test_an_empty_bag_holds_no_run_but_is_described(
 ) -> None:
     bag = make_bag("a.mcap")
     write_mcap(bag / "a.mcap", [])
-    assert "expected poses" in refuse(call, command, bag)
+    assert "no poses; it contains" in refuse(call, command, bag)
     assert call("info", bag, "--json").json[0]["topics"] == []
 
 

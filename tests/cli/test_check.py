@@ -11,6 +11,7 @@ import turtlelog as tl
 from tests.check.artifact_files import read_mark
 from tests.cli.conftest import Call
 from tests.sequential import METRICS
+from turtlelog.check.reference import format_metrics
 
 TOLERANCES = """format = 1
 [signals.x]
@@ -325,3 +326,44 @@ def test_the_reason_of_a_failure_stands_in_json(
     whys = [one["why"] for one in results if one["check"] == "error"]
     assert [len(why) for why in whys] == [0, 3, 3, 3, 0]
     assert whys[1][2] == f"More: turtlelog compare {kp4} {kp10} --why final.position_error"
+
+
+def test_a_file_of_metrics_is_a_reference_of_metrics(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    spec, golden = tmp_path / "spec.toml", tmp_path / "good.json"
+    golden.write_text(call("metrics", kp4, "--json").out, encoding="utf-8")
+    spec.write_text(WHY.replace("REFERENCE", "good.json"), encoding="utf-8")
+    assert call("check", spec, kp4).code == 0
+    answer = call("check", spec, kp10, "--json").json
+    assert [one["verdict"] for one in answer["results"]] == ["FAIL", "FAIL"]
+    (why,) = answer["results"][0]["why"]
+    assert why.startswith("Not explained: good.json has no scenario.")
+    assert f"turtlelog compare GOOD.mcap {kp10} --why final.position_error" in why
+    golden.write_text(format_metrics(tl.read_run(kp4), "kp4.mcap"), encoding="utf-8")
+    assert "final.position_error rose from 0.0085 m" in call("check", spec, kp10).flat
+    assert "WHY" not in call("check", spec, kp10, "--no-why").flat
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        (
+            '[signals.x]\nabs = 1\nreason = "wide"\n',
+            "[signals.x] needs a recording as its reference",
+        ),
+        (
+            '[metrics]\n"run.duration" = { abs = 1, reason = "wide" }\n',
+            "good.json has no metric run.duration",
+        ),
+    ],
+)
+def test_what_a_file_of_metrics_lacks_is_named(
+    call: Call, kp4: Path, tmp_path: Path, table: str, told: str
+) -> None:
+    spec, golden = tmp_path / "spec.toml", tmp_path / "good.json"
+    golden.write_text(call("metrics", kp4, "--metric", "final.*", "--json").out, "utf-8")
+    spec.write_text(f'format = 1\nreference = "good.json"\n{table}', encoding="utf-8")
+    answer = call("check", spec, kp4)
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert told in answer.err

@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import shutil
 from pathlib import Path
 
 import pytest
@@ -110,6 +111,51 @@ def test_a_series_without_such_a_pair_says_so(
     assert (found["explanation"], found["condition"]) == (None, condition)
 
 
+@pytest.mark.parametrize(
+    ("unread", "case"),
+    [
+        ("n0", ("run.duration > 1", "and no recording that can be read comes before it.")),
+        ("n0", ("run.duration < 1", "None of 2 recordings that can be read meets run.duration <")),
+        ("n1", ("run.duration < 1", "n2.mcap does not meet run.duration < 1.")),
+        (
+            "n15",
+            (
+                "final.position_error > 0.1",
+                "n2.mcap is the first that meets final.position_error > 0.1, after n1.mcap. 1"
+                " earlier recording cannot be read and may meet it, too: n15.mcap.",
+            ),
+        ),
+        ("n3", ("final.position_error > 0.1", "after n1.mcap. gains")),
+        ("n1 n2", ("run.duration < 1", "")),
+    ],
+)
+def test_what_cannot_be_read_of_a_series_leaves_the_answer_open(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path, unread: str, case: tuple[str, str]
+) -> None:
+    """Takes some 3 s: two recordings are explained."""
+    condition, told = case
+    shutil.copy(kp4, tmp_path / "n1.mcap")
+    shutil.copy(kp10, tmp_path / "n2.mcap")
+    for name in unread.split():
+        (tmp_path / f"{name}.mcap").write_bytes(kp4.read_bytes()[:3000])
+    answer = call("compare", tmp_path, "--first", condition, "--why", "--jobs", 1)
+    assert answer.code == 2
+    assert len(answer.err.splitlines()) == len(unread.split())
+    assert told in answer.flat
+    assert "cannot be read" in told or "cannot be read" not in answer.flat
+
+
+def test_a_series_in_an_empty_folder_or_of_one_recording(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    words = ["--first", "run.duration < 1", "--why"]
+    empty = call("compare", tmp_path, *words)
+    assert (empty.code, empty.out, empty.err.count("\n")) == (2, "", 1)
+    assert "no recordings in this folder" in empty.err
+    answer = call("compare", kp4, *words)
+    assert (answer.code, answer.out) == (0, "kp4.mcap does not meet run.duration < 1.\n")
+
+
 @pytest.mark.thorough
 def test_a_file_of_a_series_that_cannot_be_read_is_reported(call: Call, night: Path) -> None:
     """Takes some 3 s: three recordings are made, read in two processes, and two are explained."""
@@ -135,10 +181,33 @@ def test_another_law_is_exchanged_as_a_whole_where_both_may_run(
     assert (
         "old.py:Law and new.py:Law run only if their code is trusted (--trust-law)" in unknown.flat
     )
-    assert "The runs differ in the law itself." in unknown.flat
+    assert "The runs differ in the law itself. Signal by signal" in unknown.flat
     answer = call(*words, "--trust-law")
     assert "the law itself adds 0.400 m" in answer.flat
     assert "law.kind old.py:Law -> new.py:Law" in answer.flat
+
+
+def test_an_edited_law_is_named_before_where_the_runs_depart(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Takes some 2 s: a law of one's own runs plain."""
+    monkeypatch.chdir(tmp_path)
+    for name, speed in (("old", "0.5"), ("new", "0.7")):
+        Path("law.py").write_text(LAW.replace("SPEED", speed), encoding="utf-8")
+        call("run", "--law", "law.py:Law", "-o", f"{name}.mcap")
+    words = ["compare", "old.mcap", "new.mcap", "--why"]
+    untrusted, trusted = call(*words).flat, call(*words, "--trust-law").flat
+    for text in (untrusted, trusted):
+        assert (
+            "No setting differs, but the code of the law does. The runs depart at 0.000 s, after 0"
+            " equal samples, in wanted speed: 0.5 m/s then 0.7 m/s." in text
+        )
+        assert "the cause lies in the controller, whose code differs." in text
+    assert "law.py:Law runs only if its code is trusted (--trust-law)" in untrusted
+    assert "Simulated again, that scenario reproduces new.mcap alone." in trusted
+    sides = call(*words, "--json").json["explanation"]
+    digests = {sides[name]["simulated_by"]["law"] for name in ("first", "second")}
+    assert len(digests) == 2
 
 
 @pytest.mark.thorough

@@ -320,3 +320,16 @@ def test_poses_of_one_time_have_no_rate(
         f"/turtle1/pose, {rate}40 messages"
         in call("info", write_mcap(tmp_path / "a.mcap", said)).out
     )
+
+
+def test_the_software_of_a_simulation_is_listed_with_its_scenario(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    software = tl.read_recording(kp4).simulated_by
+    [told] = call("info", kp4, "--json").json
+    assert told["simulated_by"] == dict(software)
+    line = f"simulated by turtlelog {tl.__version__}, Python {software['python']}, NumPy "
+    assert line in call("info", kp4, "--parameters").flat
+    assert "simulated by" not in call("info", kp4).out
+    tl.write_recording(replace(tl.read_recording(kp4), simulated_by={}), tmp_path / "a.mcap")
+    assert "simulated by" not in call("info", tmp_path / "a.mcap", "--parameters").out

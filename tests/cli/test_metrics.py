@@ -284,8 +284,18 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
         (["--metric", "nonsense.*"], 'no metric "nonsense.*"; list: turtlelog list metrics'),
         (["--metric", "a,,b"], "--metric a,,b: must be names separated by commas"),
         (["--metric", ""], "--metric : must be names separated by commas"),
-        (["--band", "0"], "band: expected a share of the step > 0, found 0.0"),
-        (["--band", "nan"], "band: expected a share of the step > 0, found nan"),
+        (
+            ["--band", "0"],
+            "band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not 0.0",
+        ),
+        (
+            ["--band", "2"],
+            "band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not 2.0",
+        ),
+        (
+            ["--band", "nan"],
+            "band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not nan",
+        ),
         (["--band", "wide"], "--band wide: must be a number"),
         (["--final", "end"], "--final end: must be reference, last, a number or LOOP=VALUE"),
         (["--final", "pause=1"], "final: expected a loop rotate or translate, found 'pause'"),

@@ -207,6 +207,39 @@ def test_a_recovered_recording_is_replayed_as_far_as_it_goes(call: Call, tmp_pat
     assert call("replay", whole, "--law", "--expect-equal").code == 0
 
 
+def test_a_replay_that_departs_says_whether_code_or_versions_differ(
+    call: Call, tmp_path: Path
+) -> None:
+    law, path, other = tmp_path / "law.py", tmp_path / "a.mcap", tmp_path / "b.mcap"
+    kind = write_law(law)
+    assert call("run", "textbook", "--set", f"law.kind={kind}", "-o", path).code == 0
+    law.write_text(law.read_text("utf-8").replace("speed_m_s=0.0", "speed_m_s=0.5"), "utf-8")
+    words = ["replay", path, "--trust-law"]
+    for mode in ([], ["--law", kind]):
+        assert "The code of the law is not the recorded one." in call(*words, *mode).flat
+    run = tl.read_recording(path)
+    tl.write_recording(replace(run, simulated_by={**run.simulated_by, "numpy": "1.0"}), other)
+    text = call("replay", other, "--trust-law").flat
+    assert "by different software: NumPy 1.0, then " in text
+    assert "; the code of the law." in text
+    changed = call("replay", path, "--trust-law", "--json").json["software"]
+    assert [one["name"] for one in changed] == ["law"]
+
+
+def test_a_replay_that_departs_by_itself_names_the_software_of_both(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    run = tl.read_recording(kp4)
+    speed = run.samples.speed_m_s.copy()
+    speed[300] += 1e-3
+    spoilt = replace(run, samples=replace(run.samples, speed_m_s=speed))
+    tl.write_recording(spoilt, tmp_path / "a.mcap")
+    tl.write_recording(replace(spoilt, simulated_by={}), tmp_path / "b.mcap")
+    assert "Recorded and replayed by turtlelog " in call("replay", tmp_path / "a.mcap").flat
+    assert "replayed by" not in call("replay", tmp_path / "b.mcap").flat
+    assert "replayed by" not in call("replay", tmp_path / "a.mcap", "--set", "seed=2").flat
+
+
 def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -> None:
     law, path = tmp_path / "law.py", tmp_path / "a.mcap"
     kind = write_law(law)

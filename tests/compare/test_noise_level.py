@@ -8,7 +8,7 @@ import pytest
 from tests.compare.test_robot_prediction import add_noise, make_scenario, simulate
 from tests.identify.test_robot_scenario import LOG, build, drive_with_noise
 from turtlelog.compare import compare_robot
-from turtlelog.compare.noise_level import NoiseLevel, compare_noise
+from turtlelog.compare.robot_comparison import NoiseLevel, compare_noise
 
 SEEDS, PIECES = 39, 400
 

@@ -10,8 +10,8 @@ import turtlelog as tl
 from tests.identify.robots import Log, draw_steps, make_run
 from tests.log.runs import find_shared
 from turtlelog.compare import ErrorBand, RobotComparison
-from turtlelog.compare.noise_level import Quantity
-from turtlelog.compare.prediction_pieces import cut_pieces
+from turtlelog.compare.driven_commands import cut_pieces
+from turtlelog.compare.robot_comparison import Quantity
 from turtlelog.replay.commanded_plant import sense_driven
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import Scenario

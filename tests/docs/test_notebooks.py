@@ -1,30 +1,13 @@
 """The notebooks are run cell by cell, and what each cell ends with shows itself."""
 
-import ast
-import json
-import warnings
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
 
-FOLDER: Final = Path(__file__).parents[2] / "examples" / "notebooks"
+from tests.docs.notebook_pages import FOLDER, PAGES, read_cells, run_notebook
+
 EVERYDAY: Final = "why_kp10_misses"
-
-
-def read_cells(path: Path) -> list[dict[str, Any]]:
-    cells: list[dict[str, Any]] = json.loads(path.read_text("utf-8"))["cells"]
-    return cells
-
-
-def run_cell(text: str, names: dict[str, Any]) -> Any:
-    """Return the value of the last line, as a notebook shows it."""
-    body = ast.parse(text).body
-    last = body.pop() if isinstance(body[-1], ast.Expr) else None
-    exec(compile(ast.Module(body, type_ignores=[]), "<cell>", "exec"), names)
-    if not isinstance(last, ast.Expr):
-        return None
-    return eval(compile(ast.Expression(last.value), "<cell>", "eval"), names)
 
 
 def is_shown(value: Any) -> bool:
@@ -40,20 +23,26 @@ def is_shown(value: Any) -> bool:
         for path in sorted(FOLDER.glob("*.ipynb"))
     ],
 )
-def test_notebook_runs_and_shows_its_values(
+def test_notebook_runs_and_shows_the_values_of_its_page(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Simulates, explains and draws what a reader would: 5 to 20 s."""
     monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {"__name__": "__main__"}
-    values = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of libraries in a first import
-        for cell in read_cells(FOLDER / f"{name}.ipynb"):
-            if cell["cell_type"] == "code":
-                values.append(run_cell("".join(cell["source"]), names))
-    assert all(is_shown(value) for value in values if value is not None)
-    assert sum(value is not None for value in values) >= 4
+    page = run_notebook(FOLDER / f"{name}.ipynb")
+    assert all(map(is_shown, page.values))
+    assert len(page.values) >= 4
+    # The coordinates in pictures are rounded otherwise on other platforms, and fonts differ.
+    assert page.text == (PAGES / f"{name}.md").read_text("utf-8"), "make notebooks"
+    assert {*page.pictures} == {path.name for path in PAGES.glob(f"{name}-*")}
+
+
+@pytest.mark.parametrize("path", sorted(PAGES.glob("*-*")), ids=lambda path: path.name)
+def test_the_pictures_of_pages_are_small_and_whole(path: Path) -> None:
+    data = path.read_bytes()
+    assert len(data) < 100_000
+    assert data.startswith(b"<svg" if path.suffix == ".svg" else b"\x89PNG")
+    assert data.endswith(b"</svg>" if path.suffix == ".svg" else b"IEND\xaeB`\x82")
+    assert f"]({path.name})" in (PAGES / f"{path.stem.rpartition('-')[0]}.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda path: path.stem)
@@ -65,5 +54,7 @@ def test_notebook_holds_no_outputs_and_begins_with_what_it_is_about(path: Path) 
             assert (cell["outputs"], cell["execution_count"]) == ([], None)
 
 
-def test_there_are_three_notebooks() -> None:
-    assert len([*FOLDER.glob("*.ipynb")]) == 3
+def test_there_are_three_notebooks_and_a_page_of_each() -> None:
+    names = {path.stem for path in FOLDER.glob("*.ipynb")}
+    assert len(names) == 3
+    assert {path.stem for path in PAGES.glob("*.md")} == names

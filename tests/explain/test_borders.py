@@ -22,8 +22,7 @@ from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.resimulation import list_lost_commands
 from turtlelog.explain.setting_search import Fits
 from turtlelog.explain.stop_reason import RULE_KEYS, find_stop_rule
-from turtlelog.explain.trace import find_resolution, trace_run
-from turtlelog.explain.trace_breaks import mark_breaks
+from turtlelog.explain.trace import find_resolution, mark_breaks, trace_run
 from turtlelog.laws import SequentialPParameters
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import simulate_run

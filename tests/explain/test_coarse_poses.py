@@ -10,8 +10,7 @@ from tests.explain.logs import as_log, forget, simulate
 from turtlelog.explain import Certainty, Finding, identify_run
 from turtlelog.measure import DeadTime, Missing, find_dead_time
 from turtlelog.measure.dead_time import shows_lag
-from turtlelog.measure.motion import find_coarse_step
-from turtlelog.measure.way_fits import is_within_steps
+from turtlelog.measure.motion import find_coarse_step, is_within_steps
 from turtlelog.run import Run
 
 COARSE = {

@@ -12,8 +12,7 @@ from tests.explain.scoring import judge, list_truth, score
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, Identification, identify_run
 from turtlelog.explain.law_identification import PHASES, identify_rotation, identify_translation
-from turtlelog.explain.trace import trace_run
-from turtlelog.explain.trace_breaks import mark_breaks
+from turtlelog.explain.trace import mark_breaks, trace_run
 from turtlelog.run import Run
 
 FAR = (2.0, 10.0)

@@ -246,10 +246,14 @@ def spoil(run: Run, *, part: str) -> Run:
 @pytest.mark.parametrize(
     ("part", "at_s", "cause"),
     [
-        ("controller", 6.768, "the cause lies in the controller"),
-        ("robot", 8.0, "lies outside the controller: in the transport of commands, in the robot,"),
-        ("robot", 8.0, "in what acts on it, or in the measurement of its poses."),
-        ("start", 0.0, "They start from other poses"),
+        ("controller", 6.704, "the cause lies in the controller"),
+        (
+            "robot",
+            7.936,
+            "lies outside the controller: in the transport of commands, in the robot,",
+        ),
+        ("robot", 7.936, "in what acts on it, or in the measurement of its poses."),
+        ("start", -0.064, "They start from other poses"),
     ],
 )
 def test_runs_of_one_scenario_are_explained_by_where_they_depart(
@@ -264,6 +268,54 @@ def test_runs_of_one_scenario_are_explained_by_where_they_depart(
         text = " ".join(found.sentences)
         assert cause in text
         assert "Simulated again, that scenario reproduces the" in text
+
+
+@pytest.mark.parametrize(
+    ("of_first", "of_second", "sentence"),
+    [
+        ({}, {}, "No setting differs: both ran with turtlelog"),
+        ({"law": "1"}, {"law": "1"}, "glibc 2.36, by the same code of the law. The runs depart"),
+        ({"law": "1"}, {"law": "2"}, "No setting differs, but the code of the law does. The runs"),
+        (
+            {"numpy": "1.0", "law": "1"},
+            {"numpy": "2.0", "law": "2"},
+            "but the software does: NumPy 1.0, then 2.0; the code of the law. The runs depart",
+        ),
+        (
+            {"platform": "Linux x86_64"},
+            {"platform": "Linux aarch64"},
+            "the software does: Linux x86_64, then Linux aarch64. The runs depart at 6.704 s",
+        ),
+        ({"law": "1"}, None, "and the second run does not name the versions used. The runs depart"),
+        (None, None, "and the first run and the second run do not name the versions used."),
+    ],
+)
+def test_what_differs_before_two_runs_depart_is_named_as_far_as_both_name_it(
+    of_first: dict[str, str] | None, of_second: dict[str, str] | None, sentence: str
+) -> None:
+    runs = simulate_preset("paper-kp10"), spoil(simulate_preset("paper-kp10"), part="controller")
+    known = {**runs[0].simulated_by, "platform": "Linux x86_64 glibc 2.36"}
+    first, second = (
+        replace(run, simulated_by={} if more is None else {**known, **more})
+        for run, more in zip(runs, (of_first, of_second), strict=True)
+    )
+    text = " ".join(explain_difference(first, second, depth=BRIEF).sentences)
+    assert sentence in text
+    is_other = bool(of_first and of_second and of_first.get("law") != of_second.get("law"))
+    assert ("the controller, whose code differs." in text) == is_other
+
+
+def test_software_that_differs_is_named_where_no_run_is_reproduced() -> None:
+    first = simulate_preset("paper-kp10")
+    settings = {**first.parameters, "law.kp_linear": 9.0}
+    second = replace(spoil(first, part="robot"), parameters=settings)
+    second = replace(second, simulated_by={**first.simulated_by, "turtlelog": "0.0.1"})
+    found = explain_difference(first, second, depth=replace(BRIEF, identifies=False))
+    change = f"The software differs, too: turtlelog {tl.__version__}, then 0.0.1."
+    assert change in " ".join(found.sentences)
+    same = replace(second, simulated_by=first.simulated_by)
+    found = explain_difference(first, same, depth=replace(BRIEF, identifies=False))
+    assert "software" not in " ".join(found.sentences)
 
 
 def test_a_run_without_samples_has_no_cause_and_says_what_is_missing() -> None:

@@ -13,8 +13,7 @@ from tests.known import known
 from turtlelog.cli.identify_answer import format_robot
 from turtlelog.identify import AxisModel, Estimate
 from turtlelog.identify.axis_fit import find_outliers
-from turtlelog.identify.axis_motion import read_axis_motion
-from turtlelog.identify.silent_stops import find_silent_stops
+from turtlelog.identify.axis_motion import find_silent_stops, read_axis_motion
 
 QUIET = Log(duration_s=12.0, jitter_s=0.0)
 

@@ -17,8 +17,8 @@ from turtlelog.cli.identify_answer import format_robot
 from turtlelog.compare import compare_robot
 from turtlelog.errors import TurtlelogError
 from turtlelog.identify import build_robot_scenario
-from turtlelog.identify.silent_stops import find_silent_stops
-from turtlelog.identify.step_noise import estimate_noise
+from turtlelog.identify.axis_motion import find_silent_stops
+from turtlelog.identify.robot_noise import estimate_noise
 
 SIZES = st.sampled_from([0.0, 1e-300, 1e-9, 0.5, 1.0, 1e8, 1e150])
 

@@ -7,7 +7,7 @@ import turtlelog as tl
 from tests.identify.robots import Log, Truth, Values, make_run
 from turtlelog.identify import AxisModel
 from turtlelog.identify.axis_motion import read_axis_motion
-from turtlelog.identify.repeated_commands import find_repetition
+from turtlelog.identify.refused_axes import find_repetition
 
 
 def switch(time_s: Values, period_s: float, low: float = -1.0) -> Values:

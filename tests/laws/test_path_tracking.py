@@ -11,7 +11,7 @@ from turtlelog.laws.kanayama import PART as KANAYAMA, KanayamaParameters
 from turtlelog.laws.pure_pursuit import PART as PURE_PURSUIT, PurePursuitParameters
 from turtlelog.run.paths import Path
 from turtlelog.scenario import build_scenario
-from turtlelog.simulate.scenario_law import build_law
+from turtlelog.simulate.class_law import build_law
 
 LINE: dict[str, Any] = {"kind": "line", "points": [[1.0, 5.0], [10.0, 5.0]]}
 CIRCLE: dict[str, Any] = {"kind": "circle", "center_x_m": 5.5, "center_y_m": 5.5, "size_m": 2.0}

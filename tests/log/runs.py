@@ -107,6 +107,7 @@ def make_bare_run() -> Run:
         goal_heading_rad=0.1 + 0.2,
         parameters={"law.kp_linear": 0.1, "limits.speed_m_s": float("inf"), "seed": 3, "a.b": True},
         events=(Event(time_ns=7, kind="wall_hit", text='The "wall" \t \u00fc'),),
+        simulated_by={"turtlelog": "0.0.9", "platform": "Plan 9 \u00fc, 64", "": ""},
         absent=("events", "poses.speed_m_s"),
         notes={"original_timestamp": "2026-01-22T12:20:06", "": "\\"},
     )

@@ -302,8 +302,18 @@ def test_an_unknown_metric_is_refused_with_the_nearest(name: str, near: str) -> 
 @pytest.mark.parametrize(
     ("choice", "line"),
     [
-        ({"band": 0.0}, "band: expected a share of the step > 0, found 0.0"),
-        ({"band": math.nan}, "band: expected a share of the step > 0, found nan"),
+        (
+            {"band": 0.0},
+            "band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not 0.0",
+        ),
+        (
+            {"band": 1.0},
+            "band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not 1.0",
+        ),
+        (
+            {"band": math.nan},
+            "band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not nan",
+        ),
         ({"initial": math.inf}, "initial: expected a number, found inf"),
         ({"final": "end"}, "final: expected 'reference', 'last' or a number, found 'end'"),
         ({"final": {"rotate": "end"}}, "final: expected 'reference', 'last' or a number"),

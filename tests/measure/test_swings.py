@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
-from turtlelog.measure import swings
+from turtlelog.measure import step_response
 from turtlelog.measure.reductions import find_crossing_rows
 from turtlelog.simulate import simulate_many
 from turtlelog.theory.sampled_loop import compute_stability_gain
@@ -29,7 +29,7 @@ def swing(peaks: Sequence[float], *, start: Sequence[float] = START) -> np.ndarr
 def judge(
     peaks: Sequence[float],
     *,
-    clipped: int = swings.NEVER,
+    clipped: int = step_response.NEVER,
     start: Sequence[float] = START,
     most: float = math.inf,
 ) -> str:
@@ -54,7 +54,7 @@ def test_small_swings_go_on_only_where_they_meet_the_limit() -> None:
     small, large = [0.09] * 9, [0.11] * 9
     assert judge(large) == "swings"
     assert judge(small) == "rests"
-    assert judge(small, clipped=swings.NOBODY_KNOWS) == "unknown"
+    assert judge(small, clipped=step_response.NOBODY_KNOWS) == "unknown"
     # Whole swings begin in rows 3, 5, 7 ...; the third before the last with the fourth, in row 9.
     assert judge(small, clipped=9) == "swings"
     assert judge(small, clipped=8) == "rests"
@@ -196,4 +196,4 @@ def test_the_swing_that_the_end_cuts_is_no_larger_than_the_last_whole_ones() -> 
 def judge_errors(error: list[float], clipped: int = -1, most: float = math.inf) -> str:
     values = np.array(error)
     rows = find_crossing_rows(values, 0.0, None)
-    return swings.VERDICTS[swings.judge_swings(values, rows, clipped, most)]
+    return step_response.VERDICTS[step_response.judge_swings(values, rows, clipped, most)]

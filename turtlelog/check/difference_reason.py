@@ -1,17 +1,24 @@
-"""Why a run that fails a check is another one than its reference, in three lines at most."""
+"""Why a run that fails a check is another one than its reference, in a few lines."""
 
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from time import perf_counter
 from typing import Final
 
+from turtlelog.check.reference import MetricsFile
 from turtlelog.check.result import CheckResult, JudgedMetric
 from turtlelog.check.spec import Check
-from turtlelog.errors import ExplainError, TurtlelogError
+from turtlelog.display import describe_count, format_pair
+from turtlelog.errors import ExplainError, ScenarioError, TurtlelogError
 from turtlelog.explain import Depth, Work, choose_common_metric, explain_difference
-from turtlelog.measure import find_metric_kind, list_metrics
-from turtlelog.run import Run
+from turtlelog.files.text_files import parse_known_toml
+from turtlelog.laws import LAWS
+from turtlelog.measure import Metric, find_metric_kind, list_metrics, measure_run
+from turtlelog.run import Run, describe_changes, list_software_changes
+from turtlelog.scenario import Scenario, build_scenario
+from turtlelog.simulate import simulate_run
 
 LIMIT_S: Final = 10.0
 """The longest that a failed check waits for its reason [s]."""
@@ -23,10 +30,13 @@ _DEPTH: Final = Depth(most_exact=6, identifies=False, shows_effects=False, shows
 
 _PREFIX: Final = "metrics."
 
+_SAME: Final = (1e-9, 1e-6)
+"""Of a metric, absolute and relative: two platforms differ by no more in one scenario."""
+
 
 def add_reason(
     run: Run,
-    reference: Run,
+    reference: Run | MetricsFile,
     results: Sequence[CheckResult],
     *,
     place: str = "REFERENCE",
@@ -39,7 +49,8 @@ def add_reason(
 
     Args:
         run: That was judged.
-        reference: What it was held to, or what was as it should be.
+        reference: What it was held to, or what was as it should be; the scenario in a file of
+            metrics is simulated again.
         results: Of the run.
         place: What a command calls the reference.
         trust_law: Run the laws that the recordings name, if they are not built in: their code.
@@ -48,14 +59,26 @@ def add_reason(
     failed = [one for one in results if one.verdict == "FAIL"]
     if not failed:
         return [*results]
-    known = list_metrics(run.declaration).keys() & list_metrics(reference.declaration).keys()
-    main = choose_common_metric(reference, run)
+    if isinstance(reference, MetricsFile):
+        of_reference, main = {*reference.metrics}, choose_common_metric(run, run)
+    else:
+        of_reference = {*list_metrics(reference.declaration)}
+        main = choose_common_metric(reference, run)
+    known = of_reference & list_metrics(run.declaration).keys()
     named = [(one, name) for one in failed for name in _list_metrics(one) if name in known]
     chosen, metric = min(named or [(failed[0], main)], key=lambda pair: pair[1] != main)
-    words = ["turtlelog", "compare", place, chosen.file, "--why", metric]
-    more = shlex.join([*words, *(["--trust-law"] if trust_law else [])])
-    why = (*_explain(run, reference, metric, limit_s, trust_law=trust_law), f"More: {more}")
+    if isinstance(reference, MetricsFile):
+        more = _write_command("GOOD.mcap", chosen.file, metric, trust_law=trust_law)
+        why = _explain_metrics(run, reference, metric, limit_s, more, trust_law=trust_law)
+    else:
+        more = _write_command(place, chosen.file, metric, trust_law=trust_law)
+        why = (*_explain(run, reference, metric, limit_s, trust_law=trust_law), f"More: {more}")
     return [replace(one, why=why) if one is chosen else one for one in results]
+
+
+def _write_command(reference: str, file: str, metric: str, *, trust_law: bool) -> str:
+    words = ["turtlelog", "compare", reference, file, "--why", metric]
+    return shlex.join([*words, *(["--trust-law"] if trust_law else [])])
 
 
 def _list_metrics(result: CheckResult) -> list[str]:
@@ -86,6 +109,93 @@ def _explain(
     except TurtlelogError as err:
         return (f"Not explained: {err}.",)
     return found.sentences[:2]
+
+
+def _explain_metrics(
+    run: Run, reference: MetricsFile, metric: str, limit_s: float, more: str, *, trust_law: bool
+) -> tuple[str, ...]:
+    """Return why a run differs from the run whose metrics a file has, if the scenario shows it."""
+    file = Path(reference.file).name
+    if not reference.scenario:
+        return (
+            f"Not explained: {file} has no scenario. Accept a good recording anew"
+            f" (--turtlelog-accept stores it), or with a good recording: {more}",
+        )
+    try:
+        again = _simulate_again(reference, trust_law=trust_law)
+    except TurtlelogError as err:
+        return (f"Not explained: {err}.",)
+    metrics = measure_run(again, only=[*reference.metrics.keys() & list_metrics(again.declaration)])
+    apart = [name for name, one in metrics.items() if not _is_same(one, reference.metrics[name])]
+    if apart:
+        name = metric if metric in apart else apart[0]
+        return _describe_apart(run, again, reference, metrics[name])
+    again = replace(again, simulated_by=reference.simulated_by)
+    head, *rest = _explain(run, again, metric, limit_s, trust_law=trust_law)
+    count = describe_count(len(metrics), "metric")
+    basis = f"The scenario in {file}, simulated again, has the {count} of that file."
+    return head, *(text for text in rest if not text.startswith(_BASIS)), basis
+
+
+_BASIS: Final = "The recorded scenarios reproduce"
+"""Begins the sentence about two recordings; a file of metrics has no samples to reproduce."""
+
+
+def _simulate_again(reference: MetricsFile, *, trust_law: bool) -> Run:
+    """Return the run of the scenario in a file of metrics.
+
+    Raises:
+        ScenarioError: If it is wrong, takes longer than is simulated here, or names a law whose
+            code may not run.
+        SimulationError: If the law fails.
+    """
+    scenario = _read_scenario(reference, trust_law=trust_law)
+    if scenario.law.kind not in LAWS and not trust_law:
+        raise ScenarioError(
+            f"{scenario.law.kind}, the law in {reference.file}, runs only if its code is trusted"
+            " (trust_law=True in pytest)"
+        )
+    if scenario.max_duration_s > _LONGEST_S:
+        raise ScenarioError(
+            f"a scenario of up to {scenario.max_duration_s:g} s takes too long here"
+        )
+    return simulate_run(scenario)
+
+
+def _read_scenario(reference: MetricsFile, *, trust_law: bool) -> Scenario:
+    try:
+        tables = parse_known_toml(reference.scenario)
+    except ValueError as err:
+        raise ScenarioError(f"{reference.file}: scenario: not TOML: {err}") from err
+    return build_scenario(tables, source=f"{reference.file}: scenario", trust_law=trust_law)
+
+
+def _is_same(found: Metric, expected: Metric) -> bool:
+    if found.value is None or expected.value is None:
+        return found.status == expected.status
+    least, part = _SAME
+    return abs(found.value - expected.value) <= max(least, part * abs(expected.value))
+
+
+def _describe_apart(
+    run: Run,
+    again: Run,
+    reference: MetricsFile,
+    found: Metric,
+) -> tuple[str, ...]:
+    """Return that today's software does not give what a file has, and what differs."""
+    name, file, expected = found.id, Path(reference.file).name, reference.metrics[found.id]
+    values = [one.status.value if one.value is None else one.value for one in (expected, found)]
+    was, now = format_pair(values[0], values[1], expected.unit)
+    lines = [
+        f"Not explained: {name} is {was} in {file}, and {now} if its scenario is simulated again."
+    ]
+    if dict(again.parameters) == dict(run.parameters):
+        lines.append("No setting differs between that scenario and this run.")
+    changes = list_software_changes(reference.simulated_by, again.simulated_by)
+    if changes:
+        lines.append(f"The software differs: {describe_changes(changes)}.")
+    return tuple(lines)
 
 
 class _Deadline:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from turtlelog.check.reference import ReferenceFile, load_reference
+from turtlelog.check.reference import MetricsFile, ReferenceFile, load_reference
 from turtlelog.check.result import CheckResult, JudgedSignal, Verdict
 from turtlelog.check.spec import Tolerances
 from turtlelog.check.spec_file import load_tolerances
@@ -32,7 +32,7 @@ from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
 
 AnyTolerance: TypeAlias = Tolerance | Tolerances | str | Path | None
-AnyReference: TypeAlias = Run | ReferenceFile | Mapping[str, Metric] | str | Path
+AnyReference: TypeAlias = Run | ReferenceFile | MetricsFile | Mapping[str, Metric] | str | Path
 
 _SIGNALS_APART: Final = Tolerance(abs=1e-6, reason="other platforms round otherwise")
 _METRICS_APART: Final = Tolerance(abs=1e-9, rel=1e-6, reason="other platforms round otherwise")
@@ -69,9 +69,11 @@ def match_run(
         tolerance = load_tolerances(tolerance)
     if isinstance(tolerance, Tolerances) and not tolerance:
         raise CheckError("tolerance: names no signal or metric")
-    if not isinstance(reference, Run):
+    if isinstance(reference, MetricsFile):
+        results = _match_metrics(run, reference.metrics, tolerance, file)
+    elif not isinstance(reference, Run):
         return _match_metrics(run, reference, tolerance, file)
-    if isinstance(tolerance, Tolerances):
+    elif isinstance(tolerance, Tolerances):
         results = [*_judge_run(run, reference, tolerance, file, alignment)]
     else:
         tolerances = _spread(run, reference, tolerance or _SIGNALS_APART)

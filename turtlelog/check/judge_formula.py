@@ -10,13 +10,15 @@ import numpy as np
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.formula_trace import find_span, find_window
 from turtlelog.check.result import CheckResult, Verdict
-from turtlelog.check.robot_values import ROBOT_VALUES, measure_robot
 from turtlelog.check.spec import Check
-from turtlelog.check.trajectory_values import TRAJECTORY_VALUES, TrajectoryJudge
 from turtlelog.check.vocabulary import (
+    ROBOT_VALUES,
+    TRAJECTORY_VALUES,
+    TrajectoryJudge,
     choose_signals,
     describe_no_phase,
     find_kind,
+    measure_robot,
     require_known_names,
 )
 from turtlelog.expressions import Comparison, Expression, Name, iterate_nodes

@@ -8,10 +8,11 @@ from typing import Any, Final
 from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_difference import match_run
 from turtlelog.check.judge_formula import Grown, judge_check, list_names, measure_named
+from turtlelog.check.reference import MetricsFile, read_metrics_file
 from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check, Spec
 from turtlelog.check.spec_file import count_parts, require_reference
-from turtlelog.check.trajectory_values import TRAJECTORY_VALUES, TrajectoryJudge
+from turtlelog.check.vocabulary import TRAJECTORY_VALUES, TrajectoryJudge
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
 from turtlelog.log import ReadChoice, read_as_chosen, read_trajectory, split_topic
 from turtlelog.log.ros2.bag import open_bag
@@ -60,8 +61,8 @@ def check_runs(
         raise CheckError(f"{spec.source}: no recording to check")
 
 
-def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | None:
-    """Return the run that tolerances are taken from, None if there are none.
+def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | MetricsFile | None:
+    """Return the run or metrics that tolerances are taken from, None if there are none.
 
     Args:
         spec: Names it.
@@ -69,14 +70,30 @@ def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | No
             reference does not hold is chosen as usual. It must be whole in any case.
 
     Raises:
-        CheckError: If tolerances have no reference.
+        CheckError: If tolerances have no reference, or signals one of metrics alone.
         LogError: If it cannot be read.
     """
     require_reference(spec)
     if not spec.tolerances or spec.reference is None:
         return None
+    if (metrics := read_metrics_file(spec.reference)) is not None:
+        _require_metrics(spec, metrics)
+        return metrics
     choice = _restrict(spec.read.override(topics or ReadChoice()), spec.reference)
     return read_as_chosen(spec.reference, choice)
+
+
+def _require_metrics(spec: Spec, reference: MetricsFile) -> None:
+    """Refuse tolerances that a file of metrics cannot be held to."""
+    if spec.tolerances.signals:
+        name = next(iter(spec.tolerances.signals))
+        raise CheckError(
+            f"{spec.source}: [signals.{name}] needs a recording as its reference, and"
+            f" {reference.file} has metrics alone"
+        )
+    missing = next((one for one in spec.tolerances.metrics if one not in reference.metrics), None)
+    if missing is not None:
+        raise CheckError(f"{spec.source}: [metrics]: {reference.file} has no metric {missing}")
 
 
 def read_reference_trajectory(
@@ -138,7 +155,7 @@ def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
 
 def judge_run(
     spec: Spec,
-    reference: Run | None,
+    reference: Run | MetricsFile | None,
     run: Run,
     *,
     file: str,
@@ -149,7 +166,7 @@ def judge_run(
 
     Args:
         spec: What is to hold.
-        reference: The run that tolerances are taken from.
+        reference: The run or metrics that tolerances are taken from.
         run: What is judged.
         file: Its name.
         allow_partial: Whether a recording of which something is lost may pass.
@@ -201,7 +218,9 @@ def fail_recording(file: str, reason: str) -> CheckResult:
     )
 
 
-def _judge_tolerances(spec: Spec, reference: Run, run: Run, file: str) -> list[CheckResult]:
+def _judge_tolerances(
+    spec: Spec, reference: Run | MetricsFile, run: Run, file: str
+) -> list[CheckResult]:
     try:
         return match_run(run, reference, spec.tolerances, file=file, alignment=spec.alignment)
     except CompareError as err:

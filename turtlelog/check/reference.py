@@ -3,18 +3,39 @@
 import json
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
 from typing import Any
 
+import msgspec
+
 from turtlelog.errors import CheckError
+from turtlelog.files.text_files import format_toml
 from turtlelog.log import read_run, replace_when_complete, write_recording
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.measure import Metric, Status, find_metric_kind, measure_run
 from turtlelog.run import Run
+from turtlelog.scenario import nest_parameters
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MetricsFile:
+    """Metrics in a file, and what made them.
+
+    Attributes:
+        file: Name of the file.
+        metrics: Metrics by id.
+        scenario: The scenario of their run as TOML; empty if the file has none.
+        simulated_by: As in `Run`.
+    """
+
+    file: str
+    metrics: Mapping[str, Metric]
+    scenario: str = ""
+    simulated_by: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -35,7 +56,7 @@ class ReferenceFile:
     def __repr__(self) -> str:
         return f"<reference {self.path}>"
 
-    def load(self) -> Run | Mapping[str, Metric]:
+    def load(self) -> Run | MetricsFile:
         """Return what stands in the file.
 
         Raises:
@@ -85,27 +106,35 @@ class ReferenceFile:
             )
 
 
-def load_reference(path: Path) -> Run | Mapping[str, Metric]:
+def load_reference(path: Path) -> Run | MetricsFile:
     """Return the run or the metrics in a file."""
     if not path.exists():
         raise CheckError(
             f"{path}: expected a reference, found no such file; --turtlelog-accept writes it"
         )
-    if path.suffix.lower() == ".json":
-        found = _parse_metrics(path)
-        if found is not None:
-            return found
-    return read_run(path)
+    return read_metrics_file(path) or read_run(path)
 
 
 def format_metrics(run: Run, file: str) -> str:
-    """Return the metrics of a run as `turtlelog metrics --json` prints them."""
+    """Return the metrics of a run as `turtlelog metrics --json` prints them, and what made them."""
     metrics = [metric.to_dict() for metric in measure_run(run).values()]
-    return json.dumps([{"file": file, "name": run.name, "metrics": metrics}], indent=2) + "\n"
+    entry: dict[str, Any] = {"file": file, "name": run.name, "metrics": metrics}
+    if run.scenario_is_complete:
+        entry["scenario"] = format_toml(nest_parameters(run.parameters))
+    if run.simulated_by:
+        entry["simulated_by"] = dict(run.simulated_by)
+    return json.dumps([entry], indent=2) + "\n"
 
 
-def _parse_metrics(path: Path) -> Mapping[str, Metric] | None:
-    """Return the metrics of a file; None where it is JSON of another kind: a log."""
+def read_metrics_file(path: Path) -> MetricsFile | None:
+    """Return the metrics of a file (.json); None for a file of another kind, such as a log.
+
+    Raises:
+        CheckError: If it has the metrics of several runs, or something that is no metric.
+        LogError: If it cannot be read.
+    """
+    if path.suffix.lower() != ".json":
+        return None
     with name_file(path, expected="a recording or metrics"), open_file(path) as stream:
         data = stream.read()
     try:
@@ -123,7 +152,20 @@ def _parse_metrics(path: Path) -> Mapping[str, Metric] | None:
     ]
     if not metrics:
         raise CheckError(f"{path}: metrics: must not be empty")
-    return {metric.id: metric for metric in metrics}
+    return MetricsFile(
+        file=str(path),
+        metrics={metric.id: metric for metric in metrics},
+        scenario=_parse_entry(found, "scenario", str, path),
+        simulated_by=_parse_entry(found, "simulated_by", dict[str, str], path),
+    )
+
+
+def _parse_entry(found: Mapping[str, Any], name: str, kind: Any, path: Path) -> Any:
+    """Return an entry that a file may lack: empty if it does."""
+    try:
+        return msgspec.convert(found.get(name, kind()), type=kind)
+    except msgspec.ValidationError as err:
+        raise CheckError(f"{path}: {name}: {err}") from err
 
 
 def _has_metrics(found: Any) -> bool:

@@ -10,6 +10,7 @@ from turtlelog.errors import CheckError, UndecidedError
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
+    from turtlelog.check.reference import MetricsFile
     from turtlelog.check.spec import Check
     from turtlelog.compare import Tolerance
     from turtlelog.measure import Metric
@@ -72,7 +73,7 @@ class CheckResult:
         names: Signals to look at around the violation.
         is_decided: Whether that is known; where not, the check fails, and `bool` of it raises.
         why: Why the run is another one than its reference, in lines; empty if that was not asked.
-        reference: The run that it was held to; None without one.
+        reference: The run, or the file of metrics, that it was held to; None without one.
         judged: Signal, formula or metric that was judged; None if that is no signal, formula or
             metric.
     """
@@ -92,7 +93,7 @@ class CheckResult:
     names: tuple[str, ...] = ()
     is_decided: bool = True
     why: tuple[str, ...] = ()
-    reference: "Run | None" = field(default=None, repr=False, compare=False)
+    reference: "Run | MetricsFile | None" = field(default=None, repr=False, compare=False)
     judged: "Check | JudgedSignal | JudgedMetric | None" = field(
         default=None, repr=False, compare=False
     )

@@ -30,7 +30,7 @@ from turtlelog.files.urls import is_url, make_path
 from turtlelog.log import ReadChoice
 from turtlelog.log.read_choice import TimeSource, parse_goal, parse_wheelbase, parse_wheels
 from turtlelog.scenario import describe_unknown_key
-from turtlelog.scenario.describe import describe_value, name_key
+from turtlelog.scenario.dotted_keys import describe_value, name_key
 
 _KINDS: Final = ("signals", "metrics")
 _KNOWN: Final = (*_KINDS, "checks", "reference", "alignment", "trajectory", "read")
@@ -61,8 +61,8 @@ def load_spec(path: str | Path, *, reference: str | Path | None = None) -> Spec:
     """Return the specification in a TOML file; one of tolerances alone is one, too.
 
     Args:
-        path: The file. Its `reference` is looked for beside it.
-        reference: Takes the place of the file's own.
+        path: The file. A relative `reference` is searched in the folder of the specification.
+        reference: Reference to use instead of the one that the file names.
 
     Raises:
         CheckError: If a key or value is wrong or nothing is to be checked.

@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 
     from turtlelog import Run, Spec
     from turtlelog.check import ArtifactWriter, CheckResult
-    from turtlelog.check.junit import CheckedFile
-    from turtlelog.check.trajectory_values import TrajectoryJudge
+    from turtlelog.check.reference import MetricsFile
+    from turtlelog.check.verdict_rows import CheckedFile
+    from turtlelog.check.vocabulary import TrajectoryJudge
     from turtlelog.log import ReadChoice
     from turtlelog.sweep import FoundRecording
 
@@ -44,13 +45,14 @@ class ReportOptions(WorkOptions):
     """What to write beside the answer, and where to find it.
 
     Attributes:
-        junit: Write JUnit XML, every metric a property, to this .xml file.
-        artifacts: Put a Rerun view, a picture and the cut recording of what fails into this folder.
-        report: Write a report on the recordings and their checks to this .html file. It needs all
-            that is read, which one process then reads.
+        junit: Write JUnit XML to this .xml file, with each metric as a property.
+        artifacts: Write a Rerun view, a picture and a shortened recording of each failure to this
+            folder.
+        report: Write a report on the recordings and their checks to this .html file. One process
+            reads all recordings then.
         all_: Print the checks that pass, too.
-        no_why: Do not explain recordings that fail. Default: with a reference, the first three that
-            fail are explained, each within 10 s: why they differ from it.
+        no_why: Do not explain failures. Default: with a reference, the first three failing
+            recordings are explained by their difference from the reference, each within 10 s.
         marks: Print one line for each recording: its verdict, and how many of its checks pass.
     """
 
@@ -117,7 +119,7 @@ def _check_files(
     *,
     place: "int | Executor",
 ) -> "Iterator[CheckResult]":
-    from turtlelog.check.junit import CheckedFile, format_junit
+    from turtlelog.check.verdict_rows import CheckedFile, format_junit
 
     jobs = 1 if reports.report is not None else place
     keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
@@ -167,18 +169,21 @@ class _Judge:
     """Holds one file after the other to a specification, in this process or another."""
 
     spec: "Spec"
-    reference: "Run | None"
+    reference: "Run | MetricsFile | None"
     trajectories: "TrajectoryJudge | None"
     choice: "ReadChoice"
     allow_partial: bool
     is_described: bool
     keeps_runs: bool
 
-    def read_reference(self) -> "Run | None":
+    def read_reference(self) -> "Run | MetricsFile | None":
         """Return the reference, also if nothing is held to it."""
         if self.reference is not None or self.spec.reference is None:
             return self.reference
-        return tl.log.read_as_chosen(self.spec.reference, self.choice)
+        from turtlelog.check.reference import read_metrics_file
+
+        metrics = read_metrics_file(self.spec.reference)
+        return metrics or tl.log.read_as_chosen(self.spec.reference, self.choice)
 
     def look_closer(self, path: Path, file: _Judged) -> _Judged:
         """Return what was found of a file with its run, where a check fails."""
@@ -199,7 +204,7 @@ class _Judge:
 
     def __call__(self, path: Path) -> _Judged:
         from turtlelog.check.judge_run import fail_recording, judge_run
-        from turtlelog.check.junit import CheckedFile
+        from turtlelog.check.verdict_rows import CheckedFile
 
         file, started, clock = str(path), datetime.now(UTC), _Clock()
         try:

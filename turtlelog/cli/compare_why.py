@@ -32,7 +32,7 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_pictures
-from turtlelog.display import split_numbers
+from turtlelog.display import describe_count, join_words, split_numbers
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.escapes import escape_controls
 from turtlelog.files.urls import make_path
@@ -59,10 +59,10 @@ class WhyOptions:
     """Why two runs differ.
 
     Attributes:
-        why: Explain why a metric differs between two runs, for example --why run.duration. Default:
+        why: Explain why this metric differs between two runs. Example: --why run.duration. Default:
             the final position error, or without a goal the error of the last loop.
-        first: With --why: explain the first recording, by name, that meets this condition, beside
-            the recording before it. Example: "final.position_error > 0.01".
+        first: With --why: explain the first recording, by name, that meets this condition, compared
+            with the recording before. Example: "final.position_error > 0.01".
         trust_law: With --why: run the code of the laws that the recordings name.
     """
 
@@ -138,7 +138,7 @@ def compare_why(
     metric, files = split_metric(options, files)
     require_pictures(place.plot, None, files, drawn=(), of="")
     topics = topics or ReadingOptions()
-    code = EXIT_FINE
+    code, told = EXIT_FINE, list[str]()
     if options.first is None:
         if len(files) != 2:
             raise UsageError(
@@ -146,12 +146,13 @@ def compare_why(
                 " given; of more, --first EXPRESSION takes the first that meets a condition and the"
                 " one before it"
             )
-        pair: tuple[Path, Path] | None = files[0], files[1]
+        pair = files[0], files[1]
     else:
-        pair, code = _find_pair(options.first, files, place, topics, kind)
+        found_pair, code = _find_pair(options.first, files, place, topics, kind)
+        if found_pair is None:
+            return code
+        pair, told = found_pair
         metric = metric or _find_metric(options.first)
-    if pair is None:
-        return code
     runs = [replace(read_chosen_run(one, topics), name=one.name) for one in pair]
     with show_progress("simulated", 100.0, "%") as progress:
         found = tl.explain_difference(
@@ -160,7 +161,7 @@ def compare_why(
             trust_law=options.trust_law,
             work=tl.explain.Work(jobs=require_jobs(place.jobs), report=progress.count),
         )
-    _print(found, pair, options.first, kind)
+    _print(found, pair, options.first, kind, lead=told)
     if place.plot is not None:
         tl.draw.write_difference_figure(found, place.plot)
         print_note(f"wrote {place.plot}")
@@ -179,8 +180,8 @@ def _find_pair(
     place: WhyPlace,
     topics: ReadingOptions,
     kind: str,
-) -> tuple[tuple[Path, Path] | None, int]:
-    """Return the first recording that meets a condition, after the one before it."""
+) -> tuple[tuple[tuple[Path, Path], list[str]] | None, int]:
+    """Return the first recording that meets a condition after the one before it, in words too."""
     paths = sorted(list_files(files), key=lambda path: split_numbers(str(path)))
     errors: list[TurtlelogError] = []
     needed = tl.compare.list_needed_metrics([], where=condition, sort=None, source="--first")
@@ -199,9 +200,33 @@ def _find_pair(
     code = EXIT_BAD_INPUT if errors else EXIT_FINE
     row = summaries.index(met[0]) if met else 0
     if row:
-        return (Path(summaries[row - 1].file), Path(summaries[row].file)), code
-    _print_nothing(condition, summaries, kind, is_met=bool(met))
+        pair = Path(summaries[row - 1].file), Path(summaries[row].file)
+        return (pair, _tell_pair(condition, pair, paths, summaries)), code
+    _print_nothing(condition, summaries, kind, is_met=bool(met), has_unread=bool(errors))
     return None, code
+
+
+def _tell_pair(
+    condition: str,
+    pair: tuple[Path, Path],
+    paths: Sequence[Path],
+    summaries: "Sequence[RunSummary]",
+) -> list[str]:
+    """Return that the second recording is the first to meet a condition, as far as that shows."""
+    first, second = pair
+    read = {one.file for one in summaries}
+    unread = [path.name for path in paths if str(path) < str(second) and str(path) not in read]
+    told = [f"{second.name} is the first that meets {condition}, after {first.name}."]
+    if unread:
+        count = describe_count(len(unread), "earlier recording")
+        told.append(
+            f"{count} cannot be read and may meet it, too: {join_words(unread[:_MOST_NAMED])}."
+        )
+    return told
+
+
+_MOST_NAMED: Final = 3
+"""Recordings that cannot be read and are named in a sentence; stderr has a line for each."""
 
 
 def _take_needed(needed: tuple[str, ...], _: "Run") -> tuple[str, ...]:
@@ -209,28 +234,48 @@ def _take_needed(needed: tuple[str, ...], _: "Run") -> tuple[str, ...]:
 
 
 def _print_nothing(
-    condition: str, summaries: "Sequence[RunSummary]", kind: str, *, is_met: bool
+    condition: str,
+    summaries: "Sequence[RunSummary]",
+    kind: str,
+    *,
+    is_met: bool,
+    has_unread: bool,
 ) -> None:
     bad = summaries[0].file if is_met else None
     if kind == "json":
         print_json(WhyAnswer(first=None, second=bad, condition=condition, explanation=None))
-        return
-    text = f"None of {len(summaries)} recordings meets {condition}."
-    if bad is not None:
-        text = f"{Path(bad).name} meets {condition}, and no recording comes before it."
-    print_text(fill_lines([text]))
+    elif summaries:
+        print_text(
+            fill_lines([_tell_nothing(condition, summaries, is_met=is_met, has_unread=has_unread)])
+        )
+
+
+def _tell_nothing(
+    condition: str, summaries: "Sequence[RunSummary]", *, is_met: bool, has_unread: bool
+) -> str:
+    """Return why no two recordings are compared."""
+    name, readable = Path(summaries[0].file).name, " that can be read" if has_unread else ""
+    if is_met:
+        return f"{name} meets {condition}, and no recording{readable} comes before it."
+    if len(summaries) == 1:
+        return f"{name} does not meet {condition}."
+    return f"None of {len(summaries)} recordings{readable} meets {condition}."
 
 
 def _print(
-    found: "ExplainedDifference", pair: tuple[Path, Path], condition: str | None, kind: str
+    found: "ExplainedDifference",
+    pair: tuple[Path, Path],
+    condition: str | None,
+    kind: str,
+    *,
+    lead: Sequence[str],
 ) -> None:
     first, second = pair
     if kind == "json":
         files = {"first": str(first), "second": str(second)}
         print_json(WhyAnswer(**files, condition=condition, explanation=found))
     elif kind == "txt":
-        told = f"{second.name} is the first that meets {condition}, after {first.name}."
-        print_text(format_why(found, pair, lead=[told] if condition else []))
+        print_text(format_why(found, pair, lead=lead))
     else:
         print_tables([tabulate_why(found)], kind)
 

@@ -50,7 +50,7 @@ class InfoOptions:
 
     Attributes:
         topics: List the topics.
-        parameters: List what is known of the scenario.
+        parameters: List what is known of the scenario, and the versions that simulated it.
         clock: Read the poses of large bags, too.
     """
 
@@ -70,9 +70,9 @@ def info(
 ) -> int:
     """Describe files: a recording, a robot's bag or a table, its data, and what is missing.
 
-    The poses and commands of bags of up to 64 MiB are read: the answer names the clock that times
-    them, jumps, gaps and rates that stand out. It lists what a file lacks, and how to add it. Files
-    that cannot be read are reported on stderr. The others are described, and the exit code is 2.
+    The poses and commands of bags of up to 64 MiB are read: the answer shows the clock that times
+    them, jumps, gaps and unusual rates. It lists what a file lacks, and how to add it. Files that
+    cannot be read are reported on stderr. The others are described, and the exit code is 2.
 
     Example: turtlelog info kp1.mcap
 
@@ -166,6 +166,8 @@ class InfoAnswer:
         scenario: The tables of the whole scenario; None if it is not known.
         parameters: Known values of the scenario, by dotted key.
         topics: Topics with their types and numbers of messages.
+        simulated_by: Versions, platform and digest of the law that simulated the run, by name;
+            empty if they are not known.
         absent: Columns that the file lacks.
         missing: Missing data, each with what it would make possible.
         clock: Clock that times its poses; None if there is one clock, or the poses were not read.
@@ -188,6 +190,7 @@ class InfoAnswer:
     scenario: Mapping[str, Any] | None
     parameters: Mapping[str, Any]
     topics: "tuple[TopicInfo, ...]"
+    simulated_by: Mapping[str, str]
     absent: tuple[str, ...]
     missing: tuple[str, ...]
     clock: Mapping[str, Any] | None
@@ -213,6 +216,7 @@ def _build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> I
         scenario=recording.scenario,
         parameters=recording.parameters,
         topics=recording.topics,
+        simulated_by=recording.simulated_by,
         absent=_list_absent(recording, summary),
         missing=summary.missing,
         clock=summary.clock,
@@ -274,6 +278,9 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
         lines += ["", "scenario" if answer.scenario else "known of the scenario"]
         pairs = answer.parameters.items()
         lines += [escape_controls(f"  {key} = {_shorten(value)}") for key, value in pairs]
+    if parameters and answer.simulated_by:
+        software = tl.run.describe_software(answer.simulated_by)
+        lines += ["", fill_lines([f"simulated by {escape_controls(software)}"])]
     if is_alone:
         lines += [*_list_next(answer, topics=topics, parameters=parameters)]
     return "\n".join(lines)

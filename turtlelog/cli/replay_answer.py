@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from turtlelog import Metric, Run
     from turtlelog.compare import Table
     from turtlelog.replay import Difference, LawReplay, LoopReplay, PoseError, SignalDifference
+    from turtlelog.run import SoftwareChange
 
     Measured = Mapping[str, Metric]
 
@@ -166,6 +167,7 @@ class LawReplayAnswer(ReplayAnswer):
     declaration: DifferenceAnswer | None
     missing_samples: int
     not_compared: tuple[str, ...]
+    software: "tuple[SoftwareChange, ...]"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,6 +183,7 @@ class LoopReplayAnswer(ReplayAnswer):
     not_compared: tuple[str, ...]
     output: str | None
     metrics: list[MetricChange]
+    software: "tuple[SoftwareChange, ...]"
 
 
 def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer | None:
@@ -217,6 +220,7 @@ def answer_law_replay(file: Path, run: "Run", found: "LawReplay") -> LawReplayAn
         declaration=build_difference(run, found.declaration),
         missing_samples=found.missing_samples,
         not_compared=tuple(found.absent),
+        software=_compare_software(run, found),
     )
 
 
@@ -243,7 +247,32 @@ def build_loop(
         not_compared=tuple(found.absent),
         output=None if output is None else str(output),
         metrics=_build_changes(run, found.run),
+        software=_compare_software(run, found),
     )
+
+
+def _find_software(found: "LawReplay | LoopReplay") -> Mapping[str, str]:
+    """Return what replays."""
+    replayed: Run | None = getattr(found, "run", None)
+    if replayed is not None:
+        return replayed.simulated_by
+    return tl.simulate.find_software(found.scenario.law.kind)
+
+
+def _compare_software(run: "Run", found: "LawReplay | LoopReplay") -> "tuple[SoftwareChange, ...]":
+    return tl.run.list_software_changes(run.simulated_by, _find_software(found))
+
+
+def _describe_software(run: "Run", found: "LawReplay | LoopReplay") -> list[str]:
+    """Return whether a run and its replay come from the same software, if the file names it."""
+    changes = _compare_software(run, found)
+    if not run.simulated_by:
+        return []
+    if [one.name for one in changes] == [tl.run.LAW]:
+        return ["The code of the law is not the recorded one."]
+    if changes:
+        return [f"Recorded and replayed by different software: {tl.run.describe_changes(changes)}."]
+    return [f"Recorded and replayed by {tl.run.describe_software(run.simulated_by)}."]
 
 
 def format_law(file: Path, run: "Run", found: "LawReplay", *, details: bool) -> str:
@@ -266,6 +295,9 @@ def format_law(file: Path, run: "Run", found: "LawReplay", *, details: bool) -> 
             if one is not None and one != first
         ]
     lines += _format_declaration(found)
+    is_law_kept = run.parameters.get("law.kind") == found.scenario.law.kind
+    if first is not None and is_law_kept and _compare_software(run, found):
+        lines += _describe_software(run, found)
     if found.missing_samples:
         lines.append(f"{found.missing_samples} samples are lost: the law did not see their poses.")
     title = f"{law} on the {found.samples} poses that {run.name} read"
@@ -296,7 +328,7 @@ def _describe_published(found: "LawReplay") -> str:
 
 def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -> str:
     """Return whether the replay is the recording, and where it first differs."""
-    first = found.first_difference
+    first, changes = found.first_difference, found.run.name.removeprefix(run.name).strip()
     if first is None:
         goes_on = any(count.recorded != count.replayed for count in found.counts.values())
         end = ", as far as that goes" if goes_on else ""
@@ -305,7 +337,6 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
         head = f"the replay is the recording, in {columns}{end}{slack}"
     else:
         # Of a changed scenario that is what was asked for, and no failure.
-        changes = found.run.name.removeprefix(run.name).strip()
         given = "with" if found.run.name.startswith(run.name) else "called"
         whose = f"{given} {changes}, the replay" if changes else "the replay"
         head = (
@@ -313,6 +344,7 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
         )
     lines = [f"{escape_controls(file.name)}: {head}."]
     lines += [*_list_counts(run, found), *_format_declaration(found)]
+    lines += [] if first is None or changes else _describe_software(run, found)
     rows = "tick by tick" if found.by_tick else "sample by sample"
     title = f"{found.run.name} simulated again, against {run.name}, {rows}"
     parts = [fill_lines(lines)]

@@ -22,10 +22,10 @@ class WishOptions:
     """What recommended gains shall give.
 
     Attributes:
-        overshoot: Recommend gains for this overshoot [% of the step], from 0 to below 100; 5 unless
-            --phase-margin stands alone.
-        phase_margin: Recommend gains for this phase margin [deg], above 0 and below 180; 60 unless
-            --overshoot stands alone.
+        overshoot: Recommend gains for this overshoot [% of the step], from 0 to below 100. Default:
+            5, unless only --phase-margin is given.
+        phase_margin: Recommend gains for this phase margin [deg], above 0 and below 180. Default:
+            60, unless only --overshoot is given.
     """
 
     overshoot: Annotated[float | None, Parameter(metavar="PERCENT")] = None

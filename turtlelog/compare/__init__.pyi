@@ -11,14 +11,9 @@ from .measured_files import (
     complete_summaries as complete_summaries,
     summarise_files as summarise_files,
 )
-from .noise_level import NoiseLevel as NoiseLevel
 from .paper_tables import (
     tabulate_table1 as tabulate_table1,
     tabulate_whole_runs as tabulate_whole_runs,
-)
-from .path_error import (
-    PathDeviation as PathDeviation,
-    measure_path_error as measure_path_error,
 )
 from .ranking import (
     CONDITIONS as CONDITIONS,
@@ -30,6 +25,7 @@ from .ranking import (
 from .robot_comparison import (
     ErrorBand as ErrorBand,
     ErrorGrowth as ErrorGrowth,
+    NoiseLevel as NoiseLevel,
     RobotComparison as RobotComparison,
     tabulate_robots as tabulate_robots,
 )
@@ -86,4 +82,8 @@ from .trajectory_comparison import (
     tabulate_trajectories as tabulate_trajectories,
 )
 from .trajectory_errors import ErrorStatistics as ErrorStatistics
-from .tube import Tolerance as Tolerance
+from .tube import (
+    PathDeviation as PathDeviation,
+    Tolerance as Tolerance,
+    measure_path_error as measure_path_error,
+)

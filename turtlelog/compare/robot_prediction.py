@@ -13,23 +13,29 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.compare.driven_commands import find_known, is_random, list_commands, silence
-from turtlelog.compare.noise_level import SHORTEST_S, NoiseLevel, Quantity, compare_noise
-from turtlelog.compare.prediction_pieces import (
+from turtlelog.compare.driven_commands import (
     Rows,
     Values,
     cut_pieces,
     drop_jumps,
     find_impossible_steps,
+    find_known,
+    is_random,
+    list_commands,
     list_growth_rows,
     measure_errors,
+    silence,
     stack_states,
 )
 from turtlelog.compare.robot_comparison import (
     SEEDS,
+    SHORTEST_S,
     ErrorBand,
     ErrorGrowth,
+    NoiseLevel,
+    Quantity,
     RobotComparison,
+    compare_noise,
 )
 from turtlelog.display import describe_count
 from turtlelog.errors import CompareError

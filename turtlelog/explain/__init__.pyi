@@ -29,10 +29,6 @@ from .causes import (
     find_causes as find_causes,
     simulate_without as simulate_without,
 )
-from .departure import (
-    Departure as Departure,
-    find_departure as find_departure,
-)
 from .difference_report import (
     format_change as format_change,
     format_magnitude as format_magnitude,
@@ -66,6 +62,7 @@ from .luck import (
     Luck as Luck,
     LuckCurve as LuckCurve,
     measure_luck as measure_luck,
+    simulate_what_ifs as simulate_what_ifs,
 )
 from .motion_facts import (
     Delays as Delays,
@@ -75,14 +72,13 @@ from .motion_facts import (
     read_motion_facts as read_motion_facts,
 )
 from .resimulation import (
+    Departure as Departure,
     Resimulation as Resimulation,
+    find_departure as find_departure,
 )
 from .run_difference import (
     Depth as Depth,
     choose_common_metric as choose_common_metric,
     explain_difference as explain_difference,
     require_common_metric as require_common_metric,
-)
-from .what_ifs import (
-    simulate_what_ifs as simulate_what_ifs,
 )

@@ -33,14 +33,13 @@ from turtlelog.explain.game import (
 from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import LOOP_KEYS, Certainty, Finding, Identification
 from turtlelog.explain.identify_scenario import identify_run
-from turtlelog.explain.seeds import describe_alone, divide_over_seeds
 from turtlelog.explain.shapley import (
     Worth,
     compute_contributions,
     compute_dividends,
     find_smallest,
 )
-from turtlelog.explain.starts import vary_start
+from turtlelog.explain.starts import describe_alone, divide_over_seeds, vary_start
 from turtlelog.laws import LAWS, find_law, list_causes
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run

@@ -2,17 +2,15 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.display import describe_count, format_pair, join_words
 from turtlelog.explain.attribution import is_clear
 from turtlelog.explain.explained_difference import ROBOT, SEED
 from turtlelog.explain.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
-from turtlelog.explain.robot_report import (
-    describe_robot_part,
-    is_robot_part,
-    write_robot_basis,
-)
+from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
+from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes
 
 if TYPE_CHECKING:
     from turtlelog.explain.attribution import ValueSet
@@ -22,6 +20,7 @@ if TYPE_CHECKING:
         ExplainedDifference,
         Side,
     )
+
 
 _NAMED: Final = 0.1
 """Of the sum of the contributions' magnitudes: of many changes those with more are named."""
@@ -68,6 +67,12 @@ _PARTS: Final = {
 """What the first difference tells of the cause, by the part that differs."""
 
 
+_CODE: Final = (
+    "Until then the controller reads equal poses, so the cause lies in the controller, whose code"
+    " differs"
+)
+
+
 def write_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
     """Return how the metric differs and why, what that depends on, and what else differs."""
     sentences = [
@@ -80,10 +85,10 @@ def write_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
         _write_orders(found),
         _write_unclear(found),
         _write_starts(found),
-        write_effects(found),
+        _write_effects(found),
         _write_idle(found),
         _write_basis(found),
-        *write_robot_basis(found),
+        *_write_robot_basis(found),
     ]
     return tuple(filter(None, sentences))
 
@@ -99,7 +104,7 @@ def write_headline(found: "ExplainedDifference") -> str:
         moves = f"is {sizes[0]} in both runs"
     else:
         moves = f"{'rose' if apart > 0.0 else 'fell'} from {sizes[0]} to {sizes[1]}"
-    if is_negligible(found) and found.contributions:
+    if _is_negligible(found) and found.contributions:
         size = f"{format_magnitude(found, found.resolution.size)} ({found.resolution.reason})"
         return f"{found.metric} {moves}: no change adds more than the resolution, {size}."
     told = "; ".join(filter(None, (_write_parts(found), *_write_chance(found))))
@@ -108,7 +113,7 @@ def write_headline(found: "ExplainedDifference") -> str:
 
 def _write_parts(found: "ExplainedDifference") -> str:
     """Return what the changes add, those that are not told in one sum."""
-    parts = [write_part(found, one) for one in choose_told(found)]
+    parts = [_write_part(found, one) for one in choose_told(found)]
     if found.unexplained is not None:
         return join_words(parts) or ("no cause is certain" if found.contributions else "")
     rest = [one for one in _list_divided(found) if one not in choose_told(found)]
@@ -159,7 +164,7 @@ def _write_resimulated(found: "ExplainedDifference") -> str:
 
 
 def choose_told(found: "ExplainedDifference") -> list["Change"]:
-    """Return the changes that the first line names: of a few all that count, else the large."""
+    """Return the changes that the first line names: the relevant ones, of many the largest."""
     divided = _list_divided(found)
     if found.unexplained is not None:
         return [one for one in divided if _is_large(one, _TINY * _sum(divided))]
@@ -180,7 +185,7 @@ def _is_large(one: "Change", least: float) -> bool:
     return abs(size) > least and is_clear(size, one.standard_error)
 
 
-def write_part(found: "ExplainedDifference", one: "Change") -> str:
+def _write_part(found: "ExplainedDifference", one: "Change") -> str:
     """Return a change with what it adds or takes away."""
     many = one.name in _PLURALS
     return f"{name_change(one)} {_write_move(found, one.contribution or 0.0, is_many=many)}"
@@ -204,8 +209,8 @@ def format_change(found: "ExplainedDifference", one: "Change") -> str:
 
 def name_change(one: "Change") -> str:
     """Return a group of settings in words: `the gains`, `the shorter pause`, or its key."""
-    if is_robot_part(one):
-        return f"the robot's {describe_robot_part(one)}"
+    if _is_robot_part(one):
+        return f"the robot's {_describe_robot_part(one)}"
     if one.name in _WORDS:
         return _WORDS[one.name]
     if "." in one.name:
@@ -222,7 +227,7 @@ def name_change(one: "Change") -> str:
     return f"the {one.name}"
 
 
-def is_negligible(found: "ExplainedDifference") -> bool:
+def _is_negligible(found: "ExplainedDifference") -> bool:
     """Return whether no contribution exceeds the resolution, nor the difference."""
     sizes = [abs(one.contribution or 0.0) for one in found.contributions]
     return max([*sizes, abs(found.difference or 0.0)]) <= found.resolution.size
@@ -262,11 +267,17 @@ def _write_obstacle(found: "ExplainedDifference") -> list[str]:
         return []
     if found.has_same_settings:
         alike = [side.name for side in (found.first, found.second) if side.basis == "recorded"]
-        return [f"Simulated again, that scenario reproduces {one} alone." for one in alike]
+        return [f"Simulated again, that scenario reproduces {one} alone." for one in alike] or [
+            f"That scenario is not known to reproduce either run: {found.withheld}."
+        ]
     names = [name_change(one) for one in found.changes]
     who = "robots" if found.first.basis == ROBOT else "runs"
     differ = f" The {who} differ in {join_words(names)}." if names else ""
-    return [f"Why is not known: {found.withheld}.{differ}"]
+    others = list_software_changes(found.first.simulated_by, found.second.simulated_by)
+    if any(one.name == "law" for one in found.changes):
+        others = tuple(one for one in others if one.name != LAW)
+    software = f" The software differs, too: {describe_changes(others)}." if others else ""
+    return [f"Why is not known: {found.withheld}.{differ}{software}"]
 
 
 def _name_set(case: "ValueSet", changes: "dict[str, Change]") -> str:
@@ -278,7 +289,7 @@ def _name_set(case: "ValueSet", changes: "dict[str, Change]") -> str:
 
 def _write_together(found: "ExplainedDifference") -> str:
     """Return what arises only if several changes act; empty if that is little."""
-    if not found.contributions or is_negligible(found):
+    if not found.contributions or _is_negligible(found):
         return ""
     least = _NAMED * _sum(_list_divided(found))
     large = [
@@ -349,13 +360,35 @@ def _write_departure(found: "ExplainedDifference") -> list[str]:
     values = join_words(format_pair(one.first, one.second, one.unit), "then")
     samples = describe_count(one.samples, "equal sample")
     return [
-        f"No setting differs. The runs depart at {one.time_s:.3f} s, after {samples}, in"
+        f"{_write_software(found)} The runs depart at {one.time_s:.3f} s, after {samples}, in"
         f" {one.signal.replace('_', ' ')}: {values}.",
-        f"{_PARTS[one.part]}.",
+        f"{_CODE if one.part == 'controller' and _has_other_code(found) else _PARTS[one.part]}.",
     ]
 
 
-def write_effects(found: "ExplainedDifference") -> str:
+def _has_other_code(found: "ExplainedDifference") -> bool:
+    """Return whether both recordings name the code of the law, and it differs."""
+    codes = [side.simulated_by.get(LAW) for side in (found.first, found.second)]
+    return None not in codes and codes[0] != codes[1]
+
+
+def _write_software(found: "ExplainedDifference") -> str:
+    """Return what differs before the runs depart: no setting, but versions, platform or code."""
+    first, second = found.first.simulated_by, found.second.simulated_by
+    silent = [side.name for side in (found.first, found.second) if not side.simulated_by]
+    if silent:
+        names = f"{join_words(silent)} {'does' if len(silent) == 1 else 'do'} not name"
+        return f"No setting differs, and {names} the versions used."
+    changes = list_software_changes(first, second)
+    if [one.name for one in changes] == [LAW]:
+        return "No setting differs, but the code of the law does."
+    if changes:
+        return f"No setting differs, but the software does: {describe_changes(changes)}."
+    code = ", by the same code of the law" if LAW in first else ""
+    return f"No setting differs: both ran with {describe_software(first)}{code}."
+
+
+def _write_effects(found: "ExplainedDifference") -> str:
     """Return how the contributions of `explain` differ; empty if none is worth a word."""
     large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
     parts = [_write_shift(found, one) for one in large[:_FEW]]
@@ -389,3 +422,58 @@ def _write_identified(side: "Side") -> str:
         f" It {'reproduces all samples' if side.is_exact else 'does not reproduce every sample'}."
         f"{unknown if side.unknown else ''}"
     )
+
+
+_MS: Final = ("dead_time_s", "lag_s")
+"""Values that are shown in milliseconds."""
+
+_AFTER: Final = MappingProxyType({"gain": "", "reverse_gain": " backwards", "rate_limit": "/s"})
+"""What is written after a value, in place of the unit of the axis or behind it."""
+
+
+def _is_robot_part(one: "Change") -> bool:
+    """Return whether a group is a part of an identified robot's axis."""
+    return one.keys[0].partition(".")[0] in AXES
+
+
+def _describe_robot_part(one: "Change") -> str:
+    """Return a part with its values in both logs: `dead time turning (70 -> 110 ms)`."""
+    for key, before, after in zip(one.keys, one.first, one.second, strict=False):
+        if before != after and not isinstance(before or after, str):
+            return f"{one.name} ({_format_pair(key, before, after)})"
+    return one.name
+
+
+def _format_pair(key: str, before: Any, after: Any) -> str:
+    axis, _, name = key.partition(".")
+    of_axis = UNITS["speed" if axis == "speed" else "turn_rate"]
+    factor, unit = (1e3, " ms") if name in _MS else (1.0, f" {of_axis}")
+    unit = _AFTER[name] if name.endswith("gain") else unit + _AFTER.get(name, "")
+    shown = ["none" if one is None else f"{factor * one:.3g}" for one in (before, after)]
+    if after is None:
+        return f"{shown[0]}{unit} -> none"
+    return f"{' -> '.join(shown)}{unit}"
+
+
+def _write_robot_basis(found: "ExplainedDifference") -> list[str]:
+    """Return what the contributions of two robots' parts rest on; empty for simulated runs."""
+    sides = [side for side in (found.first, found.second) if side.basis == ROBOT]
+    said = [f"{side.name}: {side.note}." for side in sides if side.note]
+    said += [_write_unknown(side) for side in sides if side.unknown]
+    if not sides or not found.contributions:
+        return said
+    answers = any(
+        one.name == COMMANDS and is_clear(one.contribution or 0.0, one.standard_error)
+        for one in found.contributions
+    )
+    return [
+        *(["Why the commands differ is not in the logs: they may answer the robot."] * answers),
+        "Each robot's model is driven with the recorded commands. Intervals are 95 %, from"
+        f" {found.seeds} draws of the identified parameters and the noise.",
+        *said,
+    ]
+
+
+def _write_unknown(side: "Side") -> str:
+    names = join_words([NAMES[axis] for axis in AXES if axis in side.unknown])
+    return f"{side.name} has no commands of the {names}, so the other robot's is taken for it."

@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 
 from turtlelog.explain.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.resimulation import number_poses
-from turtlelog.explain.trace import Trace, Values
-from turtlelog.explain.trace_breaks import list_breaks
+from turtlelog.explain.trace import Trace, Values, list_breaks
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.measure.motion import FEWEST_DIFFERENT, OFF_GRID
-from turtlelog.measure.way_fits import COARSE
+from turtlelog.measure.motion import COARSE, FEWEST_DIFFERENT, OFF_GRID
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
 from turtlelog.run.angles import subtract_headings, wrap_angle
 from turtlelog.run.paths import Path

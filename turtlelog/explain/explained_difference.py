@@ -1,12 +1,13 @@
 """The answer to why two runs differ, as data."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from html import escape
 from typing import Any, Final
 
 from turtlelog.display import fit_line, format_answer, format_html
 from turtlelog.explain.attribution import Resolution, Together, ValueSet
-from turtlelog.explain.departure import Departure
+from turtlelog.explain.resimulation import Departure
 
 SEED: Final = "seed"
 """The line of what the seeds of the two runs make, compared with the means over seeds."""
@@ -30,6 +31,7 @@ class Side:
         note: Accuracy with which the recorded scenario reproduces the run, or why no scenario does.
         is_exact: Whether that scenario reproduces every sample.
         unknown: Keys that are not identified: the other run's values are used.
+        simulated_by: Versions, platform and digest of the law that simulated the run; see `Run`.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Side:
     note: str = ""
     is_exact: bool = False
     unknown: tuple[str, ...] = ()
+    simulated_by: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,6 +22,7 @@ from turtlelog.explain.identification import (
     find_exactly,
     fit_value,
     miss,
+    take_seconds,
 )
 from turtlelog.explain.loop_findings import describe_goal, describe_loop, describe_start
 from turtlelog.explain.loop_guesses import read_hints
@@ -38,10 +39,11 @@ from turtlelog.explain.setting_search import Fits, drive_loop, search_loop
 from turtlelog.explain.trace import (
     Trace,
     Values,
+    describe_breaks,
+    mark_breaks,
+    space_out,
     trace_run,
 )
-from turtlelog.explain.trace_breaks import describe_breaks, mark_breaks, space_out
-from turtlelog.explain.unseen import take_seconds
 from turtlelog.laws import LAWS
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.measure.dead_time import LARGEST_TICKS, shows_lag

@@ -31,7 +31,9 @@ from turtlelog.explain.identification import (
     fit_value,
     give_up,
     identify_plant,
+    list_unseen,
     miss,
+    take_findings,
 )
 from turtlelog.explain.law_identification import PHASES, identify_rotation, identify_translation
 from turtlelog.explain.loop_findings import (
@@ -45,9 +47,7 @@ from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
 from turtlelog.explain.setting_search import Fits, search_loop
 from turtlelog.explain.stop_reason import RULE_KEYS, Ending, find_pause, find_stop_rule
-from turtlelog.explain.trace import Trace, trace_run
-from turtlelog.explain.trace_breaks import describe_breaks, mark_breaks, space_out
-from turtlelog.explain.unseen import list_unseen, take_findings
+from turtlelog.explain.trace import Trace, describe_breaks, mark_breaks, space_out, trace_run
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run, slice_run

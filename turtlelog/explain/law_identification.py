@@ -24,7 +24,7 @@ from turtlelog.explain.identification import (
     miss,
 )
 from turtlelog.explain.trace import Trace, Values
-from turtlelog.measure.way_fits import CERTAIN
+from turtlelog.measure.motion import CERTAIN
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.scenario import DEFAULT_LAW

@@ -16,7 +16,6 @@ from turtlelog.explain.attribution import (
     find_resolution,
 )
 from turtlelog.explain.causes import draws_random
-from turtlelog.explain.departure import find_departure
 from turtlelog.explain.explained_difference import (
     SEED,
     Change,
@@ -28,9 +27,10 @@ from turtlelog.explain.explained_difference import (
 from turtlelog.explain.game import SEEDS, Play, Work, iterate_outcomes
 from turtlelog.explain.hypothesis import LONGEST_S, check_recorded_scenario, require_trust
 from turtlelog.explain.identify_scenario import identify_run
+from turtlelog.explain.resimulation import find_departure
 from turtlelog.explain.robot_difference import explain_robots, is_robot_log
 from turtlelog.explain.run_changes import ChangeGame, find_changes, set_values
-from turtlelog.explain.sampled_orders import ORDERS, sample_game
+from turtlelog.explain.shapley import ORDERS, sample_game
 from turtlelog.explain.starts import (
     find_steady_span,
     ranges_over,
@@ -38,10 +38,9 @@ from turtlelog.explain.starts import (
     subtract_values,
     turn_start,
 )
-from turtlelog.explain.trace import trace_run
-from turtlelog.explain.trace_breaks import mark_breaks
+from turtlelog.explain.trace import mark_breaks, trace_run
 from turtlelog.laws import LAWS
-from turtlelog.measure import describe_no_metric, list_metrics, measure_run
+from turtlelog.measure import Metric, describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run
 from turtlelog.run.loops import Cause
 from turtlelog.scenario import Scenario, flatten_scenario
@@ -180,11 +179,8 @@ def _name_untrusted(
     first: Run, second: Run, metric: str, unit: str, laws: Sequence[str]
 ) -> ExplainedDifference:
     """Return the settings that differ, undivided: the code of a law may not run."""
-    sides = [
-        Side(name=run.name, as_logged=found.value, reason=found.reason)
-        for run in (first, second)
-        for found in [measure_run(run, only=[metric])[metric]]
-    ]
+    sides = [_begin_side(run, measure_run(run, only=[metric])[metric]) for run in (first, second)]
+    is_same = _hold_same_settings(first, second)
     of_first, of_second = first.parameters, second.parameters
     keys = [key for key in {**of_first, **of_second} if key != "name"]
     does = "runs only if its code is" if len(laws) == 1 else "run only if their code is"
@@ -195,6 +191,8 @@ def _name_untrusted(
         second=sides[1],
         resolution=Resolution(size=0.0, reason="no run is simulated"),
         withheld=f"{join_words(laws)} {does} trusted (--trust-law)",
+        has_same_settings=is_same,
+        departure=find_departure(first, second) if is_same else None,
         changes=tuple(
             Change(
                 name="law" if key == "law.kind" else key,
@@ -205,6 +203,16 @@ def _name_untrusted(
             for key in keys
             if of_first.get(key) != of_second.get(key)
         ),
+    )
+
+
+def _begin_side(run: Run, logged: Metric) -> Side:
+    """Return what a run's log shows."""
+    return Side(
+        name=run.name,
+        as_logged=logged.value,
+        reason=logged.reason,
+        simulated_by=run.simulated_by,
     )
 
 
@@ -276,7 +284,7 @@ def _stand_for(
 ) -> tuple[Side, Scenario | None]:
     """Return what is known of a run, and the scenario that stands for it."""
     logged = measure_run(run, only=[metric])[metric]
-    side = Side(name=run.name, as_logged=logged.value, reason=logged.reason)
+    side = _begin_side(run, logged)
     length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
     note = "the recording does not contain its scenario"
     if not len(run.samples):

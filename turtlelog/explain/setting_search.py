@@ -40,7 +40,7 @@ from turtlelog.explain.resimulation import (
 )
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
-from turtlelog.measure.way_fits import CERTAIN, COARSE, LIKE_THE_BEST
+from turtlelog.measure.motion import CERTAIN, COARSE, LIKE_THE_BEST
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
 
 _MOST_TICKS: Final = 150_000

@@ -144,7 +144,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     except RecursionError as err:
         raise ValueError(deep) from err
     except ValueError as err:
-        raise ValueError(describe_error(err)) from err
+        raise ValueError(describe_error(err).removeprefix("TOMLDecodeError: ")) from err
     level: list[Any] = [tables]
     for _ in range(_DEEPEST + 1):
         level = [inner for outer in level for inner in _list_inner(outer)]

@@ -6,21 +6,19 @@ from .motion_prediction import (
 )
 from .robot_identification import identify_robot as identify_robot
 from .robot_model import (
+    HEADS as HEADS,
     AxisModel as AxisModel,
     Estimate as Estimate,
     RobotEvent as RobotEvent,
     RobotModel as RobotModel,
     TickDelays as TickDelays,
+    format_delay as format_delay,
+    format_gain as format_gain,
+    list_values as list_values,
+    write_headline as write_headline,
 )
 from .robot_scenario import (
     RobotScenario as RobotScenario,
     build_robot_scenario as build_robot_scenario,
     read_doubts as read_doubts,
-)
-from .robot_words import (
-    HEADS as HEADS,
-    format_delay as format_delay,
-    format_gain as format_gain,
-    list_values as list_values,
-    write_headline as write_headline,
 )

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
-from turtlelog.identify.held_response import LaggedResponse, Values
-from turtlelog.identify.robot_structure import FIRST_ORDER, Structure
-from turtlelog.identify.step_noise import LEAST_STEP, NORMAL_MAD, Whitening, estimate_noise
+from turtlelog.identify.held_response import FIRST_ORDER, LaggedResponse, Structure, Values
+from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, estimate_noise
 
 _GRID_S: Final = 0.04
 """Between the dead times that are tried first [s]: a quarter of a usual delay."""

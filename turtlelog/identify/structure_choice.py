@@ -23,9 +23,8 @@ from turtlelog.identify.axis_fit import (
     restart_axis,
 )
 from turtlelog.identify.axis_motion import AxisMotion
-from turtlelog.identify.held_response import Values
-from turtlelog.identify.robot_structure import Order, Structure
-from turtlelog.identify.step_noise import LEAST_STEP
+from turtlelog.identify.held_response import Order, Structure, Values
+from turtlelog.identify.robot_noise import LEAST_STEP
 
 _FITTED: Final = 2 / 3
 """Share of each log that is fitted; the rest is predicted."""

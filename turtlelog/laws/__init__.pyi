@@ -18,6 +18,7 @@ from .loading import (
     declare_law as declare_law,
     describe_law_error as describe_law_error,
     find_law as find_law,
+    find_module as find_module,
     list_causes as list_causes,
     list_sample_counters as list_sample_counters,
     list_unused_keys as list_unused_keys,

@@ -1,4 +1,4 @@
-"""Laws that are objects of this Python session: classes, functions and objects of a notebook.
+"""Laws that are objects of this Python session, and laws of few lines made complete.
 
 A scenario holds laws by name. Such a law gets one, `session:NAME`, by which this process and those
 that it forks find it. No other one does: a recording has its source as text, which nothing runs.
@@ -7,17 +7,18 @@ that it forks find it. No other one does: a recording has its source as text, wh
 import copy
 import inspect
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from threading import Lock
 from typing import Any, Final
 
 from turtlelog.errors import LawError
-from turtlelog.laws.base import Goal, LawPart, Pose
+from turtlelog.laws.base import Goal, Law, LawPart, Pose
 from turtlelog.laws.loading import LAWS
-from turtlelog.laws.short_laws import NoParameters
 from turtlelog.run.paths import Path
 
-SESSION: Final = "session:"
+_SESSION: Final = "session:"
 """Begins the kind of such a law."""
 
 _GIVEN: Final[dict[str, Any]] = {}
@@ -48,7 +49,7 @@ def name_given_law(law: Any) -> str:
 
 def is_given(kind: object) -> bool:
     """Return whether a kind is that of a law of some session, which spawned processes lack."""
-    return isinstance(kind, str) and kind.startswith(SESSION)
+    return isinstance(kind, str) and kind.startswith(_SESSION)
 
 
 def find_given_law(kind: str) -> Any:
@@ -99,10 +100,10 @@ def _keep(law: Any, name: str) -> str:
         known = [kind for kind, one in _GIVEN.items() if one is law]
         if known:
             return known[0]
-        number, kind = 1, f"{SESSION}{name}"
+        number, kind = 1, f"{_SESSION}{name}"
         while kind in _GIVEN:
             number += 1
-            kind = f"{SESSION}{name}-{number}"
+            kind = f"{_SESSION}{name}-{number}"
         _GIVEN[kind] = law
         return kind
 
@@ -133,3 +134,72 @@ def _complete_object(law: Any) -> type[Any]:
     Given.__name__ = Given.__qualname__ = type(law).__name__
     Given.__module__ = type(law).__module__
     return Given
+
+
+@dataclass(frozen=True)
+class NoParameters:
+    """A law without parameters."""
+
+
+Answer = Callable[[int, Pose, Goal | None], Any]
+"""A law as a function of the clock [ns], a pose and the goal: it returns speed [m/s] and turn rate
+[rad/s], or a Decision."""
+
+
+@cache
+def complete_law(found: Any) -> type[Law]:
+    """Return a law with what it leaves out: parameters, `__init__`, `reset`.
+
+    Args:
+        found: A function of `(time_ns, pose, goal)`, or a class with `step`.
+    """
+    if inspect.isfunction(found):
+        return _complete_function(found)
+    if all(hasattr(found, name) for name in ("Parameters", "reset")):
+        return found  # type: ignore[no-any-return]
+    return _complete_class(found)
+
+
+def _complete_function(function: Answer) -> type[Law]:
+    class Function:
+        Parameters = NoParameters
+
+        def __init__(self, parameters: object) -> None:
+            del parameters
+
+        def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
+            del start, path
+            self._goal = goal
+
+        def step(self, time_ns: int, pose: Pose) -> Any:
+            return function(time_ns, pose, self._goal)
+
+    _take_name(Function, function)
+    Function.__doc__ = function.__doc__
+    return Function  # type: ignore[return-value]
+
+
+def _complete_class(law: type[Any]) -> type[Law]:
+    takes_parameters = hasattr(law, "Parameters")
+
+    class Completed(law):  # type: ignore[misc]
+        Parameters = getattr(law, "Parameters", NoParameters)
+
+        def __init__(self, parameters: object) -> None:
+            if takes_parameters:
+                super().__init__(parameters)
+            else:
+                super().__init__()
+
+        def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
+            if hasattr(law, "reset"):
+                super().reset(start, goal, path)
+
+    _take_name(Completed, law)
+    return Completed
+
+
+def _take_name(made: type[Any], found: Any) -> None:
+    """Let errors call a completed law as its file does."""
+    made.__name__, made.__qualname__ = found.__name__, found.__qualname__
+    made.__module__ = found.__module__

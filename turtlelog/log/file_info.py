@@ -78,6 +78,7 @@ class RecordingInfo:
         scenario: The tables of the whole scenario, None if it is not known.
         parameters: Known values of the scenario, by dotted key.
         topics: Topics by name.
+        simulated_by: See `Run`.
         absent: See `Run`; in third-party files, what no topic in it holds.
         notes: See `Run`; of a recovered file `recovered`, of a damaged one `partial`.
         not_understood: Topics whose messages cannot become columns, each with the reason.
@@ -94,6 +95,7 @@ class RecordingInfo:
     scenario: Mapping[str, Any] | None = None
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     topics: tuple[TopicInfo, ...]
+    simulated_by: Mapping[str, str] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     notes: Mapping[str, str] = field(default_factory=dict)
     not_understood: tuple[str, ...] = ()
@@ -203,6 +205,7 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
         stop_reason=head.stop_reason,
         scenario=tables if is_complete else None,
         parameters=flatten_tables(tables),
+        simulated_by=head.simulated_by,
         absent=head.absent if is_whole else add_lost(head, held),
         notes={**head.notes, **info.notes},
     )

@@ -9,15 +9,19 @@ from .dead_time import (
     DeadTime as DeadTime,
     DeadTimeChange as DeadTimeChange,
     find_dead_time as find_dead_time,
+    model_run_loops as model_run_loops,
 )
 from .measure_settings import (
     MeasureSettings as MeasureSettings,
 )
 from .metric import (
+    MIRRORED as MIRRORED,
+    OPERATORS as OPERATORS,
     Metric as Metric,
     Metrics as Metrics,
     MetricWatch as MetricWatch,
     Missing as Missing,
+    Numeric as Numeric,
     Status as Status,
 )
 from .metric_registry import (
@@ -33,11 +37,6 @@ from .metric_registry import (
     list_metrics as list_metrics,
     measure_run as measure_run,
     miss_metric as miss_metric,
-)
-from .numeric import (
-    MIRRORED as MIRRORED,
-    OPERATORS as OPERATORS,
-    Numeric as Numeric,
 )
 from .outliers import (
     Outlier as Outlier,
@@ -56,9 +55,6 @@ from .registry import (
 )
 from .response import (
     find_first_stretch as find_first_stretch,
-)
-from .run_loops import (
-    model_run_loops as model_run_loops,
 )
 from .signals import (
     COMMANDED as COMMANDED,

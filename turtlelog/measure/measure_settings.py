@@ -26,7 +26,7 @@ class MeasureSettings:
     """Settings of the metrics. Values of a loop are in rad (heading) or m.
 
     Attributes:
-        band: Half-width of the settling band, as a fraction of the step, > 0.
+        band: Half-width of the settling band, as a fraction of the step, > 0 and < 1.
         initial: Start value of the step of a loop: None for the first value of its segment, a
             number, or a number by loop (`{"translate": 0.0}`).
         final: Final value of the step: `reference` (as the law declares), `last` (where the segment
@@ -51,7 +51,7 @@ class MeasureSettings:
     goal_tolerance_m: float | None = None
 
     def __post_init__(self) -> None:
-        _require_positive("band", "a share of the step", self.band)
+        _require_fraction(self.band)
         if self.goal_tolerance_m is not None:
             _require_positive("goal_tolerance_m", "metres", self.goal_tolerance_m)
         for value in _list_values(self.initial):
@@ -93,6 +93,13 @@ class MeasureSettings:
                 if loop not in known:
                     listed = " or ".join(known) or "no loop, for the run declares none"
                     raise MeasureError(f"{name}: expected a loop {listed}, found {loop!r}")
+
+
+def _require_fraction(band: object) -> None:
+    if not (_is_number(band) and 0.0 < cast("float", band) < 1.0):
+        raise MeasureError(
+            f"band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not {band!r}"
+        )
 
 
 def _require_positive(name: str, what: str, value: object) -> None:

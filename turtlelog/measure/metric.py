@@ -1,14 +1,18 @@
-"""What a metric is: a number with a unit, or the reason why there is none."""
+"""What a metric is: a number with a unit that computes, or the reason why there is none."""
 
 import enum
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import operator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Real
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NoReturn, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.display import (
     describe_count,
@@ -19,7 +23,6 @@ from turtlelog.display import (
     format_number,
 )
 from turtlelog.errors import CheckError, MeasureError, MissingValueError
-from turtlelog.measure.numeric import MIRRORED, OPERATORS, Numeric
 from turtlelog.run.tables import Tabular, refuse_array
 
 
@@ -62,6 +65,73 @@ class MetricWatch(Protocol):
 
     def describe(self, metric: "Metric") -> str:
         """Return its name with what was done to it."""
+
+
+class Numeric(ABC):
+    """Computes as its float does, with numpy's numbers and arrays too."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def __float__(self) -> float:
+        """Return the number."""
+
+    def __int__(self) -> int:
+        return int(float(self))
+
+    def __array__(self, dtype: Any = None, *, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(float(self), dtype=dtype)
+
+    def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **named: Any) -> Any:
+        """Compute with its float; a comparison stays its own, whichever side it stands on."""
+        compared = _OF_NUMPY.get(function.__name__)
+        if compared and method == "__call__" and len(inputs) == 2 and not named:
+            # numpy hands its numbers over as arrays without a dimension.
+            left, right = (one[()] if isinstance(one, np.ndarray) else one for one in inputs)
+            if isinstance(left, Numeric):
+                return OPERATORS[compared](left, right)
+            return OPERATORS[MIRRORED[compared]](right, left)
+        numbers = (float(one) if isinstance(one, Numeric) else one for one in inputs)
+        return getattr(function, method)(*numbers, **named)
+
+    def __neg__(self) -> float:
+        return -float(self)
+
+    def __pos__(self) -> float:
+        return float(self)
+
+    def __round__(self, digits: int | None = None) -> float:
+        return round(float(self), digits)
+
+    def __add__(self, other: Any) -> Any:
+        return float(self) + other
+
+    def __radd__(self, other: Any) -> Any:
+        return other + float(self)
+
+    def __sub__(self, other: Any) -> Any:
+        return float(self) - other
+
+    def __rsub__(self, other: Any) -> Any:
+        return other - float(self)
+
+    def __mul__(self, other: Any) -> Any:
+        return float(self) * other
+
+    def __rmul__(self, other: Any) -> Any:
+        return other * float(self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return float(self) / other
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return other / float(self)
+
+    def __pow__(self, other: Any) -> Any:
+        return float(self) ** other
+
+    def __rpow__(self, other: Any) -> Any:
+        return other ** float(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -187,8 +257,34 @@ class Metric(Numeric):
         return format_answer(f"{self._describe()}: {value}")
 
 
-Real.register(Metric)  # pytest.approx compares with nothing else
+OPERATORS: Final[Mapping[str, Callable[[Any, Any], bool]]] = MappingProxyType(
+    {
+        "<": operator.lt,
+        "<=": operator.le,
+        ">": operator.gt,
+        ">=": operator.ge,
+        "==": operator.eq,
+        "!=": operator.ne,
+    }
+)
 
+MIRRORED: Final = MappingProxyType(
+    {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
+)
+"""Operators after their sides are exchanged or negated."""
+
+_OF_NUMPY: Final = MappingProxyType(
+    {
+        "less": "<",
+        "less_equal": "<=",
+        "greater": ">",
+        "greater_equal": ">=",
+        "equal": "==",
+        "not_equal": "!=",
+    }
+)
+
+Real.register(Metric)  # pytest.approx compares with nothing else
 
 if TYPE_CHECKING:
     _MetricMapping = Mapping[str, Metric]
@@ -261,9 +357,9 @@ class Metrics(_MetricMapping, Tabular):
         told.append(f"{known} of {describe_count(len(self), 'metric')} have a value")
         answer = f"{', '.join(told)}."
         if len(shown) in {0, len(self)}:
-            return format_answer(answer, format_metrics_html(self.values()))
-        every = format_details(f"All {len(self)} metrics", format_metrics_html(self.values()))
-        return format_answer(answer, format_metrics_html(shown), every)
+            return format_answer(answer, _format_metrics_html(self.values()))
+        every = format_details(f"All {len(self)} metrics", _format_metrics_html(self.values()))
+        return format_answer(answer, _format_metrics_html(shown), every)
 
 
 _ANSWERS: Final = ("final.position_error", "run.duration")
@@ -272,7 +368,7 @@ _ANSWERS: Final = ("final.position_error", "run.duration")
 _ENTRIES: Final = ("id", "value", "unit", "status", "reason", "at_s")
 
 
-def format_metrics_html(metrics: Iterable[Metric]) -> str:
+def _format_metrics_html(metrics: Iterable[Metric]) -> str:
     """Return metrics as a table for notebooks; those without a value say why."""
     rows = [
         (one.id, one.value, one.unit, one.reason if one.value is None else "") for one in metrics
@@ -328,7 +424,7 @@ def add_reason(status: Status, reason: str) -> int:
 
 
 def read_outcome(outcome: Outcome) -> Result:
-    """Return what an outcome says."""
+    """Return the metric in an outcome, or the reason why it has no value."""
     value, at_s, number = outcome
     if number:
         missing = REASONS[number]

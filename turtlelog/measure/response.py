@@ -15,7 +15,7 @@ from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.reductions import fold_at_zero
 from turtlelog.measure.references import read_controlled_distance, read_reference
 from turtlelog.measure.signals import Signal
-from turtlelog.measure.swings import NEVER, NOBODY_KNOWS
+from turtlelog.measure.step_response import NEVER, NOBODY_KNOWS
 from turtlelog.run import PhaseSpan, Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.loops import PAUSE, ControlLoop

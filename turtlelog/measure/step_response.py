@@ -1,4 +1,4 @@
-"""The numbers of a curve: of a step response, and integrals of an error over time.
+"""The numbers of a curve: of a step response, of its oscillation, and integrals of an error.
 
 The functions run plain and compiled, over the reductions that have a face for each. What never
 happens is NaN.
@@ -18,6 +18,11 @@ Integrals are exact for the line through the samples; where that changes its sig
 zero is interpolated. IAE, ISE and ITAE are those of D. Graham and R. C. Lathrop, "The synthesis of
 'optimum' transient response", Trans. AIEE 72 (1953). `step_s` is the time from each row to the
 next, shape (n - 1,). On a sampled smooth signal the error falls with the square of the period.
+
+Swings are told by their size alone: no model of the loop, no dead time and no gain is needed. Of a
+linear loop they grow or decay by one factor each. A limit of the command keeps those of an unstable
+loop at one size, that of its limit cycle (the describing function of saturation; K. J. Astrom and
+R. M. Murray, Feedback Systems, 2nd ed., section 10.5), which may be small beside the step.
 """
 
 import math
@@ -26,13 +31,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.arithmetic import least
 from turtlelog.measure.reductions import (
     add_triples,
     add_values,
     find_crossing_rows,
     find_first_beyond,
     find_furthest_row,
+    find_largest,
+    find_largest_change,
     find_last_outside,
+    find_rise_behind_peak,
     find_swing_ends,
 )
 
@@ -43,7 +52,7 @@ SHORTEST_HOLD_S: Final = 1.0
 
 It is the time constant of the slowest gain of the paper, 1 / s, and some 60 samples."""
 
-SWING: Final = 0.5
+_SWING: Final = 0.5
 """What counts as a swing around the reference, as a share of the settling band's half-width.
 
 Half of it, so that noise and rounding deep in the band are no oscillation."""
@@ -70,8 +79,8 @@ def find_rise(
 ) -> tuple[float, float]:
     """Return the first times at which the response has come 10 % and 90 % of the step [s].
 
-    Their difference is the rise time: ln 9 tau of an exponential. NaN if it is never reached. The
-    step is not 0, and the response does not begin beyond 10 % of it.
+    Their difference is the rise time: ln 9 tau of an exponential. NaN if it is never reached.
+    Precondition: the step is not 0, and the response begins below 10 % of the step.
     """
     start_s = find_level_time(time_s, values, 0.1, initial, reference)
     return start_s, find_level_time(time_s, values, 0.9, initial, reference)
@@ -124,12 +133,12 @@ def find_settling_time(
 def find_swing_period(time_s: Values, values: Values, reference: float, half_width: float) -> float:
     """Return the period of the oscillation around the reference, as its last two swings tell [s].
 
-    A swing is a segment of rows further than `SWING` times the band's half-width from the
+    A swing is a segment of rows further than `_SWING` times the band's half-width from the
     reference, on one side; segments less than `SHORTEST_HOLD_S` apart are one. From the end of a
     swing to the end of the next is half a period where they are on opposite sides, a whole one
     where they are on one. 0 where less than two swings are over.
     """
-    width = SWING * half_width
+    width = _SWING * half_width
     before, last = find_swing_ends(time_s, values, reference, width, SHORTEST_HOLD_S)
     if before < 0:
         return 0.0
@@ -199,3 +208,120 @@ def compute_rms(step_s: Values, values: Values, memory: Any) -> float:
     if length_s <= 0.0:
         return abs(values[-1])  # type: ignore[no-any-return]
     return math.sqrt(integrate_square(step_s, values) / length_s)
+
+
+VERDICTS: Final = ("rests", "swings", "away", "passing", "slow", "unknown")
+"""By number."""
+RESTS, SWINGS, AWAY, PASSING, SLOW, UNKNOWN = range(6)
+
+NEVER, NOBODY_KNOWS = -1, -2
+"""Instead of the last row at which a command was at its limit."""
+
+_FEWEST: Final = 6
+"""Whole swings from which thirds are compared: two in each, as a loop may swing further to one side
+than to the other."""
+
+_DYING: Final = 0.9
+"""Swings die out where the largest of the last third is below this share of the largest of the
+middle third. Those of a loop at 99.5 % of its stability gain, with a dead time of 10 ticks, decay
+to 0.86 in the 30 s that the sequential laws drive for; those of limit cycles are between 0.97 and
+1.01, as their peaks fall between samples."""
+
+_GOING_ON: Final = 0.98
+"""Swings go on from this share on. Between the two nobody can tell: a limit cycle that is reached
+from above, or a loop that decays slowly."""
+
+_FALLING: Final = 0.95
+"""Swings that decay begin with their largest, but for the part of a peak that falls between
+samples. Those of a heading that is turned by more than half a turn, where its error wraps, are of
+any size in any order."""
+
+_HALVED: Final = 0.5
+"""Fewer swings die out where the last is below this share of the first: the first swing of an
+unstable loop, left over from a step that was clipped, shrinks by a few percent to its limit
+cycle."""
+
+_GROWN: Final = 1.05
+"""Fewer swings grow where the last is beyond this share of the first: more than peaks between
+samples explain of loops with 3 samples to a swing or more: 1 - cos(pi / 6) is 0.13, but it hits
+both."""
+
+_LARGE: Final = 0.1
+"""Share of the largest error from which swings are large, without a limit that they run into: those
+that noise leaves of a loop at rest are smaller, or the noise is what the log shows most."""
+
+_NEAR: Final = 0.02
+"""A response that does not swing is near where it ends within this share of the largest error: the
+usual settling band. An error that grows again by more, without coming to the other side, swings
+about something else."""
+
+_SLOWED: Final = 0.5
+"""It came to rest where its last step is below this share of its largest. An unstable loop passes
+its reference at full speed, for it turns back too late; a tolerance may end it right there."""
+
+_BEYOND: Final = 1.2
+"""Share of the error at the start up to which a response may swing to count as one that decays: a
+step overshoots by 1.11 steps at most where a loop with dead time is just stable."""
+
+TURN_RAD: Final = 2.0 * math.pi
+"""Error of a heading from which nothing counts as decaying: laws wrap it at half a turn, or at the
+most after one, and beyond they steer to the goal from the other side."""
+
+
+def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: float) -> int:
+    """Return what a response does around its reference, as a number of `VERDICTS`.
+
+    `rests`: its swings die out, or are small and do not grow. `swings`: the oscillation keeps its
+    amplitude, which is large or reaches the limit, or it grows. `away`: it ends further from the
+    reference than it began. Nobody can tell where it is `passing`, and ends as it passes the
+    reference; `slow`, and has not come near; `unknown`: there are too few swings, or they change
+    too little.
+
+    Args:
+        error: Reference minus value, shape (n,), n >= 2.
+        rows: Those by which it has come to the other side, as `find_crossing_rows` tells them.
+        clipped: The last row at whose time the command was at its limit; or `NEVER`, or
+            `NOBODY_KNOWS`.
+        most: Magnitude of an error beyond which no response counts as one that decays.
+    """
+    count, largest = len(rows) - 1, find_largest(error)[0]
+    decays = largest <= least(_BEYOND * abs(error[0]), most)
+    rest = error[rows[count] if count >= 0 else 0 :]
+    is_elsewhere = find_rise_behind_peak(rest) > _NEAR * largest
+    if count < 2:
+        return _judge_approach(error, largest, decays, is_elsewhere)
+    is_long = count >= _FEWEST
+    third = count // 3 if is_long else 1
+    begun = count - 2 * third if is_long else 0
+    last = count - third
+    before, after = _find_peak(error, rows, begun, third), _find_peak(error, rows, last, third)
+    share = after / before
+    is_larger = find_largest(rest)[0] > max(after, _NEAR * largest)
+    decays = decays and not is_elsewhere and not is_larger
+    # Swings begin with their largest, on either side, as those do that decay.
+    falls = _find_peak(error, rows, begun, min(third, 2)) >= _FALLING * before
+    falls = falls and _find_peak(error, rows, last, min(third, 2)) >= _FALLING * after
+    if decays and falls and share < (_DYING if is_long else _HALVED):
+        return RESTS
+    if clipped >= rows[begun] or after >= _LARGE * largest:
+        return SWINGS if share >= (_GOING_ON if is_long else _GROWN) else UNKNOWN
+    # What noise leaves grows now and then; what grows by itself goes on growing.
+    grew = not is_long or before > _find_peak(error, rows, 0, third)
+    is_growing = grew and share > 1.0 / (_DYING if is_long else _HALVED)
+    return RESTS if decays and clipped != NOBODY_KNOWS and not is_growing else UNKNOWN
+
+
+def _find_peak(error: Values, rows: NDArray[np.int64], first: int, count: int) -> float:
+    """Return the largest magnitude of so many whole swings from one on."""
+    return find_largest(error[rows[first] : rows[first + count]])[0]
+
+
+def _judge_approach(error: Values, largest: float, decays: bool, is_elsewhere: bool) -> int:  # noqa: FBT001
+    """Judge a response that swings less than twice."""
+    end = abs(error[-1])
+    if end > _NEAR * largest:
+        return AWAY if end == largest and end > abs(error[0]) else SLOW
+    if is_elsewhere:
+        return UNKNOWN
+    last_step = abs(end - abs(error[-2]))
+    return RESTS if decays and last_step <= _SLOWED * find_largest_change(error) else PASSING

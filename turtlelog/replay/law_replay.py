@@ -41,7 +41,7 @@ from turtlelog.replay.run_pairs import (
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import PlainLoop, SampleRow, SampleRows
-from turtlelog.simulate.scenario_law import is_built_in
+from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.step_budget import (
     STEP_BUDGET_S,
     LimitedLoop,

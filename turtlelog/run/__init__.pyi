@@ -21,6 +21,13 @@ from .run import (
 from .slicing import (
     slice_run as slice_run,
 )
+from .software import (
+    LAW as LAW,
+    SoftwareChange as SoftwareChange,
+    describe_changes as describe_changes,
+    describe_software as describe_software,
+    list_software_changes as list_software_changes,
+)
 from .tables import (
     TABLES as TABLES,
     tabulate_run as tabulate_run,

@@ -105,6 +105,9 @@ class Run:
         clock: Clock that times the poses of a bag; None if there is but one clock.
         stop_reason: Why it ended, in the law's word, or one of `CUT_SHORT`; None if not recorded.
         events: In order of time.
+        simulated_by: Versions (`turtlelog`, `python`, `numpy`), `platform` and, for a law that is
+            not built in, the digest of its code (`law`); empty for what was not simulated, or if
+            the recording does not name them.
         absent: Names of the fields that the source does not hold.
         notes: Notes of the importer, by name (`original_timestamp`, `sorted_rows`, ...).
     """
@@ -122,6 +125,7 @@ class Run:
     clock: Clock | None = None
     stop_reason: str | None = None
     events: tuple[Event, ...] = ()
+    simulated_by: Mapping[str, str] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     notes: Mapping[str, str] = field(default_factory=dict)
 
@@ -146,6 +150,7 @@ class Run:
             )
         self._require_declared()
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
+        object.__setattr__(self, "simulated_by", MappingProxyType(dict(self.simulated_by)))
         object.__setattr__(self, "notes", MappingProxyType(dict(self.notes)))
 
     def __reduce__(self) -> Rebuilding:

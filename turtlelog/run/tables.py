@@ -104,6 +104,7 @@ def _list_facts(run: "Run") -> dict[str, str]:
         "scenario_is_complete": run.scenario_is_complete,
         "stop_reason": run.stop_reason,
         "clock": None if run.clock is None else asdict(run.clock),
+        "simulated_by": dict(run.simulated_by) or None,
     }
     texts = {"name": run.name, "source": run.source}
     texts["declaration"] = format_declaration(run.declaration)

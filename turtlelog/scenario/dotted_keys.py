@@ -1,12 +1,17 @@
-"""Nested tables <-> values by dotted key, as in `law.kp_linear`. Loads no law and no plant."""
+"""Keys, types and values of scenario files in words, and nested tables by dotted key."""
 
+import dataclasses
+import types
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Union, get_args, get_origin
+
+import msgspec
 
 from turtlelog.errors import ScenarioError
 
 if TYPE_CHECKING:
     from turtlelog.run import Parameter
+
 
 DEFAULT_LAW: Final = "sequential-p"
 """The value of `law.kind` where a scenario has none."""
@@ -53,3 +58,51 @@ def _walk(tables: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
             yield from _walk(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
+
+
+_WORDS = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}
+
+
+def describe_type(hint: Any) -> str:
+    """Return what a type admits: `a number > 0`, `bearing or heading`, `a table`."""
+    origin, args = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        bounds = next((found for found in args[1:] if isinstance(found, msgspec.Meta)), None)
+        return f"{describe_type(args[0])}{_describe_bounds(bounds)}"
+    if origin is Literal:
+        return " or ".join(map(str, args))
+    if origin in {Union, types.UnionType}:
+        return " or ".join(describe_type(arg) for arg in args if arg is not type(None))
+    if origin in {tuple, list}:
+        return f"a list of {len(args)}" if origin is tuple and Ellipsis not in args else "a list"
+    is_table = origin is not None or dataclasses.is_dataclass(hint) or hint is dict
+    return _WORDS.get(hint, "a table" if is_table else str(getattr(hint, "__name__", hint)))
+
+
+def describe_value(value: Any, *, longest: int = 60) -> str:
+    """Return a value as a scenario file has it, cut where it is long; `no value` for None."""
+    if value is None:
+        return "no value"
+    try:
+        text = str(value).lower() if isinstance(value, bool) else repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
+    if hasattr(value, "isoformat"):
+        text = value.isoformat()
+    return text if len(text) <= longest else f"{text[:longest]}... ({len(text)} characters)"
+
+
+def name_key(key: str) -> str:
+    """Return a key as it can stand in one line."""
+    return key if key.isprintable() else repr(key)
+
+
+def _describe_bounds(bounds: msgspec.Meta | None) -> str:
+    if bounds is None:
+        return ""
+    if bounds.ge is not None and bounds.le is not None:
+        return f" from {bounds.ge:.10g} to {bounds.le:.10g}"
+    if bounds.gt is not None and bounds.le is not None:
+        return f" > {bounds.gt:g} and up to {bounds.le:g}"
+    low = "" if bounds.gt is None else f" > {bounds.gt:g}"
+    return low if bounds.ge is None else f" >= {bounds.ge:g}"

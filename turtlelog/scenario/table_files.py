@@ -16,7 +16,7 @@ from turtlelog.errors import ScenarioError
 from turtlelog.files.text_files import describe_csv_error, read_text_file
 from turtlelog.laws.open_loop import MOST_ROWS
 from turtlelog.run.paths import MOST_POINTS
-from turtlelog.scenario.describe import describe_value
+from turtlelog.scenario.dotted_keys import describe_value
 
 _FILE: Final = "file"
 

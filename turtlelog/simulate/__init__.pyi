@@ -1,3 +1,7 @@
+from .class_law import (
+    build_law as build_law,
+    declare_scenario as declare_scenario,
+)
 from .collect import (
     RunCollector as RunCollector,
     SampleRows as SampleRows,
@@ -17,13 +21,12 @@ from .rows import (
     SampleRow as SampleRow,
     TickRow as TickRow,
 )
-from .scenario_law import (
-    build_law as build_law,
-    declare_scenario as declare_scenario,
-)
 from .scenario_notes import (
     list_scenario_notes as list_scenario_notes,
 )
 from .settings import (
     needs_time as needs_time,
+)
+from .versions import (
+    find_software as find_software,
 )

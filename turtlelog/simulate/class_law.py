@@ -1,19 +1,33 @@
-"""A law that is a class: asked pose by pose, its answers become rows of samples.
+"""The law of a scenario, and a law that is a class: asked pose by pose.
 
 A law may answer with numpy's numbers, with whole ones, or with a list that it goes on changing:
 its answer is kept as plain numbers.
 """
 
 import sys
+from collections.abc import Mapping
 from math import hypot, isfinite, isinf
 from operator import index
 from typing import Any, Final
 
-from turtlelog.errors import SimulationError
-from turtlelog.laws import Decision, Goal, Law, Pose, print_to_stderr
+from turtlelog.errors import SimulationError, TurtlelogError
+from turtlelog.laws import (
+    LAWS,
+    AnyLaw,
+    Decision,
+    Goal,
+    Law,
+    Pose,
+    declare_law,
+    describe_law_error,
+    find_law,
+    print_to_stderr,
+)
 from turtlelog.parts import LARGEST_FLOAT
 from turtlelog.run.loops import Declaration
 from turtlelog.run.paths import Path
+from turtlelog.scenario import LawChoice, Scenario, resolve_law
+from turtlelog.simulate.rows import COMMAND_FAILED, NUMBERS_FAILED, REFERENCE_FAILED, SampleRow
 from turtlelog.simulate.step_budget import Step
 
 _FAR_M: Final = 1e300
@@ -142,7 +156,7 @@ class ClassLaw:
         speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
         phase = self._first_phase if decision.phase is None else decision.phase
         if not (abs(speed) < LARGEST_FLOAT and abs(turn_rate) < LARGEST_FLOAT):
-            raise SimulationError(describe_command(speed, turn_rate))
+            raise SimulationError(_describe_command(speed, turn_rate))
         self._require_finite(decision)
         number = self._phases.get(phase)
         if number is None:
@@ -194,7 +208,7 @@ class ClassLaw:
             raise SimulationError(f"expected a finite reference pose, found {reference}")
 
 
-def describe_command(speed: float, turn_rate: float) -> str:
+def _describe_command(speed: float, turn_rate: float) -> str:
     """Return that a command is none."""
     return (
         f"expected a finite command (below {LARGEST_FLOAT:g}),"
@@ -307,3 +321,73 @@ def _read_ticks(value: Any) -> int:
         return index(value)
     expected = f"a whole number from 0 to {_MOST_TICKS}"
     raise SimulationError(f"blocks_ticks: expected {expected}, found {value!r:.60}")
+
+
+_ERRORS: Final = (
+    *("bearing_rad", "heading_error_rad", "error_x_m", "error_y_m", "distance_m"),
+    *("world_v_x_m_s", "world_v_y_m_s"),
+)
+"""What a law enters of a sample beside its command, as numbers."""
+
+
+def is_built_in(law: AnyLaw) -> bool:
+    """Whether a law is one of turtlelog's."""
+    return law in LAWS.values()
+
+
+def build_law(choice: LawChoice) -> Any:
+    """Return the law of a scenario with its parameters.
+
+    Raises:
+        SimulationError: If it does not take them.
+        ScenarioError: As `resolve_law`.
+        LawError: If there is no such law.
+    """
+    choice = resolve_law(choice)
+    law = find_law(choice.kind)
+    try:
+        with print_to_stderr():
+            return law(choice.parameters)
+    except (TurtlelogError, KeyboardInterrupt):
+        raise
+    except BaseException as err:
+        raise SimulationError(f"law {choice.kind}: {describe_law_error(err, law)}") from err
+
+
+def declare_scenario(scenario: Scenario) -> Declaration:
+    """Return what the law of a scenario declares; its code is loaded if need be.
+
+    Raises:
+        ScenarioError: As `resolve_law`.
+        LawError: If there is no such law, or its declaration is wrong.
+    """
+    choice = resolve_law(scenario.law)
+    law = find_law(choice.kind)
+    return declare_law(law, choice.parameters, build_goal(scenario), scenario.path)
+
+
+def build_goal(scenario: Scenario) -> Goal:
+    """Return the goal of a scenario."""
+    return Goal(scenario.goal.x_m, scenario.goal.y_m, scenario.goal.heading_rad)
+
+
+def describe_numbers(failure: int, row: SampleRow, states: Mapping[str, float]) -> str:
+    """Return which number of an answer cannot be executed or recorded.
+
+    Args:
+        failure: See `rows`.
+        row: What the law entered.
+        states: States of the sample.
+    """
+    if failure == COMMAND_FAILED:
+        return _describe_command(row.wanted_speed_m_s, row.wanted_turn_rate_rad_s)
+    if failure == REFERENCE_FAILED:
+        pose = Pose(row.reference_x_m, row.reference_y_m, row.reference_heading_rad)
+        return f"expected a finite reference pose, found {pose}"
+    if failure == NUMBERS_FAILED:
+        values = {name: getattr(row, name) for name in _ERRORS}
+        bad = {name: value for name, value in values.items() if isinf(value)} or values
+        listed = ", ".join(f"{name} {value}" for name, value in bad.items())
+        return f"expected finite numbers, found {listed}"
+    name, value = next(one for one in states.items() if not isfinite(one[1]))
+    return f"expected a finite number as state {name}, found {value}"

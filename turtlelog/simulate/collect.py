@@ -14,11 +14,11 @@ from turtlelog.parts import Plant
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, choose_scenario, flatten_scenario, resolve_scenario
-from turtlelog.simulate.events import describe_stop
+from turtlelog.simulate.class_law import declare_scenario
 from turtlelog.simulate.plain_loop import Tick, iterate_ticks
-from turtlelog.simulate.rows import SampleRow
-from turtlelog.simulate.scenario_law import declare_scenario
+from turtlelog.simulate.rows import SampleRow, describe_stop
 from turtlelog.simulate.step_budget import STEP_BUDGET, STEP_BUDGET_S, StepBudgetError
+from turtlelog.simulate.versions import find_software
 
 # Rows are packed as they come: 8 bytes a value, whole numbers first.
 _POSE_ROW: Final = Struct("<q5d")
@@ -151,6 +151,7 @@ class RunCollector:
             scenario_is_complete=True,
             stop_reason=self._stop_reason,
             events=tuple(self._events),
+            simulated_by=find_software(scenario.law.kind),
             notes=_describe_law(scenario.law.kind),
         )
 

@@ -18,9 +18,9 @@ from turtlelog.parts import PlantPart
 from turtlelog.run.path_pieces import PathPiece
 from turtlelog.simulate import compiled_entry, loop
 from turtlelog.simulate.assemble import Function, Parts, bind_parts, bind_states, bind_step
+from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled_loops import remove_others
 from turtlelog.simulate.rows import EventRow, SampleRow, TickRow
-from turtlelog.simulate.scenario_law import is_built_in
 from turtlelog.simulate.settings import Shape, find_law_numbers, find_shape
 from turtlelog.simulate.streams import build_events
 from turtlelog.simulate.twins import (

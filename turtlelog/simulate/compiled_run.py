@@ -13,14 +13,14 @@ from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import Declaration
 from turtlelog.run.path_pieces import PathPiece
 from turtlelog.scenario import Scenario, flatten_scenario
+from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.compiled_loop import PIECE, CompiledLoop
-from turtlelog.simulate.events import describe_event
-from turtlelog.simulate.rows import MAX_DURATION
-from turtlelog.simulate.scenario_law import declare_scenario, is_built_in
+from turtlelog.simulate.rows import MAX_DURATION, describe_event
 from turtlelog.simulate.settings import bound_rows, build_settings
 from turtlelog.simulate.step_budget import WatchedCode
 from turtlelog.simulate.streams import STREAMS, draw_events, list_of, list_streams
 from turtlelog.simulate.twins import as_record
+from turtlelog.simulate.versions import find_software
 
 
 class CompiledRunner:
@@ -120,6 +120,7 @@ def _build_run(
         scenario_is_complete=True,
         stop_reason=name_stop(law, int(now["stop"])),
         events=tuple(_describe_events(events, plant.period_ns, law)),
+        simulated_by=find_software(scenario.law.kind),
     )
 
 

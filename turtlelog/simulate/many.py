@@ -17,10 +17,10 @@ from turtlelog.plants.kinds import PLANTS
 from turtlelog.processes import count_cores
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
+from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.collect import simulate_run
 from turtlelog.simulate.compiled_loops import CompiledLoops, is_kept
 from turtlelog.simulate.compiled_run import CompiledRunner
-from turtlelog.simulate.scenario_law import declare_scenario, is_built_in
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 
 COST_S: Final = 1.0
@@ -248,8 +248,8 @@ def simulate_many(
 ) -> ManyRuns:
     """Simulate scenarios one after the other, each as `simulate_run` does, bit for bit.
 
-    With the extra `fast` laws that are parts run in a compiled loop, once there is so much to do
-    that it is worth loading; laws that are classes run plain.
+    With the extra `fast`, laws that are parts run in a compiled loop as soon as the work is worth
+    loading it. Laws that are classes run in ordinary Python.
 
     Args:
         scenarios: Scenarios to simulate; taken as the runs are.

@@ -28,8 +28,13 @@ from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import loop
 from turtlelog.simulate.assemble import bind_parts, bind_states, bind_step
-from turtlelog.simulate.class_law import ClassLaw
-from turtlelog.simulate.events import describe_event
+from turtlelog.simulate.class_law import (
+    ClassLaw,
+    build_goal,
+    build_law,
+    describe_numbers,
+    is_built_in,
+)
 from turtlelog.simulate.rows import (
     LAW_FAILED,
     MAX_DURATION,
@@ -37,8 +42,8 @@ from turtlelog.simulate.rows import (
     EventRow,
     SampleRow,
     TickRow,
+    describe_event,
 )
-from turtlelog.simulate.scenario_law import build_goal, build_law, describe_numbers, is_built_in
 from turtlelog.simulate.settings import build_settings, find_states, list_acting
 from turtlelog.simulate.step_budget import (
     STEP_BUDGET,

@@ -1,14 +1,16 @@
-"""What the loop keeps: settings of its own, where it stands, and a row of each kind.
+"""What the loop keeps: its settings, where it stands, a row of each kind, and events in words.
 
 Plain they are objects, compiled they are records of the same fields.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 from turtlelog.parts import NEVER_NS
+from turtlelog.run import Event
 
 MAX_DURATION, LAW_FAILED, STEP_BUDGET = -1, -2, -3
 """Why a run ends, where it is not its law that ends it; a law's own reasons are numbers above 0."""
@@ -17,7 +19,7 @@ COMMAND_FAILED, NUMBERS_FAILED, REFERENCE_FAILED, STATES_FAILED, RUNS_AWAY = 1, 
 """What fails: the command is no number that a pose could hold, an error is none, a reference pose
 is none, a state is none; the plant is further than a pose could hold."""
 
-EVENT_KINDS: Final = (
+_EVENT_KINDS: Final = (
     *("poses_lost", "commands_lost", "commands_dropped"),
     *("wall_hit", "poses_dropped", "stop"),
 )
@@ -95,7 +97,7 @@ class Losses:
     """What is lost, by stretches: an event each would fill a log.
 
     Attributes:
-        kind: Kind of `EVENT_KINDS`.
+        kind: Kind of `_EVENT_KINDS`.
         since_ns: When the segment began that goes on [ns].
         count: How many it lost so far.
         finished_since_ns: When the first segment began that is over and not told yet [ns].
@@ -264,9 +266,55 @@ class SampleRow:
 
 @dataclass(slots=True)
 class EventRow:
-    """What happened in a tick: the number of `EVENT_KINDS`, and two numbers of the kind."""
+    """What happened in a tick: the number of `_EVENT_KINDS`, and two numbers of the kind."""
 
     tick: int = 0
     kind: int = 0
     first: float = 0.0
     second: float = 0.0
+
+
+_LOSSES: Final = {
+    "poses_lost": ("Sensing lost", "pose"),
+    "commands_lost": ("The transport lost", "command"),
+    "commands_dropped": ("The plant's queue dropped", "command"),
+}
+"""Who lost what."""
+
+
+def describe_event(
+    row: Any, period_ns: int, name_stop: Callable[[int], str], *, because: str = ""
+) -> Event:
+    """Return an event in words.
+
+    Args:
+        row: Of `EventRow`.
+        period_ns: Of the clock [ns].
+        name_stop: Returns a stop reason by number.
+        because: Goes on after the stop reason.
+    """
+    number, first, second = int(row.kind), row.first, row.second
+    kind = _EVENT_KINDS[number]
+    if number == WALL_HIT:
+        text = f"The turtle hit the wall at x = {first:.3f} m, y = {second:.3f} m."
+    elif number == POSES_DROPPED:
+        text = f"The controller's queue dropped {int(second)} poses."
+    elif number == COMMANDS_DROPPED and first < 0.0:
+        text = f"The plant's queue dropped {int(second)} commands."
+    elif number == STOP:
+        text = describe_stop(name_stop(int(second)), because)
+    else:
+        text = _describe_loss(kind, int(first), int(second))
+    return Event(time_ns=int(row.tick) * period_ns, kind=kind, text=text)
+
+
+def describe_stop(stop_reason: str, because: str = "") -> str:
+    """Return why the run ended."""
+    return f"The run ended: {stop_reason.replace('_', ' ')}{because}."
+
+
+def _describe_loss(kind: str, since_ns: int, lost: int) -> str:
+    """Return what a stretch of losses was."""
+    who, what = _LOSSES[kind]
+    when = f"{what}s from" if lost > 1 else f"{what} at"
+    return f"{who} {lost} {when} {since_ns / 1e9:.3f} s{' on' if lost > 1 else ''}."

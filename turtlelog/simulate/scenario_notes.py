@@ -14,7 +14,7 @@ from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run import Parameter
 from turtlelog.run.loops import PLANT_KEYS, ControlLoop, Declaration, read_number
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
-from turtlelog.simulate.scenario_law import declare_scenario
+from turtlelog.simulate.class_law import declare_scenario
 from turtlelog.theory import (
     LoopTiming,
     PidGains,

@@ -1,8 +1,11 @@
-"""Compiled twins of plain functions: numba compiles the same source, inlined, without marks in it.
+"""Compiled twins of plain functions: numba compiles the same source, inlined, without marks.
 
 A function is bound anew, with the functions that it calls replaced by their twins. It may call
 functions that stand in a module by name, those of `math`, and Python's own; what numba would freeze
 unseen (other modules, objects, closures, defaults) is refused.
+
+Some functions of `arithmetic` have other compiled code with the same values. It is compiled into
+the loops that call them; plain Python never comes here.
 """
 
 import builtins
@@ -12,14 +15,23 @@ import hashlib
 import math
 import re
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType, FunctionType
+from types import BuiltinFunctionType, CodeType, FunctionType, MappingProxyType
 from typing import Any, Final
 
 import numpy as np
+from numpy import (
+    ceil as ceil_of_numpy,
+    float32,
+    float64,
+    floor as floor_of_numpy,
+    fmod as fmod_of_numpy,
+    rint,
+)
 
-from turtlelog.simulate.compiled_arithmetic import TWINS
+from turtlelog import arithmetic
+from turtlelog.run import angles
 
 Function = Callable[..., Any]
 
@@ -30,7 +42,7 @@ class TwinError(TypeError):
     """A function that numba cannot take."""
 
 
-def find_globals(function: FunctionType) -> dict[str, Any]:
+def _find_globals(function: FunctionType) -> dict[str, Any]:
     """Return what a function looks up by name in its module; not by the names of attributes.
 
     Raises:
@@ -39,7 +51,7 @@ def find_globals(function: FunctionType) -> dict[str, Any]:
     if function.__closure__ or function.__defaults__ or function.__kwdefaults__:
         place = f"{function.__code__.co_filename}, line {function.__code__.co_firstlineno}"
         what = f"{function.__qualname__} has default values, or names of an outer function"
-        raise TwinError(f"{place}: {what}; {ALLOWED}")
+        raise TwinError(f"{place}: {what}; {_ALLOWED}")
     codes = [function.__code__]
     for code in codes:
         codes += [one for one in code.co_consts if isinstance(one, CodeType)]
@@ -57,7 +69,7 @@ def take_twin(thing: Any) -> Any:
     """Return what compiled code has in place of a function or another thing."""
     if isinstance(thing, FunctionType):
         thing = getattr(thing, "twin", thing)
-    return TWINS.get(thing, thing) if callable(thing) else thing
+    return _TWINS.get(thing, thing) if callable(thing) else thing
 
 
 def sum_up(functions: typing.Iterable[Function], *more: Any) -> str:
@@ -105,7 +117,7 @@ class _Stamp:
         place = f"{code.co_filename}, line {code.co_firstlineno}: {function.__qualname__}"
         self.add_text(getattr(function, "is_called", False), hasattr(function, "is_inlined"))
         self._add_code(code, function.__doc__, place)
-        for name, one in find_globals(function).items():
+        for name, one in _find_globals(function).items():
             self.add(one, f"{place}: {name}")
 
     def _add_code(self, code: CodeType, doc: str | None, place: str) -> None:
@@ -121,7 +133,7 @@ def _describe(thing: Any, place: str) -> tuple[str, Any]:
         return type(thing).__name__, thing
     if thing is math or isinstance(thing, BuiltinFunctionType | np.ufunc | type):
         return "name", thing.__name__
-    raise TwinError(f"{place} is {thing!r:.60}; {ALLOWED}")
+    raise TwinError(f"{place} is {thing!r:.60}; {_ALLOWED}")
 
 
 class Twins:
@@ -161,7 +173,7 @@ class Twins:
             source = take_twin(function)
             if not isinstance(source, FunctionType):
                 raise TwinError(f"expected a function of Python, found {source!r:.60}")
-            scope = {name: self._take(thing) for name, thing in find_globals(source).items()}
+            scope = {name: self._take(thing) for name, thing in _find_globals(source).items()}
             # Code from the cache asks for its module: a law's own may be another one by then.
             scope |= {"__name__": __name__, "__builtins__": builtins}
             bound = FunctionType(source.__code__, scope, source.__name__)
@@ -176,7 +188,7 @@ class Twins:
         return self._part if is_wide or hasattr(source, "is_inlined") else self._inline
 
     def _take(self, thing: Any) -> Any:
-        is_ours = isinstance(thing, FunctionType) or (callable(thing) and thing in TWINS)
+        is_ours = isinstance(thing, FunctionType) or (callable(thing) and thing in _TWINS)
         return self.compile(thing) if is_ours else thing
 
 
@@ -194,10 +206,10 @@ def build_dtype(kind: type[Any]) -> np.dtype[Any]:
     return np.dtype(found or [("nothing", "i8")], align=True)
 
 
-def to_tuple(thing: Any) -> tuple[Any, ...]:
+def _to_tuple(thing: Any) -> tuple[Any, ...]:
     """Return a dataclass as the tuple that fills its record."""
     values = tuple(
-        to_tuple(value) if dataclasses.is_dataclass(value) else value
+        _to_tuple(value) if dataclasses.is_dataclass(value) else value
         for value in (getattr(thing, one.name) for one in dataclasses.fields(thing))
     )
     return values or (0,)
@@ -205,10 +217,10 @@ def to_tuple(thing: Any) -> tuple[Any, ...]:
 
 def as_record(thing: Any, dtype: np.dtype[Any] | None = None) -> np.ndarray[Any, Any]:
     """Return a dataclass as a record, shape (1,)."""
-    return np.array([to_tuple(thing)], build_dtype(type(thing)) if dtype is None else dtype)
+    return np.array([_to_tuple(thing)], build_dtype(type(thing)) if dtype is None else dtype)
 
 
-ALLOWED: Final = (
+_ALLOWED: Final = (
     "a step is compiled of numbers, `if`, `while`, `for` over a `range`, `math`, functions of"
     " turtlelog.arithmetic and of its own file"
 )
@@ -235,4 +247,104 @@ def describe_numba_error(text: str) -> str:
     if _MEMORY in reason:
         reason = "a list, a set or an array would be made in each step"
     place = f"{Path(places[0][0]).resolve()}, line {places[0][1]}: " if places else ""
-    return f"{place}{reason}; {ALLOWED}"
+    return f"{place}{reason}; {_ALLOWED}"
+
+
+_SPLIT: Final = 134217729.0  # 2**27 + 1: halves the digits of a double
+_TINY_M, _HUGE_M = 1e-100, 1e100  # far from where the squares of doubles lose digits
+
+
+def _nearest(value: float) -> float:
+    found: float = rint(value) + 0.0
+    return found
+
+
+def _nearest_int(value: float) -> int:
+    return int(rint(value))
+
+
+def _fmod(value: float, by: float) -> float:
+    found: float = fmod_of_numpy(value, by)
+    return found
+
+
+def _floor(value: float) -> float:
+    found: float = floor_of_numpy(value)
+    return found
+
+
+def _ceil(value: float) -> float:
+    found: float = ceil_of_numpy(value) + 0.0
+    return found
+
+
+def _to_float32(value: float) -> float:
+    return float64(float32(value))
+
+
+def _pose_to_float32(x_m: float, y_m: float, heading_rad: float) -> tuple[float, float, float]:
+    return float64(float32(x_m)), float64(float32(y_m)), float64(float32(heading_rad))
+
+
+def _message_to_float32(
+    x_m: float, y_m: float, heading_rad: float, speed: float, turn_rate: float
+) -> tuple[float, float, float, float, float]:
+    x_m, y_m, heading_rad = _pose_to_float32(x_m, y_m, heading_rad)
+    return x_m, y_m, heading_rad, _to_float32(speed), _to_float32(turn_rate)
+
+
+def _begin_row(rows: Any, new: Any, number: int) -> Any:
+    rows[number] = new
+    return rows[number]
+
+
+def _square(value: float) -> tuple[float, float]:
+    """Return a square as a sum of two doubles, exactly (Dekker's product)."""
+    product = value * value
+    large = _SPLIT * value
+    high = large - (large - value)
+    low = value - high
+    return product, ((high * high - product) + 2.0 * high * low) + low * low
+
+
+def _find_hypot(x: float, y: float) -> float:
+    """Return the nearest double to the hypotenuse, as CPython does.
+
+    One step of Newton from the root of the rounded squares, with what is left of them exactly.
+    """
+    large, small = abs(x), abs(y)
+    if large < small:
+        large, small = small, large
+    if small == 0.0 or not math.isfinite(large):
+        return large
+    # By a power of two, which changes no digit: no square overflows or loses digits.
+    scale = 1.0
+    if not _TINY_M < large < _HUGE_M:
+        scale = math.ldexp(1.0, -max(math.frexp(large)[1], -1000))
+    large, small = large * scale, small * scale
+    square, rest = _square(large)
+    other, other_rest = _square(small)
+    root = math.sqrt(square + other)
+    root_square, root_rest = _square(root)
+    total = square + other
+    lost = other - (total - square)
+    left = (total - root_square) + (lost + (rest + other_rest - root_rest))
+    return (root + left / (2.0 * root)) / scale
+
+
+_TWINS: Final[Mapping[Callable[..., Any], Callable[..., Any]]] = MappingProxyType(
+    {
+        arithmetic.hypot: _find_hypot,
+        arithmetic.fmod: _fmod,
+        arithmetic.floor: _floor,
+        arithmetic.ceil: _ceil,
+        arithmetic.nearest: _nearest,
+        arithmetic.nearest_int: _nearest_int,
+        arithmetic.to_float32: _to_float32,
+        arithmetic.pose_to_float32: _pose_to_float32,
+        arithmetic.message_to_float32: _message_to_float32,
+        arithmetic.begin_row: _begin_row,
+        angles.wrap_angle: arithmetic.wrap_angle,
+    }
+)
+"""What compiled code calls in place of a function."""

@@ -18,10 +18,10 @@ from turtlelog.plants.kinds import PLANTS
 from turtlelog.run import CUT_SHORT
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
+from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled_loop import find_kinds
 from turtlelog.simulate.compiled_run import build_tables
 from turtlelog.simulate.many import find_loop
-from turtlelog.simulate.scenario_law import is_built_in
 from turtlelog.simulate.settings import bound_rows, build_settings
 from turtlelog.simulate.streams import list_streams
 from turtlelog.simulate.twins import as_record

@@ -1,4 +1,8 @@
-"""Gains to begin with: exact ones for a wanted overshoot or phase margin, and published rules."""
+"""Gains to begin with: exact ones for a wanted overshoot or phase margin, and published rules.
+
+The published rules are written for continuous time. T / 2 of the hold counts as dead time, as
+Skogestad (2003) proposes. Each returns gains, or the reason why it does not apply.
+"""
 
 import math
 from collections.abc import Callable
@@ -9,7 +13,6 @@ from typing import Final
 from turtlelog.errors import TheoryError
 from turtlelog.theory import exact_gains as exact
 from turtlelog.theory.exact_gains import LoopDesign
-from turtlelog.theory.gain_rules import RULES
 from turtlelog.theory.inputs import require_not_negative, require_period, require_positive
 from turtlelog.theory.pid_response import StepMotion
 from turtlelog.theory.pid_stability import Margins, PidGains
@@ -23,7 +26,7 @@ PHASE_MARGIN_RAD: Final = math.pi / 3.0
 """Unless asked otherwise: 60 deg, the cautious end of the usual 45 to 60 deg, for dead time and
 time constant of a robot are known to some ten percent."""
 
-EXACT: Final = "exact, of the sampled loop"
+_EXACT: Final = "exact, of the sampled loop"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,20 +87,20 @@ def recommend_gains(
     if overshoot_percent is not None:
         percent = _require_overshoot(overshoot_percent)
         rules += [
-            ("overshoot", "P", EXACT, partial(exact.find_p_of_overshoot, design, percent)),
-            ("overshoot", "PI", EXACT, partial(exact.find_pi_of_overshoot, design, percent)),
+            ("overshoot", "P", _EXACT, partial(exact.find_p_of_overshoot, design, percent)),
+            ("overshoot", "PI", _EXACT, partial(exact.find_pi_of_overshoot, design, percent)),
             (
-                *("overshoot", "PD", EXACT),
+                *("overshoot", "PD", _EXACT),
                 partial(exact.find_pd_of_overshoot, design, percent, margin_rad),
             ),
         ]
     if phase_margin_rad is not None:
         rules += [
-            ("phase-margin", "P", EXACT, partial(exact.find_p_of_margin, design, margin_rad)),
-            ("phase-margin", "PI", EXACT, partial(exact.find_pi_of_margin, design, margin_rad)),
-            ("phase-margin", "PD", EXACT, partial(exact.find_pd_of_margin, design, margin_rad)),
+            ("phase-margin", "P", _EXACT, partial(exact.find_p_of_margin, design, margin_rad)),
+            ("phase-margin", "PI", _EXACT, partial(exact.find_pi_of_margin, design, margin_rad)),
+            ("phase-margin", "PD", _EXACT, partial(exact.find_pd_of_margin, design, margin_rad)),
         ]
-    rules += [(*names, partial(compute, design)) for names, compute in RULES]
+    rules += [(*names, partial(compute, design)) for names, compute in _RULES]
     return tuple(_judge(design, *rule) for rule in rules)
 
 
@@ -203,3 +206,72 @@ def _require_margin(margin_rad: float | None) -> float:
     if not margin_rad < math.pi:
         raise TheoryError(f"phase_margin_rad: expected less than pi, found {margin_rad!r}")
     return margin_rad
+
+
+_SKOGESTAD: Final = (
+    "S. Skogestad, Simple analytic rules for model reduction and PID controller tuning, Journal of"
+    " Process Control 13 (2003) 291-309: tight control, tau_c = theta"
+)
+_ZIEGLER_NICHOLS: Final = (
+    "J. G. Ziegler and N. B. Nichols, Optimum settings for automatic controllers, Transactions of"
+    " the ASME 64 (1942) 759-768: half of the gain at which the loop oscillates without end"
+)
+
+_INTEGRAL: Final = 8.0
+"""SIMC's tau_I = 4 (tau_c + theta) in theta, for tau_c = theta."""
+
+Rule = Callable[[LoopDesign], PidGains | str]
+
+
+def _compute_simc_p(design: LoopDesign) -> PidGains:
+    """Return SIMC without its integral: Kp = 1 / (K (tau_c + theta)), tau_c = theta.
+
+    The half rule makes dead time of half the largest lag and of all of the other.
+    """
+    theta_s, _ = _reduce(design, kept=0)
+    return PidGains(kp=0.5 / (design.process.gain * theta_s))
+
+
+def _compute_simc_pi(design: LoopDesign) -> PidGains:
+    """Return SIMC for an integrator with dead time: its Kp, and tau_I = 4 (tau_c + theta)."""
+    kp = _compute_simc_p(design).kp
+    theta_s, _ = _reduce(design, kept=0)
+    return PidGains(kp=kp, ki=kp / (_INTEGRAL * theta_s))
+
+
+def _compute_simc_pd(design: LoopDesign) -> PidGains | str:
+    """Return SIMC for an integrator with lag and dead time, without its integral: tau_D = the lag.
+
+    The larger of two lags is kept. Half of the other adds to it, half to the dead time. The paper
+    asks for a derivative only where the lag exceeds the dead time.
+    """
+    theta_s, lag_s = _reduce(design, kept=1)
+    if lag_s <= theta_s:
+        found = f"{1e3 * lag_s:.4g} ms of lag and {1e3 * theta_s:.4g} ms of dead time with the hold"
+        return f"the rule takes a derivative where the lag exceeds the dead time; here are {found}"
+    kp = 0.5 / (design.process.gain * theta_s)
+    return PidGains(kp=kp, kd=kp * lag_s)
+
+
+def _compute_ziegler_nichols_p(design: LoopDesign) -> PidGains:
+    """Return half of the ultimate gain, so that the gain margin is 2."""
+    return PidGains(kp=0.5 * design.find_ultimate_gain())
+
+
+def _reduce(design: LoopDesign, *, kept: int) -> tuple[float, float]:
+    """Return dead time theta and the lag that is kept [s], 0 where none is, by the half rule."""
+    process = design.process
+    lags = sorted((process.lag_s, process.low_pass_s), reverse=True)
+    left = [*lags[:kept], 0.0][0]
+    half = 0.5 * lags[kept]
+    theta_s = process.dead_time_s + 0.5 * design.period_s + half + sum(lags[kept + 1 :])
+    return theta_s, left + half if kept else 0.0
+
+
+_RULES: Final[tuple[tuple[tuple[str, str, str], Rule], ...]] = (
+    (("simc", "P", _SKOGESTAD), _compute_simc_p),
+    (("simc", "PI", _SKOGESTAD), _compute_simc_pi),
+    (("simc", "PD", _SKOGESTAD), _compute_simc_pd),
+    (("ziegler-nichols", "P", _ZIEGLER_NICHOLS), _compute_ziegler_nichols_p),
+)
+"""Name, controller, source and function of each."""

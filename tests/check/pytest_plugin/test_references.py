@@ -111,6 +111,22 @@ def test_a_failure_says_why_the_recording_differs_from_its_reference(
         assert (more in text) is is_told
 
 
+@pytest.mark.parametrize("words", [(), ("--turtlelog-no-why",)])
+def test_an_accepted_file_of_metrics_says_why_another_recording_fails(
+    suite: pytest.Pytester, words: tuple[str, ...]
+) -> None:
+    """Takes some 3 s: pytest runs twice, and an accepted scenario is simulated."""
+    body = "def test_it(recording, reference):\n    assert recording.matches(reference)\n"
+    options = ("-o", "turtlelog_reference=good.json")
+    run(suite, body, *options, "--turtlelog-accept", marker='"runs/kp4.mcap"')
+    report = suite.path / "report.xml"
+    result = run(suite, body, *options, f"--junitxml={report}", *words, marker='"runs/kp10.mcap"')
+    result.assert_outcomes(failed=1)
+    for text in (" ".join(result.stdout.str().split()), " ".join(report.read_text().split())):
+        assert ("final.position_error rose from 0.0085 m to 0.1067 m" in text) is (not words)
+        assert ("The scenario in good.json, simulated again, has the " in text) is (not words)
+
+
 BAD = {
     "empty": ("{}", "*LogError: good.json: data: expected a JSON object*"),
     "none": ('{"metrics": []}', "*metrics: must not be empty"),

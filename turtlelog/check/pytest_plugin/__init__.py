@@ -11,18 +11,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import pytest
 
-from turtlelog.check.pytest_plugin.choosing import (
-    choose_recordings,
-    find_reference,
-    find_stem,
-    name_recordings,
-)
 from turtlelog.check.pytest_plugin.session import (
     SESSION,
     SUMMARY,
     Session,
     SessionSummary,
+    choose_recordings,
     end_at_test,
+    find_reference,
+    find_stem,
+    name_recordings,
 )
 
 if TYPE_CHECKING:

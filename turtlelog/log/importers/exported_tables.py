@@ -87,7 +87,7 @@ def holds_tables(path: Path) -> bool:
 
 
 def import_tables(path: str | Path) -> Run:
-    """Return the run in tables that were written as CSV or Parquet: a folder of them, or its poses.
+    """Return the run from exported CSV or Parquet tables: a folder, or the table of poses.
 
     CSV does not hold the scenario, the goal, the loops of the law and the stop reason.
 
@@ -334,6 +334,7 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
             Event(time_ns=int(time_ns), kind=kind, text=text)
             for time_ns, kind, text in zip(*events.values(), strict=True)
         ),
+        simulated_by=_parse_fact(facts, "simulated_by", dict[str, str] | None) or {},
         absent=tuple(absent),
     )
 

@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
@@ -78,6 +78,7 @@ class Head:
         declaration: As in `Run`; None in format 1.
         notes: As in `Run`.
         clock: As in `Run`.
+        simulated_by: As in `Run`.
     """
 
     format_version: int
@@ -91,6 +92,7 @@ class Head:
     declaration: Declaration | None
     notes: Mapping[str, str]
     clock: Clock | None = None
+    simulated_by: Mapping[str, str] = field(default_factory=dict)
 
 
 def describe_run(run: "Run") -> Head:
@@ -106,6 +108,7 @@ def describe_run(run: "Run") -> Head:
         more_topics=frozenset(_list_more_topics(run)),
         declaration=run.declaration,
         clock=run.clock,
+        simulated_by=run.simulated_by,
         notes={name: text for name, text in run.notes.items() if name != CHOSEN},
     )
 
@@ -120,6 +123,8 @@ def describe_scenario(
     notes: Mapping[str, str],
 ) -> Head:
     """Return the head of a recording of a scenario that runs, or has run."""
+    from turtlelog.simulate import find_software  # only what records loads laws
+
     return Head(
         format_version=_FORMAT_VERSION,
         source="simulation",
@@ -130,6 +135,7 @@ def describe_scenario(
         nan_columns=frozenset(nan_columns),
         more_topics=frozenset(more_topics),
         declaration=declaration,
+        simulated_by=find_software(scenario.law.kind),
         notes=notes,
     )
 
@@ -159,6 +165,8 @@ def format_head(head: Head) -> dict[str, str]:
         record["more_topics"] = _encode(sorted(head.more_topics))
     if head.clock is not None:
         record["clock"] = _encode(head.clock)
+    if head.simulated_by:
+        record["simulated_by"] = _encode(dict(head.simulated_by))
     if head.stop_reason is not None:
         record["stop_reason"] = head.stop_reason
     if head.goal_heading_rad is not None:
@@ -197,6 +205,9 @@ def parse_head(record: Mapping[str, str]) -> Head:
         declaration=None if version == 1 else _parse_declaration(record),
         notes=_decode(record, "notes", dict[str, str]),
         clock=_decode(record, "clock", Clock) if "clock" in record else None,
+        simulated_by=_decode(record, "simulated_by", dict[str, str])
+        if "simulated_by" in record
+        else {},
     )
 
 

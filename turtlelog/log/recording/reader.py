@@ -280,6 +280,7 @@ def build_run(contents: Contents) -> Run:
         clock=head.clock,
         stop_reason=head.stop_reason,
         events=events,
+        simulated_by=head.simulated_by,
         absent=head.absent,
         notes={**head.notes, **contents.recovered},
     )

@@ -36,7 +36,7 @@ a satellite receiver tells no heading."""
 
 POSE_TYPES: Final = tuple(_TIERS)
 _POSES_IN_SHORT: Final = (
-    "turtlesim's, Odometry, a Pose with or without stamp, a Pose2D, transforms on /tf, or NavSatFix"
+    "turtlesim/msg/Pose, Odometry, Pose with or without stamp, Pose2D, /tf, and NavSatFix"
 )
 TWIST_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 ACKERMANN_TYPES: Final = (
@@ -224,7 +224,7 @@ def choose_path_topics(
     reference.
 
     Raises:
-        LogError: Where the one that was asked for is not there, or of another type.
+        LogError: If the requested topic does not exist, or has another type.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -284,7 +284,7 @@ def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) 
     unread = [topic for topic in held if topic not in present]
     if reasons := _join_reasons([topic for topic in unread if _is_of_a_run(topic)]):
         return reasons, True
-    found = f"expected poses ({_POSES_IN_SHORT}), found {_describe(held)}"
+    found = f"no poses; it contains {_describe(held)}; poses are read from {_POSES_IN_SHORT}"
     has_joints = any(topic.type == JOINTS for topic in present)
     parts = [found, NEEDS_WHEELS if has_joints else "", _join_reasons(unread)]
     return "; ".join(filter(None, parts)), False

@@ -15,7 +15,12 @@ from turtlelog.measure.reductions import (
 from turtlelog.measure.registry import curve_metric, has_sides, has_step
 from turtlelog.measure.response import Response
 from turtlelog.measure.step_response import (
+    PASSING,
+    RESTS,
     SHORTEST_HOLD_S,
+    SLOW,
+    TURN_RAD,
+    UNKNOWN,
     compute_rms,
     find_decay_ratio,
     find_level_time,
@@ -27,8 +32,8 @@ from turtlelog.measure.step_response import (
     find_undershoot,
     integrate_square,
     integrate_time_weighted,
+    judge_swings,
 )
-from turtlelog.measure.swings import PASSING, RESTS, SLOW, TURN_RAD, UNKNOWN, judge_swings
 
 _NEVER_HALF: Final = add_reason(Status.NOT_REACHED, "the response never reaches 50 % of the step")
 _NEVER_NEAR: Final = add_reason(Status.NOT_REACHED, "the response never reaches 90 % of the step")

@@ -67,7 +67,7 @@ class KeyRange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Neighbourhood:
-    """How far the keys can go, each alone.
+    """How far each key can move while the others stay.
 
     Attributes:
         slack: By how much the objective may become worse.
