@@ -61,8 +61,8 @@ def load_spec(path: str | Path, *, reference: str | Path | None = None) -> Spec:
     """Return the specification in a TOML file; one of tolerances alone is one, too.
 
     Args:
-        path: The file. Its `reference` is looked for beside it.
-        reference: Takes the place of the file's own.
+        path: The file. A relative `reference` is searched in the folder of the specification.
+        reference: Reference to use instead of the one that the file names.
 
     Raises:
         CheckError: If a key or value is wrong or nothing is to be checked.

@@ -47,8 +47,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "tune": (
             "[SCENARIO]",
-            "Look for the values of a scenario's keys that are best, and say how far they can be"
-            " trusted.",
+            "Search the best values of a scenario's keys, and show how far each can move.",
         ),
         "theory": (
             "",
@@ -62,11 +61,11 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "metrics": (
             "FILE...",
-            "Measure recordings: where each ends, and how its loops answer.",
+            "Measure recordings: where each run ends, and how its loops respond.",
         ),
         "compare": (
             "FILE...",
-            "Compare runs: which is best at what. With --reference: how far each is from it.",
+            "Compare runs: which is best at what. With --reference: how much each differs.",
         ),
         "explain": (
             "FILE",

@@ -38,11 +38,11 @@ class FirstSpecOptions:
     """Other things to ask for.
 
     Attributes:
-        expect: Hold recordings to this formula instead of a specification; may be repeated.
-        init: Write a first specification from this good run; see -o.
-        output: The .toml file that --init writes. Default: print it. Without --init the
-            .parquet table of verdicts: files that have not changed since it was written, and are
-            held to the same specification, are not read again.
+        expect: Check this formula instead of a specification. Can be repeated.
+        init: Write a first specification from this good run, to the file of -o.
+        output: With --init: the .toml file to write (default: print it). Otherwise: a .parquet
+            table of verdicts. Files that did not change since the table was written with the same
+            specification are not read again.
         schema: Print the JSON Schema of specification files, for editors.
     """
 
@@ -64,13 +64,12 @@ def check(
 ) -> int:
     """Check recordings against a specification: bounds, temporal-logic formulas, tolerances.
 
-    The exit code is 0 where nothing fails, 1 where a check fails or cannot be
-    decided, and 2 where the specification or its reference cannot be read. A
-    metric without a value fails; so does a recording that cannot be read;
-    incomplete recordings fail unless --partial is given.
+    The exit code is 0 if all checks pass, 1 if a check fails or cannot be decided, and 2 if the
+    specification or its reference cannot be read. A metric without a value fails. A recording that
+    cannot be read fails, and an incomplete recording fails unless --partial is given.
 
-    The first line is the verdict. Below it stand the checks that fail; with --all every check of
-    every recording.
+    The first line is the verdict. The checks that fail follow; with --all, every check of every
+    recording.
 
     Example: turtlelog check --init good.mcap -o spec.toml
 
@@ -84,8 +83,8 @@ def check(
 
     Args:
         words: A specification (.toml) and recordings; with --expect, recordings alone.
-        reference: Take tolerances from this recording, not from the file's own; also the trajectory
-            that ate.* and rpe.* in --expect are measured beside.
+        reference: Reference recording, instead of the one in SPEC; also the reference trajectory of
+            ate.* and rpe.* in --expect.
     """
     kind = (formats or FormatOptions()).choose()
     reports, first = reports or ReportOptions(), first or FirstSpecOptions()

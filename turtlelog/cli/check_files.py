@@ -45,13 +45,14 @@ class ReportOptions(WorkOptions):
     """What to write beside the answer, and where to find it.
 
     Attributes:
-        junit: Write JUnit XML, every metric a property, to this .xml file.
-        artifacts: Put a Rerun view, a picture and the cut recording of what fails into this folder.
-        report: Write a report on the recordings and their checks to this .html file. It needs all
-            that is read, which one process then reads.
+        junit: Write JUnit XML to this .xml file, with each metric as a property.
+        artifacts: Write a Rerun view, a picture and a shortened recording of each failure to this
+            folder.
+        report: Write a report on the recordings and their checks to this .html file. One process
+            reads all recordings then.
         all_: Print the checks that pass, too.
-        no_why: Do not explain recordings that fail. Default: with a reference, the first three that
-            fail are explained, each within 10 s: why they differ from it.
+        no_why: Do not explain failures. Default: with a reference, the first three failing
+            recordings are explained by their difference from the reference, each within 10 s.
         marks: Print one line for each recording: its verdict, and how many of its checks pass.
     """
 

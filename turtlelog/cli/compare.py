@@ -62,13 +62,13 @@ class ReferenceOptions(WhyOptions):
     """The reference, and how to compare with it. `turtlelog check` gives verdicts.
 
     Attributes:
-        reference: The run that differences are taken from.
+        reference: Run with which the others are compared.
         align: Common time zero: first_sample, phase:NAME (the start of a phase), recorded (times as
             they are), sample (samples by their number). Default: first_sample. With --ate or --rpe
             the transformation that is fitted: se3, se2, sim3, sim2 (with scale), origin, none.
-        jobs: Number of processes. Default: one per core if that is faster; 1 with --rrd or the
-            scenario of a robot.
-        details: Beside a reference: show the signals of several runs, too.
+        jobs: Number of processes. Default: one per core if that is faster; 1 with --rrd or with a
+            robot's scenario.
+        details: With --reference: also show the signals of several runs.
     """
 
     reference: Place | None = None
@@ -86,12 +86,12 @@ class ChoiceOptions:
 
     Attributes:
         metric: Columns, separated by commas: metrics, patterns (translate.*), parameters.
-        sort: Metric or parameter to sort by, name, or Kp as the column is called. A minus before it
-            sorts in falling order. Example: -run.duration. Default: rising gain.
+        sort: Metric, parameter or column (name, Kp) to sort by. A minus sign sorts in falling
+            order. Example: -run.duration. Default: rising gain.
         where: Condition for the runs. Example: "law.kp_linear >= 2 and run.duration < 20".
-        varied: Keys that were varied on purpose, separated by commas, for example limits.speed_m_s;
-            or goal, path, start, plant or limits. If another of these differs, no run is called
-            the best. Gains are always on purpose.
+        varied: Keys that were varied on purpose, separated by commas: limits.speed_m_s, or a group
+            such as goal, path, start, plant or limits. If another group differs, no run is called
+            the best. Gains may always differ.
     """
 
     metric: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
@@ -117,9 +117,8 @@ class DrawingOptions:
     """Pictures of what is compared.
 
     Attributes:
-        plot: Draw paths, errors and rates of a robot and its scenario, with --why the
-            contributions, or with --ate trajectories and their errors, into this .pdf, .png or
-            .svg file.
+        plot: Write a figure to this .pdf, .png or .svg file: paths, errors and rates of a robot and
+            its scenario; with --why the contributions; with --ate trajectories and their errors.
         rrd: Write all runs, or a recorded robot beside a simulated one, into one Rerun recording.
     """
 
@@ -137,22 +136,22 @@ def compare(
     pictures: DrawingOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> int:
-    """Compare runs: which is best at what. With --reference: how far each is from it.
+    """Compare runs: which is best at what. With --reference: how much each differs.
 
-    With --why: why a metric of the second run is another one than that of the first. The settings
-    in which their scenarios differ are exchanged in every combination, and the difference of the
-    metric is divided among them: contributions are Shapley values. Without a recorded scenario that
-    reproduces a run, an identified scenario stands for it. If no setting differs, the answer is the
-    first sample at which the runs depart.
+    With --why: why a metric of the second run differs from the first run. The settings in which
+    their scenarios differ are exchanged in every combination, and the difference of the metric is
+    divided among them by Shapley values. If no recorded scenario reproduces a run, an identified
+    scenario is used. If no setting differs, the answer is the first sample at which the runs
+    depart.
 
-    If the scenario of a robot is among the files (its plant is lagged), each recorded robot is
-    compared with the simulated one, driven with the recorded commands. The answer is the error of
-    the pose 1 s and 5 s after both were equal, and how many errors lie within the central 95 % of
-    simulated ones, over 39 seeds of its noise.
+    If one file is the scenario of a robot (its plant is lagged), each recorded robot is compared
+    with the simulated robot, which gets the recorded commands. The answer is the error of the
+    simulated pose 1 s and 5 s after both poses were equal. It also counts how many errors lie
+    within the central 95 % of the errors that 39 seeds of the robot's noise give.
 
-    With --ate or --rpe files are trajectories: those of TUM, KITTI and EuRoC, or anything that is
-    read as a run, FILE:TOPIC for a topic of a bag. The answer is the absolute trajectory error of
-    each after alignment to the reference, and the relative pose error over a length.
+    With --ate or --rpe, files are trajectories: in TUM, KITTI or EuRoC format, or any recording or
+    bag (FILE:TOPIC for one topic of a bag). The answer is the absolute trajectory error of each
+    trajectory after alignment to the reference, and the relative pose error over a length.
 
     Without a reference, files that cannot be read are reported on stderr. The others are compared
     if there are two or more, and the exit code is 2.

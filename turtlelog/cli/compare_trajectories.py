@@ -42,16 +42,15 @@ class TrajectoryOptions:
 
     Attributes:
         ate: Absolute trajectory error: positions and rotations after alignment to the reference.
-        rpe: Relative pose error over this length of the reference, as in 1m, 30deg, 0.5s or
-            10frames; may be repeated.
-        all_pairs: Begin a relative motion at every pose. Default: where the last one ended.
-        associate: Poses of one moment: the nearest in time, or with linear the trajectory with more
-            poses interpolated at the times of the other. Default: nearest.
-        max_difference: Largest difference in time between poses that belong together. Default:
-            0.01. Unit: s.
-        time_offset: Time added to the times of the files beside the reference, or start, which
-            brings the first poses together. Default: 0. Unit: s.
-        times: File with a time for each pose of KITTI trajectories, one a line. Unit: s.
+        rpe: Relative pose error over this length of the reference. Examples: 1m, 30deg, 0.5s,
+            10frames. Can be repeated.
+        all_pairs: Begin a relative motion at every pose. Default: at the end of the one before.
+        associate: How to pair poses: nearest in time, or linear, which interpolates the trajectory
+            that has more poses at the times of the other. Default: nearest.
+        max_difference: Largest difference in time between two paired poses. Default: 0.01. Unit: s.
+        time_offset: Time to add to all files but the reference; start aligns the first poses.
+            Default: 0. Unit: s.
+        times: File with the time of each pose of a KITTI trajectory, one per line. Unit: s.
     """
 
     ate: bool = False

@@ -59,10 +59,10 @@ class WhyOptions:
     """Why two runs differ.
 
     Attributes:
-        why: Explain why a metric differs between two runs, for example --why run.duration. Default:
+        why: Explain why this metric differs between two runs. Example: --why run.duration. Default:
             the final position error, or without a goal the error of the last loop.
-        first: With --why: explain the first recording, by name, that meets this condition, beside
-            the recording before it. Example: "final.position_error > 0.01".
+        first: With --why: explain the first recording, by name, that meets this condition, compared
+            with the recording before. Example: "final.position_error > 0.01".
         trust_law: With --why: run the code of the laws that the recordings name.
     """
 

@@ -49,14 +49,14 @@ class TableOptions:
     """Which tables, and how a log is read.
 
     Attributes:
-        to: What to write where the name of OUT does not say it: into a folder a ROS 2 bag (the
-            usual) or a file per table; tum writes a trajectory, whatever the file is called.
+        to: Format, if the name of OUT does not tell: for a folder rosbag2 (default) or one file per
+            table (csv, parquet); tum writes a trajectory under any name.
         table: Table to write. Default: the poses to a file, all tables to a folder.
-        sort: Sort the rows of a paper's log by time and drop exact duplicates, and count both,
-            instead of refusing them.
+        sort: Sort the rows of a paper's log by time, drop exact duplicates, and report how many.
+            Default: reject such a log.
         own_topics: Leave /odom, /tf and /path out of a recording or bag.
-        recover: Copy every message that a damaged or unfinished recording still holds into a
-            complete .mcap, or a bag into a new folder.
+        recover: Copy every message that can still be read of a damaged or unfinished recording to a
+            complete .mcap file, or of a bag to a new folder.
     """
 
     to: Annotated[
@@ -98,16 +98,16 @@ def convert(
 ) -> None:
     """Convert a recording, bag, log or table: to .mcap, .csv, .parquet, .tum, or a ROS 2 folder.
 
-    The suffix of OUT chooses the output: .mcap a recording, .csv and .parquet one table of the
-    run, .tum its poses as a trajectory for evo. A name without a suffix is a new folder, for ROS 2
-    or for one file per table. Every file is read back and compared before the command answers. A
-    file replaces an existing one, a folder has to be new.
+    The suffix of OUT chooses the format: .mcap for a recording, .csv and .parquet for one table of
+    the run, .tum for its poses as a trajectory. A name without a suffix is a new folder, for a ROS
+    2 bag or for one file per table. Every file is read back and compared. A file replaces an
+    existing file; a folder must be new.
 
-    A recording and a bag also have the poses as /odom, /tf and /path, for Rerun, RViz and evo.
+    A recording and a bag also contain the poses as /odom, /tf and /path, for Rerun, RViz and evo.
     turtlelog ignores these topics in its own files.
 
-    The answer lists as absent all that the source lacks. A recording, a bag and a folder of Parquet
-    files contain the whole run. CSV contains its rows, without scenario, goal and loops.
+    The answer lists what the source lacks. A recording, a bag and a folder of Parquet files contain
+    the whole run. CSV contains its rows, without scenario, goal and loops.
 
     Example: turtlelog convert kp1_210.json -o kp1.mcap
 
@@ -119,7 +119,7 @@ def convert(
         file: A recording (.mcap), a ROS 2 bag, one of the paper's logs (.json, .csv), tables that
             convert wrote, a table with a header (.csv, .tsv, .txt, .parquet), or a trajectory
             (.tum, .txt).
-        output: What to write; may stand several times.
+        output: File or folder to write. Can be repeated.
         json: Print one JSON object instead of lines.
     """
     require_there([file])

@@ -41,7 +41,7 @@ class ExplainOptions:
     """Files to write, which code may run, and in how many processes.
 
     Attributes:
-        details: Print every cause, and every setting with its evidence, too.
+        details: Also print every cause, and every setting with its evidence.
         scenario: Write the identified scenario to this .toml file.
         rrd: Write a Rerun recording of the run, of its simulations without the effects, and of the
             contributions.
@@ -74,16 +74,16 @@ def explain(
 
     Then it simulates that scenario without its effects, in every combination, and divides the
     metric among them. Contributions are Shapley values: their sum is the metric with all effects
-    less the metric without them. They are given if the re-simulation agrees with the log. Effects
-    are what an implementation adds, such as queue, delay, jitter, loss, noise or pause. Design
-    parameters, such as saturation, sampling or tolerance, are each taken out alone.
+    minus the metric without them. They are shown if the re-simulation agrees with the log. Effects
+    come from the implementation, such as queue, delay, jitter, loss, noise or pause. Design
+    parameters, such as saturation, sampling or tolerance, are removed one at a time.
 
     Parameters are identified for sequential-p. The recording of another law is explained by the
     scenario that it contains, if that reproduces every sample. That runs the code that the
     recording names, and needs --trust-law unless the law is built in.
 
-    Most third-party bags contain no samples. For these the answer shows what poses and commands
-    tell: rates, jumps, gaps, the largest commands, and for turtlesim the dead time of its commands.
+    Most third-party bags contain no samples. For these bags the answer shows rates, jumps, gaps,
+    the largest commands, and for turtlesim the dead time of its commands.
 
     If an effect is random, contributions are means over 32 seeds with standard errors.
 
@@ -94,9 +94,9 @@ def explain(
             paper's logs (.json, .csv).
         metric: Metric to explain, by its id (turtlelog list metrics). Default: the final position
             error, or without a goal the error of the last loop.
-        causes: Effects and design parameters to divide the metric among, separated by commas
-            (turtlelog list causes). Default: every effect that is in the run, at most the six
-            that change the metric most.
+        causes: Effects and design parameters among which the metric is divided, separated by commas
+            (turtlelog list causes). Default: every effect of the run, at most the six that change
+            the metric most.
         json: Print one JSON object.
     """
     require_there([file])

@@ -27,7 +27,8 @@ class WrittenOptions:
     Attributes:
         plot: Draw command, motion, model and residual into this .pdf, .png or .svg file.
         rrd: Write the same as a Rerun recording (.rrd).
-        scenario: Write the robot as a scenario to this .toml file, to be simulated and given gains.
+        scenario: Write the robot as a scenario to this .toml file, which `run` simulates and
+            `theory` recommends gains for.
     """
 
     plot: Place | None = None
@@ -46,16 +47,17 @@ def identify(
 ) -> int:
     """Identify how a robot follows its commands: gain, dead time, time constant of each axis.
 
-    Any log with commands and poses will do: a bag of a real robot, or a recording. Each step
-    between two poses is compared with the response to the commands, which hold until the next one:
-    rate = gain exp(-dead_time s) / (lag s + 1). Intervals contain the true value for 95 of 100
-    robots. A second lag, a limit of acceleration or speed, a deadband, friction or another gain
-    backwards must change a rate by 2 % and predict a part of the log that was held back better.
-    If no model explains the motion, intervals are wider and a doubt is named. If a parameter
-    cannot be identified, the output gives the reason and suggests a test drive. Several files of
-    one robot are fitted together, and differences between them are listed.
+    Any log with commands and poses can be used: a bag of a real robot, or a recording. Each step
+    between two poses is compared with the model's response to the commands (zero-order hold): rate
+    = gain exp(-dead_time s) / (lag s + 1). Intervals contain the true value for 95 of 100 robots.
+    Further models have a second time constant, a limit of acceleration or speed, a deadband,
+    friction or a different gain backwards. They are accepted only if they change a rate by 2 % and
+    predict a held-back part of the log better. If no model explains the motion, intervals are wider
+    and the output contains a doubt. If a parameter cannot be identified, the output gives the
+    reason and suggests a test drive. Several files of one robot are fitted together, and
+    differences between them are listed.
 
-    Turtlesim needs no fit: each of its poses shows which command its tick took.
+    Turtlesim needs no fit: each pose shows which command was applied in its tick.
 
     The exit code is 1 if no axis can be identified.
 
@@ -63,18 +65,17 @@ def identify(
 
     Example: turtlelog identify robot_bag --scenario robot.toml
 
-    With --scenario the robot becomes a scenario whose plant is `lagged`: `run` simulates it,
-    `theory` recommends gains, `compare` compares it with a bag. Comments in the file, and sentences
-    of the answer, give the source of each number. An axis that is commanded and not identifiable is
-    refused.
+    --scenario writes the robot as a scenario with the plant `lagged`: `run` simulates it, `theory`
+    recommends gains, `compare` compares it with a bag. Comments in the file give the source of each
+    number. The file is not written if an axis has commands but cannot be identified.
 
     Delays are between the times of commands and those of poses. If poses are timed by their stamps,
     the transport of the fastest message remains in the delays.
 
     Args:
         files: Bags, recordings or logs of one robot.
-        details: Print the delays at which commands and motion correlate best, and the source of
-            each number of the scenario.
+        details: Also print the delays at which commands and motion correlate best, and the source
+            of each number of the scenario.
         json: Print one JSON object instead of text.
     """
     written = written or WrittenOptions()

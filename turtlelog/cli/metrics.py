@@ -117,13 +117,13 @@ def metrics(
     formats: FormatOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> int:
-    """Measure recordings: where each ends, and how its loops answer.
+    """Measure recordings: where each run ends, and how its loops respond.
 
-    One run has its loops side by side. Several runs have a row each, in order of the gains.
-    A cell without a value shows a status, and the reason is below the table. With --all or --metric
-    metrics have their ids, and up to six runs are side by side. JSON and CSV have every metric,
-    file by file in the order given. A file that cannot be read is reported on stderr; the others
-    are measured, and the exit code is 2.
+    For one run, its loops are side by side. For several runs, each has a row, in order of their
+    gains. A cell without a value shows a status, and the reason is below the table. With --all or
+    --metric, metrics are listed by their ids, up to six runs side by side. JSON and CSV contain
+    every metric of each file, in the order given. A file that cannot be read is reported on stderr;
+    the others are measured, and the exit code is 2.
 
     Example: turtlelog metrics kp1.mcap kp4.mcap
 

@@ -103,24 +103,24 @@ class TopicOptions:
     """What is read of bags and tables that turtlelog did not write, and damaged recordings.
 
     Attributes:
-        pose_topic: Poses; FILE:TOPIC says the same for one file. Otherwise types and names decide,
-            and a line on stderr says what is read.
+        pose_topic: Topic of the poses, or FILE:TOPIC to set it for one file. Default: chosen by
+            type and name, and named on stderr.
         robot: Name of one of several robots in a bag (/robot1/odom, /robot2/odom: robot1, robot2).
-        command_topic: Commands: Twist, TwistStamped, or Ackermann's with --wheelbase.
-        path_topic: The path to be followed: nav_msgs/Path.
-        pose_frame: The robot's frame, of poses from transforms (/tf).
+        command_topic: Topic of the commands: Twist, TwistStamped, or with --wheelbase Ackermann.
+        path_topic: Topic of the path to follow: nav_msgs/Path.
+        pose_frame: Frame of the robot, if poses come from transforms (/tf).
         world_frame: The frame in which poses from transforms are given.
-        time: What times poses: the recorder (log), their stamps mapped to its clock (stamp), or
-            the stamps where they are usable (auto).
-        wheel_joints: Take the poses from these joints of sensor_msgs/JointState, the wheels of a
-            differential drive, as in wheel_left_joint,wheel_right_joint.
-        wheels: Radius of these wheels and distance between them [m], as in 0.033,0.16.
-        wheelbase: Distance of the axles [m], with which Ackermann commands become turn rates.
-        column: The column of a table that holds t, x, y, heading or another quantity, as in
-            "heading=yaw [deg]"; may stand several times.
-        partial: Read what an unfinished or damaged recording still holds.
-        max_download: Longest file behind a URL that is fetched as a whole, which servers without
-            ranges need, as in 500MB. Default: 4GiB.
+        time: Source of the times of poses: the recorder's clock (log), stamps mapped to the
+            recorder's clock (stamp), or stamps if they are usable (auto).
+        wheel_joints: Compute poses from these two joints of sensor_msgs/JointState, the wheels of a
+            differential drive. Example: wheel_left_joint,wheel_right_joint.
+        wheels: Radius of these wheels and distance between them [m]. Example: 0.033,0.16.
+        wheelbase: Distance between the axles [m]. It turns Ackermann commands into turn rates.
+        column: Column of a table that contains the quantity NAME: t, x, y, heading or another one.
+            Example: "heading=yaw [deg]". Can be repeated.
+        partial: Read what an unfinished or damaged recording still contains.
+        max_download: Largest file to download whole from a URL whose server does not support range
+            requests. Example: 500MB. Default: 4GiB.
     """
 
     pose_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
@@ -165,8 +165,8 @@ class ReadingOptions(TopicOptions):
     """The same, and the goal of a robot whose file holds none.
 
     Attributes:
-        goal: The robot's goal [m], and the heading there [deg], as in 2,10 or 2,10,90. It replaces
-            the bag's own.
+        goal: The robot's goal [m], and the heading there [deg]. Examples: 2,10 and 2,10,90. This
+            goal replaces the goal in the bag.
     """
 
     goal: Annotated[str | None, Parameter(metavar="X,Y[,DEG]", allow_leading_hyphen=True)] = None
@@ -305,9 +305,9 @@ class WorkOptions:
     """Where work is done.
 
     Attributes:
-        jobs: Processes to work in; as many as cores where that is quicker.
-        scheduler: Work on the Dask cluster of this scheduler, as in tcp://host:8786, whose
-            workers find files at the same places.
+        jobs: Number of processes. Default: one per core if that is faster.
+        scheduler: Use the Dask cluster of this scheduler. Its workers must find the files at the
+            same paths. Example: tcp://host:8786.
     """
 
     jobs: Jobs = None

@@ -57,25 +57,27 @@ def replay(
 ) -> int:
     """Replay a recording and show where the result departs from it.
 
-    By default its scenario is simulated again in closed loop, with the changes of --set, and
-    compared tick by tick and sample by sample. --law gives a law the recorded poses and compares
-    its commands. --plant drives turtlesim, or the robot model of the recording, with the recorded
-    commands. Times count from the first sample, or from the first pose without samples. The
-    commands of a bag without poses drive turtlesim, or the robot model of --scenario.
+    By default, the recorded scenario is simulated again in closed loop, with the changes of --set,
+    and compared tick by tick and sample by sample. With --law, a law computes commands for the
+    recorded poses, and these are compared. With --plant, the recorded commands drive a simulated
+    turtlesim, or the robot model of the recording. Times count from the first sample, or from the
+    first pose without samples. The commands of a bag without poses drive turtlesim, or the robot
+    model of --scenario.
 
-    A law that is not built in is code. The code of --law FILE:Class, --set law.kind=FILE:Class and
-    of a scenario file given by name runs. The code of a law that only the recording names runs with
-    --trust-law and not otherwise.
+    A law of your own is code. The code of --law FILE:Class, --set law.kind=FILE:Class and of a
+    scenario file given by name runs. The code of a law that only the recording names runs only with
+    --trust-law.
 
     Example: turtlelog replay kp10.mcap --set loop.queue_policy=newest
 
-    Differences are an answer, not a failure: the exit code is 0. With --expect-equal the answer
-    ends with a verdict as that of `turtlelog check`, and the exit code is 1 if it is FAIL.
+    The exit code is 0 even if there are differences. With --expect-equal, the answer ends with a
+    verdict PASS or FAIL, and the exit code is 1 for FAIL.
 
     Args:
         file: A recording (.mcap), a ROS 2 bag of turtlesim or of commands alone, or a log of the
             paper.
-        output: Write the run of the closed loop, or the path of commands alone, to this .mcap file.
+        output: Write the run of the closed loop, or the path simulated from a bag of commands
+            alone, to this .mcap file.
         json: Print one JSON object instead of tables.
     """
     require_there([] if file is None else [file])

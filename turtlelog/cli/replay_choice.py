@@ -26,17 +26,18 @@ class ReplayOptions:
     """What to drive the recording through, and how to judge the result.
 
     Attributes:
-        plant: Drive the recorded commands through the plant.
+        plant: Simulate the plant with the recorded commands.
         details: Print every signal with its largest difference.
-        law: Let a law answer the recorded poses: the recorded one, or KIND, which is a built-in
-            kind, path.py:Class or package.module:Class.
-        scenario: A preset or scenario file in place of the recording's own; a log that knows a part
-            of its scenario keeps that.
-        tolerance: Largest difference that counts as none [m, rad, m/s, rad/s: as the signal].
+        law: Compute a law's commands for the recorded poses: the recorded law, or KIND, which is a
+            built-in kind, path.py:Class or package.module:Class.
+        scenario: Preset or scenario file to use instead of the recorded scenario. The part of a
+            scenario that a log contains is kept.
+        tolerance: Largest difference that counts as equal, in the signal's unit [m, rad, m/s,
+            rad/s].
         expect_equal: Exit with code 1 if there is a difference.
         trust_law: Run the code of the law that the recording names, if it is not built in.
-        step_budget_ms: End the replay if the law computes longer in one step, by the clock.
-            Default: 10000. Unit: ms. Built-in laws have no default.
+        step_budget_ms: End the replay if the law computes longer than this in one step (wall-clock
+            time). Default: 10000. Unit: ms. Without the option, built-in laws have no limit.
     """
 
     plant: bool = False

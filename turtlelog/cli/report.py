@@ -54,11 +54,11 @@ def report(
 ) -> int:
     """Write a report on runs as one file of HTML, which opens without a network.
 
-    It begins with what is known in a sentence: which run ends nearest to its goal, which check
-    fails, what caused the worst. Below: the plane with a slider over time, plots to zoom, tables,
+    It begins with the result in a sentence: which run ends nearest to its goal, which check fails,
+    what caused the worst. Then follow the plane with a slider over time, plots to zoom, tables,
     checks, and the files with their sha256.
 
-    The exit code is 1 where --spec is given and a check fails.
+    The exit code is 1 if a check of --spec fails.
 
     Example: turtlelog report kp1.mcap kp10.mcap -o report.html
 
@@ -67,9 +67,9 @@ def report(
     Args:
         files: Recordings (.mcap), ROS 2 bags, tables, or the paper's logs (.json, .csv).
         output: Write this .html file.
-        spec: Hold the runs to this specification (.toml).
-        explain: Say what caused the final error of a run alone (auto), of the run that ends
-            furthest from its goal (worst), or of none.
+        spec: Check the runs against this specification (.toml).
+        explain: Explain the final error: of a single run (auto), of the run that ends furthest from
+            its goal (worst), or of no run (none).
         json: Print one JSON object instead of lines.
     """
     require_files(files)

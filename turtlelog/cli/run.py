@@ -58,13 +58,13 @@ class LiveOptions:
 
     Attributes:
         watch: Run again when the file of the law or the scenario file is saved, and show what
-            changed. Ctrl-C, or closing the window of --live, ends it.
+            changed. Ctrl-C, or closing the window of --live, ends the command.
         realtime: Run at the speed of the wall clock.
         live: Show the run in a viewer while it runs, and until its window is closed.
         connect: Show the run in a viewer that is already open. Example:
             rerun+http://127.0.0.1:9876/proxy.
-        step_budget_ms: End the run if the law computes longer in one step, by the clock. Default:
-            10000. Unit: ms. Built-in laws have no default.
+        step_budget_ms: End the run if the law computes longer than this in one step (wall-clock
+            time). Default: 10000. Unit: ms. Without the option, built-in laws have no limit.
     """
 
     watch: bool = False
@@ -82,9 +82,10 @@ class RecordOptions:
     Attributes:
         output: Write the recording to this .mcap file.
         rrd: Write a Rerun recording to this .rrd file.
-        strip_scenario: Leave the scenario out of what is written, and name the run after its file.
-            Use it to try `turtlelog explain` on a run whose settings are unknown.
-        trust_law: Run the code of the law that a recording or table names, if it is not built in.
+        strip_scenario: Leave the scenario out of the recording, and name the run after its file.
+            Use it to try `turtlelog explain` on a run with unknown settings.
+        trust_law: Run the code of the law that a recording or table names, if the law is not built
+            in.
     """
 
     output: Output = None
@@ -107,14 +108,14 @@ def run(
 
     Example: turtlelog run paper-kp10 --set loop.queue_policy=newest -o kp10.mcap
 
-    With --realtime the recording is written while the loop runs, to a new file. That file is
-    readable up to the last second however the run ends. Ctrl-C or a terminal that closes ends the
+    With --realtime, the recording is written to a new file while the loop runs. That file is
+    readable up to the last second, however the run ends. Ctrl-C or a terminal that closes ends the
     run and completes the file (exit code 130). With --live a viewer shows the run; closing the
     viewer does not end it. If a law fails, the samples before the failure are written (exit code
     2).
 
-    Notes on stderr name a gain above the stability limit of the theory, at the dead time that the
-    settings imply, and a goal, goal heading or path that the law ignores.
+    Notes on stderr report a gain above the theory's stability limit at the dead time of these
+    settings, and a goal, goal heading or path that the law ignores.
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose
@@ -146,13 +147,13 @@ def scenario(
 ) -> None:
     """Print the scenario of a preset, file or recording as a whole file, to edit and run.
 
-    The code of a law of your own is not loaded: of its keys those that were given are printed.
+    The code of a law of your own is not loaded: only those of its keys that were given are printed.
 
     Example: turtlelog scenario paper-kp10 > mine.toml
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
-            Without one paper, and with --law textbook.
+            Default: paper, or textbook with --law.
     """
     chosen = load_changed_scenario(scenario, options)
     print_text(tl.format_scenario(chosen))

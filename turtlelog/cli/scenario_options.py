@@ -25,12 +25,12 @@ class ScenarioOptions:
     """Changes to a scenario, applied in this order.
 
     Attributes:
-        commands: Send the commands of this recording at their times, by the law open-loop, in place
-            of the scenario's law.
+        commands: Replace the scenario's law by open-loop, which sends the commands of this
+            recording at their recorded times.
         kp: Set the gains that the law declares [1/s].
-        goal: Set the goal position, as in 2,10 [m].
-        assignments: Change one value by its dotted key, as in law.kp_linear=4; may stand
-            several times. The unit stands in the key.
+        goal: Set the goal position [m]. Example: 2,10.
+        assignments: Set one key of the scenario; the key's name ends with its unit. Example:
+            law.kp_linear=4. Can be repeated.
     """
 
     commands: Annotated[Place | None, Parameter(metavar="FILE")] = None
@@ -48,10 +48,10 @@ class LawOptions(ScenarioOptions):
     """Changes to a scenario, the law first.
 
     Attributes:
-        law: Let another law drive: a built-in kind, path.py:Class or package.module:Class. Its code
-            runs. SCENARIO is textbook then, unless one is given.
-        max_download: Longest file behind a URL that is fetched as a whole, which servers without
-            ranges need, as in 500MB. Default: 4GiB.
+        law: Use another control law: a built-in kind, path.py:Class or package.module:Class. The
+            code of that law runs. Without SCENARIO the scenario is textbook.
+        max_download: Largest file to download whole from a URL whose server does not support range
+            requests. Example: 500MB. Default: 4GiB.
     """
 
     law: Annotated[str | None, Parameter(metavar="KIND", completer=complete_law)] = None
@@ -80,7 +80,7 @@ class RowOptions:
 
     Attributes:
         table: Run the scenario of a row of this table, which `turtlelog sweep` wrote.
-        row: Its number, in the column `row`.
+        row: Number of that row, as in the column `row`.
     """
 
     table: Annotated[Place | None, Parameter(name="--from", metavar="FILE")] = None
@@ -134,7 +134,7 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     path, declared = make_path(name_or_path), None
     if name_or_path in tl.PRESETS or not is_recording(path):
         base = tl.load_scenario(name_or_path)
-        _note_doubts(path)
+        _note_robot(path)
     else:
         run = read_chosen_run(path, TopicOptions())
         if not run.scenario_is_complete:
@@ -145,11 +145,12 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     return apply_options(base, options, declared)
 
 
-def _note_doubts(path: Path) -> None:
-    """Print what `identify` doubted of the robot in a scenario file, before what is said of it."""
+def _note_robot(path: Path) -> None:
+    """Print what `identify` noted of the robot in a scenario file, before what is said of it."""
     if path.suffix == ".toml" and path.is_file():
-        for doubt in tl.identify.read_doubts(path.read_text(encoding="utf-8", errors="replace")):
-            print_note(doubt)
+        text = path.read_text(encoding="utf-8", errors="replace")
+        for note in tl.identify.read_robot_notes(text):
+            print_note(note)
 
 
 def apply_options(

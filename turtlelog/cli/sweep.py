@@ -44,13 +44,17 @@ class PlanOptions:
     """Which rows there are.
 
     Attributes:
-        grid: Vary a key, as in law.kp_linear=0.5:12:0.25 (both ends included; default step: 1),
-            or law.projection=bearing,heading. kp=1:12 varies all gains of the law together. Given
-            several times, every combination is a row, the last key fastest.
-        zip_: Vary keys together, each value of one with that of the other; stands once for each.
-        sample: Number of rows to draw instead: any number of A:B, one of A:B:STEP or of a list.
-        seed: Seed of the drawn values. Default: 0.
-        latin: Draw from each key's range once in each of as many equal parts as there are rows.
+        grid: Vary a key over a range with both ends, or over a list. Examples:
+            law.kp_linear=0.5:12:0.25 (default step: 1), law.projection=bearing,heading, kp=1:12
+            (all gains together). Can be repeated: every combination is a row, the last key varies
+            fastest.
+        zip_: Vary two or more keys together: their first values, their second values, and so on.
+            Give it once for each key.
+        sample: Number of rows to choose at random instead: any number between A and B for A:B, one
+            value for A:B:STEP or a list.
+        seed: Seed of the random choice. Default: 0.
+        latin: Latin hypercube: divide each key's range into as many equal parts as there are rows,
+            and use each part once.
     """
 
     grid: Annotated[list[str] | None, Parameter(metavar="KEY=VALUES", completer=complete_keys)] = (
@@ -90,10 +94,13 @@ class SweepTableOptions:
 
     Attributes:
         output: Write the table to this .parquet file, or behind a URL.
-        metric: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics).
-            Default: the essential ones of each row's law, without dead_time.
-        record: Write recordings of rows to this folder, or below a URL, as row-000123.mcap.
-        record_where: Only of rows for which this holds, as in "translate.settling_time > 5".
+        metric: Ids or patterns of metrics (turtlelog list metrics). Example:
+            rotate.overshoot,final.*. Default: the essential metrics of each row's law, without
+            dead_time.
+        record: Write a recording of each row to this folder or URL. Example of a name:
+            row-000123.mcap.
+        record_where: With --record: only rows that meet this condition. Example:
+            "translate.settling_time > 5".
     """
 
     output: Annotated[Place, Parameter(name=("--output", "-o"))]
@@ -122,9 +129,9 @@ class SweepOptions(WorkOptions):
 
     Attributes:
         yes: Sweep over more than a million rows without asking.
-        trust_law: Run the code of the law that a recording names, where it is not built in.
-        step_budget_ms: A row fails if its law computes longer in one step, by the clock. Default:
-            10000. Unit: ms. Built-in laws have no default.
+        trust_law: Run the code of the law that a recording names, if the law is not built in.
+        step_budget_ms: A row fails if its law computes longer than this in one step (wall-clock
+            time). Default: 10000. Unit: ms. Without the option, built-in laws have no limit.
     """
 
     yes: bool = False
@@ -145,20 +152,20 @@ def sweep(
     """Vary a scenario, simulate and measure every variant, and write one table.
 
     A row of the Parquet table is a run: its number, the values of the keys, each metric with its
-    status, and how the run ended or why it failed. A failed run is no error of the sweep. Rows are
-    what `run` gives for the same scenario, bit for bit, on any number of cores. The same command
-    gives the same file, and continues an interrupted sweep.
+    status, and how the run ended or why it failed. A failed run does not stop the sweep. Rows equal
+    the results of `run` for the same scenario, bit for bit, on any number of cores. The same
+    command writes the same file, and continues an interrupted sweep.
 
     Example: turtlelog sweep paper-kp4 --grid law.kp_linear=1:12:0.5 -o kp.parquet
 
     Example: turtlelog sweep mine.toml --grid seed=0:31 --record runs -o s.parquet
 
-    Random effects draw by the scenario's seed, the same in every row unless it is varied:
-    --grid seed=0:31. `turtlelog run --from results.parquet --row 123` runs a row again.
+    Random effects use the scenario's seed. It is the same in every row unless it is varied: --grid
+    seed=0:31. `turtlelog run --from results.parquet --row 123` simulates a row again.
 
     Args:
         base: A preset (turtlelog list presets), a scenario file (.toml), as `identify` writes one,
-            or a recording. Without one paper, and with --law textbook.
+            or a recording. Default: paper, or textbook with --law.
         json: Print one JSON object instead of a line.
     """
     begun, work = time.monotonic(), work or SweepOptions()

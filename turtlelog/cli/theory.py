@@ -49,9 +49,9 @@ class TermOptions:
         ki: Integral gain [1/s^2].
         kd: Derivative gain, on the measurement [1].
         filter: Time constant of the derivative's first-order filter [s].
-        gain: Gain K of the plant K exp(-theta s) / ((tau s + 1) s) [1]; 1 by default.
+        gain: Gain K of the plant K exp(-theta s) / ((tau s + 1) s) [1]. Default: 1.
         lag: Time constant tau of the plant [s].
-        dead_time_s: Dead time theta [s], any part of a period; adds to --dead-time.
+        dead_time_s: Dead time theta [s], any fraction of a period. It adds to --dead-time.
         low_pass: Time constant of a first-order low-pass of the commands [s], as low_pass_s of
             [shaping].
     """
@@ -104,13 +104,13 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
 ) -> None:
     """Recommend gains, and give the limits of P, PI, PD or PID control of an integrator.
 
-    The first lines are recommended gains for a wanted overshoot or phase margin, the gains at which
-    overshoot and instability begin, and how the loop answers at each Kp. Tables of both follow.
+    The first lines are recommended gains for a given overshoot or phase margin, the gains at which
+    overshoot and instability begin, and how the loop responds at each Kp. Tables of both follow.
     Commands are not clipped. The paper's programs had 4 or 5 ticks of dead time while rotating, 6
     while translating.
 
-    With an integral, a derivative, a time constant, a low-pass or dead time in seconds the loop is
-    sampled exactly. For a scenario or a recording each loop of its law has an answer.
+    With an integral, a derivative, a time constant, a low-pass or a dead time in seconds, the loop
+    is discretised exactly. For a scenario or a recording, the answer covers each loop of its law.
 
     With --details: the plant 1/s, the ideal loop Kp / (s + Kp), limits at other dead times, gains
     of published rules, and the source of each value.
@@ -126,15 +126,15 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
     Args:
         scenario: A preset, a scenario file (.toml), or a recording, whose period and dead times are
             measured.
-        kp: Gains [1/s], with commas between, at most 100; 1,2,4,10 by default. With a scenario
-            the one gain to set.
+        kp: Gains [1/s], separated by commas, at most 100. Default: 1,2,4,10. With a scenario: one
+            gain to set.
         terms: Other terms and the plant.
-        period: Sampling period [s]; turtlesim's tick, 0.016, by default.
-        dead_time: Dead time [ticks], 0 to 1000; 0, the default, is the least possible.
-        assignments: Change one value of the scenario by its dotted key; may stand several times.
+        period: Sampling period [s]. Default: 0.016, turtlesim's tick.
+        dead_time: Dead time [ticks], 0 to 1000. Default: 0, the least possible.
+        assignments: Set one key of the scenario. Can be repeated.
         topics: How a recording is read.
         wishes: What recommended gains shall give.
-        details: Print the tables and sources that few need, too.
+        details: Also print the tables and sources that few people need.
         json: Print one JSON object instead of text.
     """
     form = _Form(is_json=json, shows_all=details)

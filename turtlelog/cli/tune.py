@@ -30,13 +30,13 @@ class GoalOptions:
     """What is tuned, and for what.
 
     Attributes:
-        grid: A key and its bounds, as in law.kp_linear=0.5:12, and perhaps a step
-            (law.kp_linear=1:12:0.5); may stand several times.
+        grid: A key with its bounds, and perhaps a step. Examples: law.kp_linear=0.5:12,
+            law.kp_linear=1:12:0.5. Can be repeated.
         minimise: A metric, or a formula of metrics and keys, that should be small.
-        maximise: The same, that should be large.
-        subject_to: What must hold, as in "rotate.overshoot <= 2"; may stand several times.
+        maximise: A metric, or a formula of metrics and keys, that should be large.
+        subject_to: Constraint. Example: "rotate.overshoot <= 2". Can be repeated.
         evaluations: Approximate number of candidates. Default: 300 for each key. The neighbourhood
-            takes 50 more for each key, and again if it contains a better one.
+            of the best takes 50 more for each key, and again 50 if it contains a better candidate.
         seed: Seed of the search and of --monte-carlo. Default: 0.
     """
 
@@ -88,12 +88,12 @@ class RobustnessOptions:
     """How the best values are tried where the loop is not quite the same.
 
     Attributes:
-        monte_carlo: Number of variants of the best to simulate: of other seeds, if the scenario has
-            random effects, and with a transport delay of a tick more or less.
-        spread: Draw a key of them, too, from a range, as in plant.turn_gain=0.9:1; may stand
-            several times.
-        robot: Draw the robot's gains, dead times and lags from the intervals in this file, which
-            `turtlelog identify --json` printed.
+        monte_carlo: Number of variants of the best candidate to simulate: with other seeds, if the
+            scenario has random effects, and with one tick of transport delay more or less.
+        spread: Also choose this key at random between A and B in each simulation. Example:
+            plant.turn_gain=0.9:1. Can be repeated.
+        robot: Choose the robot's gains, dead times and time constants at random from the intervals
+            in this file, written by `turtlelog identify --json`.
     """
 
     monte_carlo: Annotated[Whole | None, Parameter(metavar="COUNT")] = None
@@ -143,9 +143,10 @@ class TuneOptions(WorkOptions):
 
     Attributes:
         output: Write the scenario with the best values to this .toml file.
-        trust_law: Run the code of the law that a recording names, where it is not built in.
-        step_budget_ms: A candidate fails if its law computes longer in one step, by the clock.
-            Default: 10000. Unit: ms. Built-in laws have no default.
+        trust_law: Run the code of the law that a recording names, if the law is not built in.
+        step_budget_ms: A candidate fails if its law computes longer than this in one step
+            (wall-clock time). Default: 10000. Unit: ms. Without the option, built-in laws have no
+            limit.
     """
 
     output: Annotated[Place | None, Parameter(name=("--output", "-o"))] = None
@@ -163,24 +164,25 @@ def tune(
     work: TuneOptions | None = None,
     json: Json = False,
 ) -> int:
-    """Look for the values of a scenario's keys that are best, and say how far they can be trusted.
+    """Search the best values of a scenario's keys, and show how far each can move.
 
     Candidates are simulated, many at a time. The better of two candidates fulfils the constraints;
-    if both do, the objective decides. A candidate without a value of a metric, such as the settling
-    time of a run that does not settle, is refused.
+    if both do, the objective decides. A candidate for which a metric has no value is rejected, for
+    example a run that does not settle.
 
-    Then each key is moved alone until the objective is a tenth worse or a constraint breaks. With
-    --monte-carlo variants of the best show how much it depends on noise, delay and robot.
+    Then one key at a time is moved until the objective is a tenth worse or a constraint fails. With
+    --monte-carlo, variants of the best candidate show how much the result depends on noise, delay
+    and robot.
 
-    The exit code is 1 where no candidate fulfils the constraints.
+    The exit code is 1 if no candidate fulfils the constraints.
 
     Example: turtlelog tune paper --grid law.kp_linear=1:9 --minimise run.duration
 
-    Constraints stand in --subject-to, as in "rotate.overshoot <= 2".
+    --subject-to adds a constraint, for example "rotate.overshoot <= 2".
 
     Args:
         base: A preset (turtlelog list presets), a scenario file (.toml), as `identify` writes one,
-            or a recording. Without one paper, and with --law textbook.
+            or a recording. Default: paper, or textbook with --law.
         json: Print one JSON object instead of tables.
     """
     goal, robustness = goal or GoalOptions(), robustness or RobustnessOptions()

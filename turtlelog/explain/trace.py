@@ -331,12 +331,15 @@ def _find_fastest(trace: Trace) -> tuple[float, float]:
     if find_plant(run).name != LAGGED:
         return speed, turn_rate
     gains = [
-        read_number(run.parameters, f"{PLANT_KEYS[name]}gain", 1.0)
+        max(
+            abs(read_number(run.parameters, f"{PLANT_KEYS[name]}{of}gain", default))
+            for of, default in (("", 1.0), ("reverse_", 0.0))
+        )
         for name in ("speed", "turn_rate")
     ]
     shown = [run.poses.speed_m_s, run.poses.turn_rate_rad_s]
     fastest = [
-        max(rate * abs(gain), _find_largest(values))
+        max(rate * gain, _find_largest(values))
         for rate, gain, values in zip((speed, turn_rate), gains, shown, strict=True)
     ]
     return fastest[0], fastest[1]

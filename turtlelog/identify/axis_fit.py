@@ -223,6 +223,15 @@ def measure_gain(fit: AxisFit, structure: Structure, extras: Sequence[float]) ->
     return float(left[0] @ left[0] - left[1] @ left[1])
 
 
+def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
+    """Return what another structure leaves near the parameters of a fit: after one linear step."""
+    other = StepModel(fit.model.motions, structure)
+    near = np.append(fit.parameters[: LAG + 1], extras)
+    modelled, slopes = other.linearise(near)
+    white, slopes = (fit.whitening.apply(one) for one in (other.moved - modelled, slopes))
+    return _sum_softly(white - slopes @ np.linalg.lstsq(slopes, white)[0])
+
+
 def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
     """Return by how much some steps alone would move the parameters, and the covariance of that.
 

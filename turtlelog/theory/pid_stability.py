@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-from numpy.polynomial.polynomial import polyadd, polymul
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
@@ -153,6 +152,8 @@ def _bisect(shape: LoopShape, low: float, high: float) -> float:
 
 def _list_coefficients(shape: LoopShape) -> list[float]:
     """Return |A|^2 - |B|^2 on the unit circle in rising powers of x, up to a factor."""
+    from numpy.polynomial.polynomial import polyadd, polymul  # few theories need it
+
     c0, c1, c2 = shape.numerator
     found = [
         -c0 * c0,

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.polynomial import polynomial
 
 from turtlelog.errors import TheoryError
 from turtlelog.libraries import load_library
@@ -271,6 +270,8 @@ def build_open_loop(shape: "LoopShape", period_s: float) -> Any:
 
 def _shift(coefficients: Sequence[float]) -> Any:
     """Return a polynomial in z - 1 as one in z, rising powers."""
+    from numpy.polynomial import polynomial  # few theories need it
+
     total = np.zeros(1)
     for power, value in enumerate(coefficients):
         total = polynomial.polyadd(total, value * polynomial.polypow((-1.0, 1.0), power))
@@ -279,6 +280,8 @@ def _shift(coefficients: Sequence[float]) -> Any:
 
 def _expand(factors: Sequence[Any]) -> Any:
     """Return a product of polynomials in falling powers."""
+    from numpy.polynomial import polynomial  # few theories need it
+
     product = np.ones(1)
     for factor in factors:
         product = polynomial.polymul(product, factor)

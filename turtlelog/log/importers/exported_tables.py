@@ -82,7 +82,7 @@ def holds_tables(path: Path) -> bool:
 
 
 def import_tables(path: str | Path) -> Run:
-    """Return the run in tables that were written as CSV or Parquet: a folder of them, or its poses.
+    """Return the run from exported CSV or Parquet tables: a folder, or the table of poses.
 
     CSV does not hold the scenario, the goal, the loops of the law and the stop reason.
 

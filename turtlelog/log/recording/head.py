@@ -18,7 +18,6 @@ from turtlelog.run import Clock
 from turtlelog.run.declaration_json import format_declaration, parse_declaration
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW, nest_parameters
-from turtlelog.simulate import find_software
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:
@@ -124,6 +123,8 @@ def describe_scenario(
     notes: Mapping[str, str],
 ) -> Head:
     """Return the head of a recording of a scenario that runs, or has run."""
+    from turtlelog.simulate import find_software  # only what records loads laws
+
     return Head(
         format_version=_FORMAT_VERSION,
         source="simulation",
