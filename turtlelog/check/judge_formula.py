@@ -9,16 +9,18 @@ import numpy as np
 
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.formula_trace import find_span, find_window
-from turtlelog.check.result import CheckResult, Verdict
-from turtlelog.check.spec import Check
-from turtlelog.check.vocabulary import (
+from turtlelog.check.named_values import (
     ROBOT_VALUES,
     TRAJECTORY_VALUES,
     TrajectoryJudge,
+    measure_robot,
+)
+from turtlelog.check.result import CheckResult, Verdict
+from turtlelog.check.spec import Check
+from turtlelog.check.vocabulary import (
     choose_signals,
     describe_missing_phase,
     find_kind,
-    measure_robot,
     require_known_names,
 )
 from turtlelog.expressions import Comparison, Expression, Name, iterate_nodes

@@ -8,11 +8,11 @@ from typing import Any, Final
 from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_difference import match_run
 from turtlelog.check.judge_formula import Grown, judge_check, list_formula_names, measure_named
+from turtlelog.check.named_values import TRAJECTORY_VALUES, TrajectoryJudge
 from turtlelog.check.reference import MetricsFile, read_metrics_file
 from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check, Spec
 from turtlelog.check.spec_file import count_parts, require_reference
-from turtlelog.check.vocabulary import TRAJECTORY_VALUES, TrajectoryJudge
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
 from turtlelog.log import ReadChoice, read_as_chosen, read_trajectory, split_topic
 from turtlelog.log.ros2.bag import open_bag

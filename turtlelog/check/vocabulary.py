@@ -1,17 +1,13 @@
-"""The names that specifications and tests may use: signals, metrics, values of robots and paths."""
+"""The names that specifications and tests may use, and what they stand for in a run."""
 
 import difflib
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import cache
-from itertools import product
-from types import MappingProxyType
 from typing import Final
 
-from turtlelog.compare import TrajectorySettings, compare_trajectories
-from turtlelog.errors import CheckError, CompareError, LogError
+from turtlelog.check.named_values import ROBOT_VALUES, TRAJECTORY_VALUES
+from turtlelog.errors import CheckError
 from turtlelog.expressions import (
     Expression,
     Name,
@@ -21,11 +17,9 @@ from turtlelog.expressions import (
     fail_at,
     iterate_nodes,
 )
-from turtlelog.log import ReadChoice, read_trajectory
 from turtlelog.measure import (
     METRICS,
     SIGNALS,
-    Metric,
     MetricKind,
     could_be_signal,
     find_metric_kind,
@@ -33,40 +27,9 @@ from turtlelog.measure import (
     list_metrics,
     list_signals,
 )
-from turtlelog.measure.metric import NO_POSES, Status
-from turtlelog.run import Run, Trajectory, build_planar_trajectory
+from turtlelog.run import Run
 from turtlelog.run.loops import DONE, NAME_PATTERN, Declaration
 from turtlelog.scenario import Scenario, flatten_scenario
-
-_AXES: Final = ("speed", "turn_rate")
-_FIELDS: Final = MappingProxyType(
-    {
-        "gain": ("gain", "1"),
-        "dead_time": ("dead_time_s", "s"),
-        "time_constant": ("lag_s", "s"),
-        "total_delay": ("total_delay_s", "s"),
-    }
-)
-_ENDS: Final = MappingProxyType({"": "value", ".low": "low", ".high": "high"})
-
-ROBOT_VALUES: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
-    {
-        f"robot.{axis}.{name}{end}": (axis, name, end)
-        for axis, name, end in product(_AXES, _FIELDS, _ENDS)
-    }
-)
-"""Axis, parameter and end of the interval of 95 % by the names that checks use."""
-
-_KINDS: Final = ("ate", "rpe")
-_QUANTITIES: Final = MappingProxyType(
-    {"position": ("m", 1.0), "rotation": ("deg", math.degrees(1))}
-)
-_STATISTICS: Final = ("rmse", "mean", "median", "std", "min", "max")
-
-TRAJECTORY_VALUES: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
-    {".".join(parts): parts for parts in product(_KINDS, _QUANTITIES, _STATISTICS)}
-)
-"""Error, quantity and statistic by the names that checks use."""
 
 _OTHER_VALUES: Final = frozenset({*ROBOT_VALUES, *TRAJECTORY_VALUES})
 """Values of one number that are no metrics of a run alone."""
@@ -225,100 +188,3 @@ def _choose_for_metric(name: str, declaration: Declaration) -> Sequence[str]:
     if loop is not None:
         return (*_OF_SIGNAL.get(loop.signal, (loop.signal,)), loop.command)
     return _OF_END if part == "final" else _OF_RUN
-
-
-def find_robot_unit(name: str) -> str:
-    """Return the unit of a value of a robot."""
-    return _FIELDS[ROBOT_VALUES[name][1]][1]
-
-
-def measure_robot(run: Run, names: Iterable[str]) -> dict[str, Metric]:
-    """Return values of the robot that a run shows; one that is not identified has the reason.
-
-    Args:
-        run: With commands and motion.
-        names: Of `ROBOT_VALUES`.
-    """
-    names = [*names]
-    if not names:
-        return {}
-    if not len(run.poses):
-        return {
-            name: Metric(
-                id=name,
-                value=None,
-                unit=find_robot_unit(name),
-                status=NO_POSES.status,
-                reason=NO_POSES.reason,
-            )
-            for name in names
-        }
-    from turtlelog.identify import identify_robot  # few checks need it
-
-    model = identify_robot(run)
-    found = {}
-    for name in names:
-        axis, parameter, end = ROBOT_VALUES[name]
-        of_axis, unit = getattr(model, axis), find_robot_unit(name)
-        estimate = getattr(of_axis, _FIELDS[parameter][0])
-        value = None if estimate is None else getattr(estimate, _ENDS[end])
-        reason = "" if value is not None else of_axis.reason or "the model has no such parameter"
-        status = Status.UNDETERMINED if value is None else Status.OK
-        found[name] = Metric(id=name, value=value, unit=unit, status=status, reason=reason)
-    return found
-
-
-def find_trajectory_unit(name: str) -> str:
-    """Return the unit of a value of a trajectory."""
-    return _QUANTITIES[TRAJECTORY_VALUES[name][1]][0]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrajectoryJudge:
-    """Measures the errors of recordings beside one reference.
-
-    Attributes:
-        reference: What is taken as true.
-        settings: How both are compared.
-        choice: What is read of third-party files.
-        reads_files: Whether recordings are called as their files, whose poses in space are read.
-    """
-
-    reference: Trajectory
-    settings: TrajectorySettings
-    choice: ReadChoice
-    reads_files: bool
-
-    def measure(self, run: Run, names: Iterable[str], file: str) -> dict[str, Metric]:
-        """Return values of a recording; one that cannot be compared has the reason.
-
-        Args:
-            run: Its poses in the plane.
-            names: Of `TRAJECTORY_VALUES`.
-            file: What it is called.
-        """
-        names = [*names]
-        try:
-            found = compare_trajectories(self.reference, self._read(run, file), self.settings)
-        except (CompareError, LogError) as err:
-            return {name: _build(name, None, str(err)) for name in names}
-        values = {}
-        for name in names:
-            kind, quantity, statistic = TRAJECTORY_VALUES[name]
-            statistics = found.find_error(kind, quantity)
-            assert statistics is not None  # of each kind the settings have a length
-            values[name] = _build(name, float(getattr(statistics, statistic)), "")
-        return values
-
-    def _read(self, run: Run, file: str) -> Trajectory:
-        found = (
-            read_trajectory(file, self.choice) if self.reads_files else build_planar_trajectory(run)
-        )
-        return replace(found, name=file)
-
-
-def _build(name: str, value: float | None, reason: str) -> Metric:
-    unit, factor = _QUANTITIES[TRAJECTORY_VALUES[name][1]]
-    status = Status.UNDETERMINED if value is None else Status.OK
-    shown = None if value is None else factor * value
-    return Metric(id=name, value=shown, unit=unit, status=status, reason=reason)

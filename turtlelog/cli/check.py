@@ -129,7 +129,7 @@ def _require_use(spec: "Spec", reference: Path | None) -> None:
         UsageError: Where there is one.
     """
     from turtlelog.check.judge_formula import list_formula_names
-    from turtlelog.check.vocabulary import TRAJECTORY_VALUES
+    from turtlelog.check.named_values import TRAJECTORY_VALUES
 
     if reference is not None and list_formula_names(spec.checks).isdisjoint(TRAJECTORY_VALUES):
         raise UsageError(

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
     from turtlelog import Run, Spec
     from turtlelog.check import ArtifactWriter, CheckResult
+    from turtlelog.check.named_values import TrajectoryJudge
     from turtlelog.check.reference import MetricsFile
     from turtlelog.check.verdict_rows import CheckedFile
-    from turtlelog.check.vocabulary import TrajectoryJudge
     from turtlelog.log import ReadChoice
     from turtlelog.sweep import FoundRecording
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 _MOST_FAILURES: Final = 40
 """Failures that are shown of several recordings: a screen of rows, and one of reasons."""
 
-
 _MOST_NAMES: Final = 8
 """Recordings that are named as those in which checks fail."""
 
@@ -127,7 +126,6 @@ def tabulate_files(results: "Sequence[CheckResult]") -> "list[Table]":
 
 
 _HEADS: Final = ("verdict", "file", "check", "unit", "value", "limit", "margin")
-
 
 _VIOLATED: Final = "first violation"
 """The column [s] behind `_HEADS`; a table for a terminal has it where a check is violated."""
