@@ -193,7 +193,7 @@ class LawError(TurtlelogError):
 
 
 class ParameterError(LawError, ValueError):
-    """A parameter of a law that does not go with the others; the line begins with its key."""
+    """A parameter of a law that contradicts the others; the line begins with its key."""
 
 
 class ScenarioError(TurtlelogError):

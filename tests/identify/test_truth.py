@@ -9,14 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import turtlelog as tl
-from tests.identify.robots import (
-    Log,
-    Truth,
-    draw_log,
-    make_run,
-    respond,
-    turn_with_limit,
-)
+from tests.identify.robots import Log, Truth, draw_log, make_run, respond, turn_with_limit
 from tests.identify.scores import (
     PARAMETERS,
     Score,

@@ -235,7 +235,7 @@ def is_limit(value: float) -> bool:
 
 
 def list_aims(run: Run, signal: str) -> list[Curve]:
-    """Return what a signal should be, where that moves: of `x`, `y` and the signals of loops.
+    """Return the references that change with time: of `x`, `y` and the signals of loops.
 
     Recorded references are those of the samples; headings are near those of the robot, which are
     counted through full turns.

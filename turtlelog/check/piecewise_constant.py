@@ -54,7 +54,7 @@ class Steps:
 
 
 def make_steps(time_ns: Times, values: Values, *, start_ns: int, end_ns: int) -> Steps:
-    """Return columns as a function from start to end; of rows at one time the last one holds.
+    """Return columns as a piecewise constant function; of rows of one time, the last is used.
 
     Args:
         time_ns: Not decreasing [ns], shape (n,), the first not after start_ns.

@@ -120,7 +120,7 @@ class AskedOptions:
     expect: Annotated[str | None, Parameter(metavar="FORMULA")] = None
 
     def require_figures(self, names: Sequence[str]) -> None:
-        """Refuse options of figures that are not asked for.
+        """Raise an error if an option belongs to a figure that is not drawn.
 
         Raises:
             UsageError: If one has no figure, or a figure lacks its option.

@@ -371,8 +371,9 @@ class Attribution:
 def choose_metric(declaration: Declaration) -> str:
     """Return the metric to explain where none is named: what matters most to runs of a law.
 
-    The final position error; without a goal the rms error of the loop that is declared last, of a
-    law that tracks a path the cross-track error; without a loop the way.
+    With a goal: the final position error. Without a goal: the rms error of the loop that is
+    declared last; for a law that tracks a path, the cross-track error; without loops, the path
+    length.
     """
     if declaration.uses_goal:
         return "final.position_error"

@@ -164,7 +164,7 @@ def _write_resimulated(found: "ExplainedDifference") -> str:
 
 
 def choose_told(found: "ExplainedDifference") -> list["Change"]:
-    """Return the changes that the first line names: of a few all that count, else the large."""
+    """Return the changes that the first line names: the relevant ones, of many the largest."""
     divided = _list_divided(found)
     if found.unexplained is not None:
         return [one for one in divided if _is_large(one, _TINY * _sum(divided))]

@@ -187,9 +187,18 @@ class AxisModel:
 
     @property
     def advised_gain(self) -> float | None:
-        """The gain likewise: of both directions, and in doubt, the largest [1]."""
-        gains = [one for one in (self.gain, self.reverse_gain) if one is not None]
-        return max((one.high if self.doubts else one.value for one in gains), default=None)
+        """The gain likewise: in doubt the largest [1]."""
+        return self._take_advised(self.gain)
+
+    @property
+    def advised_reverse_gain(self) -> float | None:
+        """The gain of commands below 0 likewise, where it is another [1]."""
+        return self._take_advised(self.reverse_gain)
+
+    def _take_advised(self, gain: Estimate | None) -> float | None:
+        if gain is None:
+            return None
+        return gain.high if self.doubts else gain.value
 
     @property
     def structure(self) -> Structure:

@@ -228,7 +228,7 @@ Answer = Callable[[int, Pose, Goal | None], Any]
 
 
 @cache
-def complete_law(found: Any) -> type[Law]:
+def complete_short_law(found: Any) -> type[Law]:
     """Return a law with what it leaves out: parameters, `__init__`, `reset`.
 
     Args:

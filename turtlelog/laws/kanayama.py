@@ -21,11 +21,12 @@ class KanayamaParameters:
     """Parameters of Kanayama's law.
 
     Attributes:
-        kx: Gain of the error ahead [1/s], > 0.
-        ky: Gain of the error to the left [1/m^2], > 0.
+        kx: Gain of the longitudinal error [1/s], > 0.
+        ky: Gain of the lateral error [1/m^2], > 0.
         ktheta: Gain of the heading error [1/m], > 0. ktheta^2 = 4 ky damps small errors critically.
-        speed_m_s: Speed along a path that has none [m/s], > 0.
-        end_tolerance_m: Distance before the end at which a path without a speed ends [m], > 0.
+        speed_m_s: Speed along a path without a speed of its own [m/s], > 0.
+        end_tolerance_m: Distance from the end at which a path without a speed of its own is
+            finished [m], > 0.
     """
 
     kx: Annotated[float, Meta(gt=0, le=1e6)] = 10.0

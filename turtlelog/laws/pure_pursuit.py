@@ -22,10 +22,11 @@ class PurePursuitParameters:
 
     Attributes:
         lookahead_m: Distance from the robot to the point of the path that it steers for [m], > 0.
-        speed_m_s: Speed along a path that has none [m/s], > 0.
+        speed_m_s: Speed along a path without a speed of its own [m/s], > 0.
         kp_along: Gain of the error along the path [1/s], >= 0. The product is added to the speed of
             the path, if it has one.
-        end_tolerance_m: Distance before the end at which a path without a speed ends [m], > 0.
+        end_tolerance_m: Distance from the end at which a path without a speed of its own is
+            finished [m], > 0.
     """
 
     lookahead_m: Annotated[float, Meta(gt=0, le=1e6)] = 0.3

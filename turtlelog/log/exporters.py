@@ -39,8 +39,8 @@ _Write = Callable[[Run, str, Path], None]
 def export_rosbag2(run: Run, path: str | Path, *, shares_poses: bool = False) -> tuple[Path, ...]:
     """Write a run as a rosbag2 folder, which `ros2 bag` and all that builds on it open.
 
-    Its one file is a recording as `write_recording` writes it, named as ROS 2 names the first file
-    of a bag: `turtlelog` reads the folder back as the same run.
+    The folder contains one recording, written by `write_recording` and named like the first file of
+    a ROS 2 bag. `turtlelog` reads the folder back as the same run.
 
     Args:
         run: What is written.

@@ -258,7 +258,7 @@ def encode_message(
     """Return the record of one message.
 
     Args:
-        fields: Of the message type.
+        fields: Fields of the message type.
         values: By dotted name, as a row of `TopicColumns`; one left out is 0 or empty.
         channel: The number that the record carries.
         stamp: Sequence, log time and publish time [ns].

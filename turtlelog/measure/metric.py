@@ -424,7 +424,7 @@ def add_reason(status: Status, reason: str) -> int:
 
 
 def read_outcome(outcome: Outcome) -> Result:
-    """Return what an outcome says."""
+    """Return the metric in an outcome, or the reason why it has no value."""
     value, at_s, number = outcome
     if number:
         missing = REASONS[number]

@@ -79,8 +79,8 @@ def find_rise(
 ) -> tuple[float, float]:
     """Return the first times at which the response has come 10 % and 90 % of the step [s].
 
-    Their difference is the rise time: ln 9 tau of an exponential. NaN if it is never reached. The
-    step is not 0, and the response does not begin beyond 10 % of it.
+    Their difference is the rise time: ln 9 tau of an exponential. NaN if it is never reached.
+    Precondition: the step is not 0, and the response begins below 10 % of the step.
     """
     start_s = find_level_time(time_s, values, 0.1, initial, reference)
     return start_s, find_level_time(time_s, values, 0.9, initial, reference)
@@ -271,10 +271,11 @@ most after one, and beyond they steer to the goal from the other side."""
 def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: float) -> int:
     """Return what a response does around its reference, as a number of `VERDICTS`.
 
-    `rests`: its swings die out, or are small and do not grow. `swings`: they go on at their size,
-    large or into the limit, or they grow. `away`: it ends further from the reference than it began.
-    Nobody can tell where it is `passing`, and ends as it passes the reference; `slow`, and has not
-    come near; `unknown`: there are too few swings, or they change too little.
+    `rests`: its swings die out, or are small and do not grow. `swings`: the oscillation keeps its
+    amplitude, which is large or reaches the limit, or it grows. `away`: it ends further from the
+    reference than it began. Nobody can tell where it is `passing`, and ends as it passes the
+    reference; `slow`, and has not come near; `unknown`: there are too few swings, or they change
+    too little.
 
     Args:
         error: Reference minus value, shape (n,), n >= 2.

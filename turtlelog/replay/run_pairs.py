@@ -50,7 +50,7 @@ def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
 
 
 def pair_by_sample(run: Run, replayed: Run) -> Iterator[Pairing]:
-    """Yield the poses that samples read, and the samples, matched by their number."""
+    """Yield pairs of a sample and the pose that it read, matched by the sample's number."""
     rows, others = _match_samples(run, replayed)
     read = run.samples.pose_sequence[rows], replayed.samples.pose_sequence[others]
     yield from _pair_poses(run.poses, replayed.poses, run.samples.time_ns[rows], *read)

@@ -229,7 +229,7 @@ def find_on_first_lap(path: Any, arc_m: float) -> float:
 def locate(path: Any, pieces: Any, arc_m: float) -> Point:
     """Return the point at an arc length [m].
 
-    Beyond its ends a closed path goes round again, and an open one goes straight on.
+    Beyond the ends, a closed path is repeated, and an open path goes straight on.
     """
     length_m, count = path.length_m, path.count
     if arc_m == length_m:  # the end, in the direction in which it is reached
@@ -345,8 +345,8 @@ def follow(
 
     The robot first has to come to the path: to its beginning, where it is open and no time belongs
     to it; to the stretch that the reference has passed, by time; to a closed path anywhere. From
-    then on the nearest point is looked for within `REACH_M` of the one before, so that a path that
-    crosses itself is followed in its order.
+    then on the nearest point is searched within `REACH_M` of the nearest point before, so that a
+    path that crosses itself is followed in order.
 
     Args:
         path: `PathNumbers`.

@@ -236,7 +236,7 @@ class Path:
     def locate(self, arc_m: float) -> PathPoint:
         """Return the point at an arc length [m].
 
-        Beyond its ends a closed path goes round again, and an open one goes straight on.
+        Beyond the ends, a closed path is repeated, and an open path goes straight on.
         """
         return PathPoint(*locate(self.numbers, self.ways, arc_m))
 
@@ -318,8 +318,8 @@ class PathFollower:
 
     The robot first has to come to the path: to its beginning, where it is open and no time belongs
     to it; to the stretch that the reference has passed, by time; to a closed path anywhere. From
-    then on the nearest point is looked for within `REACH_M` of the one before, so that a path that
-    crosses itself is followed in its order.
+    then on the nearest point is searched within `REACH_M` of the nearest point before, so that a
+    path that crosses itself is followed in order.
 
     Attributes:
         arc_m: Arc length of the nearest point [m], None until the robot has come to the path.

@@ -248,8 +248,8 @@ def simulate_many(
 ) -> ManyRuns:
     """Simulate scenarios one after the other, each as `simulate_run` does, bit for bit.
 
-    With the extra `fast` laws that are parts run in a compiled loop, once there is so much to do
-    that it is worth loading; laws that are classes run plain.
+    With the extra `fast`, laws that are parts run in a compiled loop as soon as the work is worth
+    loading it. Laws that are classes run in ordinary Python.
 
     Args:
         scenarios: Scenarios to simulate; taken as the runs are.

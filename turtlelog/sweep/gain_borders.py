@@ -12,12 +12,7 @@ from turtlelog.errors import TurtlelogError
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
-from turtlelog.sweep.swept_results import (
-    SweptAxis,
-    SweptMetric,
-    SweptResults,
-    list_declared_loops,
-)
+from turtlelog.sweep.swept_results import SweptAxis, SweptMetric, SweptResults, list_declared_loops
 from turtlelog.sweep.swept_views import SweptView, fill_cells, is_gain
 from turtlelog.theory import LoopModel, find_stable_gains, hides_stability, model_loops
 from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
@@ -214,8 +209,8 @@ def find_borders(
         limits: Limits that `find_loop_limits` returns.
 
     Returns:
-        A border for each place of the other axis; None if the metric is no verdict, its loop's gain
-        is no axis, or rows were drawn, which have no neighbours.
+        A border for each value of the other axis. None if the metric is not true or false, if its
+        loop's gain is not an axis, or if rows were chosen at random and so have no neighbours.
     """
     own = next((one for one in limits if one.loop == metric.loop), None)
     if not metric.is_verdict or own is None or view.results.is_sampled:

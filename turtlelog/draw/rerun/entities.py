@@ -153,7 +153,7 @@ def locate_dead_times(prefix: str) -> str:
 
 
 def name_part(name: str) -> str:
-    """Return a part of an entity path that is as readable as a name: `_` for what needs escapes."""
+    """Return a readable part of an entity path: characters that need escapes become `_`."""
     kept = [letter if escape_entity_path_part(letter) == letter else " " for letter in name]
     return "_".join("".join(kept).split()) or escape_entity_path_part(name)
 

@@ -62,7 +62,7 @@ class Mark:
 def list_marks(
     run: Run, series: Sequence[Series], metrics: Mapping[str, Metric]
 ) -> tuple[Mark, ...]:
-    """Return the metrics that have a place on a curve that is drawn."""
+    """Return the metrics that can be marked on a drawn curve."""
     curves = {curve.entity: curve for curve in series}
     marks = []
     for found in list_characteristics(run, metrics):

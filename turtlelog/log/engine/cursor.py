@@ -36,10 +36,10 @@ def decode_messages(
     dictionaries by dotted name.
 
     Args:
-        fields: Of the message type.
-        data: The bytes in which the messages stand.
-        starts: Of the fields, behind the encapsulation, shape (n,).
-        ends: Of the messages, shape (n,).
+        fields: Fields of the message type.
+        data: Bytes that contain the messages.
+        starts: Offset of each message's first field, after the encapsulation header, shape (n,).
+        ends: Offset of each message's end, shape (n,).
         order: `<` for little-endian, `>` for big-endian.
 
     Raises:
@@ -271,11 +271,11 @@ def decode_few(
     says what is wrong with it.
 
     Args:
-        fields: Of the message type.
-        data: The bytes in which the messages stand.
-        starts: Of the fields, behind the encapsulation, shape (n,).
-        ends: Of the messages, shape (n,).
-        padding: Bytes behind the fields from which on a message is too long.
+        fields: Fields of the message type.
+        data: Bytes that contain the messages.
+        starts: Offset of each message's first field, after the encapsulation header, shape (n,).
+        ends: Offset of each message's end, shape (n,).
+        padding: Number of bytes after the fields from which on a message counts as too long.
     """
     try:
         numbers = list(_list_numbers(fields, ""))
@@ -318,10 +318,10 @@ def take_few_lists(
 
     Args:
         kind: Text, or the fields of the messages within.
-        data: The bytes in which the messages stand.
+        data: Bytes that contain the messages.
         starts: Of the messages, which their padding counts from, shape (n,).
         places: Of the first message within each, shape (n,).
-        ends: Of the messages, shape (n,).
+        ends: Offset of each message's end, shape (n,).
         lengths: How many are within each, shape (n,).
     """
     try:

@@ -115,8 +115,8 @@ class Allowance:
         """Take some of a kind.
 
         Raises:
-            LogError: What is wrong and, of columns, what can be done, where there are more than a
-                file of this size may hold.
+            LogError: If there are more values than a file of this size may contain. The line says
+                what is wrong and, for columns, which option leaves some out.
         """
         with self._spending:  # threads unpack messages at once
             self._left[kind] = left = self._left[kind] - count

@@ -196,15 +196,16 @@ class Selection:
     """Which messages are asked for.
 
     Attributes:
-        topics: By name; None for all that can be understood.
+        topics: Names of the topics to read; None for every topic that can be decoded.
         start_ns: Least log time.
-        end_ns: The log time before which they end.
-        is_lenient: Whether topics may be missing or not understood; then all chunks are read and
-            checked.
-        is_flat: Whether fields must be numbers and texts, not sequences of texts or messages: those
-            take some hundred times the memory of their bytes.
-        is_counted: Whether rows may take only as much as the size of the file lets expect.
-        kept: By topic: the only columns that its rows keep, log time among them; of others all.
+        end_ns: Log time before which messages must lie.
+        is_lenient: Whether named topics may be missing or undecodable; all chunks are read and
+            checked then.
+        is_flat: Whether only numbers and texts are allowed as fields. Sequences of texts or
+            messages take some hundred times their bytes in memory.
+        is_counted: Whether the memory of rows is limited in proportion to the file's size.
+        kept: Columns to keep, by topic, log time included; topics that are not listed keep all
+            columns.
     """
 
     topics: frozenset[str] | None = None

@@ -18,12 +18,7 @@ from turtlelog.files.text_files import describe_csv_error
 from turtlelog.files.urls import make_path
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers.table_text import read_header, require_few_columns
-from turtlelog.log.parquet_file import (
-    ParquetFile,
-    count_most_rows,
-    describe_rows,
-    list_cells,
-)
+from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
 from turtlelog.log.planar import compute_heading
 from turtlelog.run import (
     TABLES,
@@ -87,7 +82,7 @@ def holds_tables(path: Path) -> bool:
 
 
 def import_tables(path: str | Path) -> Run:
-    """Return the run in tables that were written as CSV or Parquet: a folder of them, or its poses.
+    """Return the run from exported CSV or Parquet tables: a folder, or the table of poses.
 
     CSV does not hold the scenario, the goal, the loops of the law and the stop reason.
 

@@ -224,7 +224,7 @@ def choose_path_topics(
     reference.
 
     Raises:
-        LogError: Where the one that was asked for is not there, or of another type.
+        LogError: If the requested topic does not exist, or has another type.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:

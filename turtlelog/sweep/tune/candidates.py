@@ -152,7 +152,7 @@ class Candidates:
             raise errors[0]
 
     def evaluate(self, points: Sequence[Point]) -> list[Candidate]:
-        """Return what comes of each point; what is known is not simulated again."""
+        """Return the result of each point; known results are not simulated again."""
         new = [point for point in dict.fromkeys(points) if point not in self._known]
         for first, results in self._simulate(new):
             for place, point in enumerate(new[first : first + len(results)]):
