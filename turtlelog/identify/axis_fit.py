@@ -201,7 +201,7 @@ def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[Ax
     noise = _learn_noise(model, parameters)[0].noise
     ahead = StepModel(rest, fit.model.structure)
     residual = ahead.moved - ahead.linearise(parameters)[0]
-    outlier = find_outliers(residual)
+    outlier = find_outlying_steps(residual)
     whitening = Whitening(noise, ahead.duration_s, ahead.follows, outlier)
     return _sum_softly(whitening.apply(residual)) + whitening.log_size
 
@@ -248,7 +248,7 @@ def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
 
 def _learn_noise(model: StepModel, parameters: Values) -> tuple[Whitening, NDArray[np.bool_]]:
     residual = model.moved - model.linearise(parameters)[0]
-    is_outlier = find_outliers(residual)
+    is_outlier = find_outlying_steps(residual)
     noise = estimate_noise(residual, model.follows, is_outlier)
     return Whitening(noise, model.duration_s, model.follows, is_outlier), is_outlier
 
@@ -279,7 +279,7 @@ def _conclude(
     )
 
 
-def find_outliers(residual: Values) -> NDArray[np.bool_]:
+def find_outlying_steps(residual: Values) -> NDArray[np.bool_]:
     """Return which residuals are no noise."""
     size = np.abs(residual)
     scale = NORMAL_MAD * float(np.median(size))

@@ -100,7 +100,7 @@ class AxisMotion:
 def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     """Return the steps of an axis in which earlier commands act, and all commands are known."""
     command = get_commands(run, axis)
-    time_s, moved, is_sound = measure_steps(run.poses, axis)
+    time_s, moved, is_sound = measure_axis_steps(run.poses, axis)
     command_s = run.commands.time_ns / 1e9
     first = np.arange(len(moved))
     if not len(command):
@@ -123,7 +123,7 @@ def get_commands(run: Run, axis: Axis) -> Values:
     return run.commands.speed_m_s if axis == "speed" else run.commands.turn_rate_rad_s
 
 
-def measure_steps(poses: PoseColumns, axis: Axis) -> tuple[Values, Values, NDArray[np.bool_]]:
+def measure_axis_steps(poses: PoseColumns, axis: Axis) -> tuple[Values, Values, NDArray[np.bool_]]:
     """Return the times of poses, how far each step went, and whether it can be trusted."""
     time_s = poses.time_ns / 1e9
     apart_s = np.diff(time_s)
