@@ -1,17 +1,21 @@
 """Robots with limits through the identification: do intervals hold, does its advice overshoot?
 
-python benchmarks/limits_truth.py [--robots 30] [--seed N] [--kind KIND ...] [--all]
+python benchmarks/limits_truth.py [--plant] [--robots 30] [--seed N] [--kind KIND ...] [--all]
     [--noise TIMES] [--duration SECONDS]
 
-Prints per kind of robot how many are refused and doubted, the coverage of each interval, the median
-error of the total delay, and how often P control by the recommended gain for 5 % overshoots a small
-and a large turn of the true robot by at most 6 %; with --all each robot in a line of its own.
+The robots are those of an independent simulation, which turn on the spot; with --plant those of the
+simulator's own plant, with limits on both axes.
+
+Prints per kind of robot how many axes are refused and doubted, the coverage of each interval, the
+median error of the total delay, and how often P control by the recommended gain for 5 % overshoots
+a small and a large turn of the true robot by at most 6 %; with --all each robot, too.
 """
 
 import argparse
 import sys
 import time
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,109 +23,163 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import turtlelog as tl
-from tests.identify.limited_robots import (
-    KINDS,
-    Limited,
-    draw_robot,
-    turn_as_advised,
-    turn_on_the_spot,
-)
+from tests.identify import limited_robots, plant_robots
+from tests.identify.limited_robots import Limited
 from turtlelog.identify import AxisModel
 
 NAMES = (
-    "gain",
-    "dead_time_s",
-    "lag_s",
-    "total_delay_s",
-    "rate_limit",
-    "bound",
-    "reverse_gain",
-    "friction",
+    *("gain", "dead_time_s", "lag_s", "total_delay_s"),
+    *("rate_limit", "bound", "deadband", "reverse_gain", "friction"),
 )
 """Whose intervals are counted."""
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A robot with what was found of it.
+
+    Attributes:
+        text: The robot.
+        axes: Each axis with its true values by name.
+        overshoots: Of a small and a large turn by the advice [%]; empty where there is none.
+        notes: Of the identification.
+    """
+
+    text: str
+    axes: Sequence[tuple[AxisModel, dict[str, float]]]
+    overshoots: list[float]
+    notes: Sequence[str]
+
+
+@dataclass
+class Row:
+    """The counts of a kind of robot."""
+
+    refused: int = 0
+    doubted: int = 0
+    held: dict[str, list[bool]] = field(default_factory=lambda: {name: [] for name in NAMES})
+    errors: list[float] = field(default_factory=list)
+    fine: list[bool] = field(default_factory=list)
+
+    def add(self, one: Identified) -> None:
+        """Count a robot."""
+        for axis, truth in one.axes:
+            self.refused += not axis.is_known
+            self.doubted += bool(axis.doubts)
+            for name, (holds, _) in judge(axis, truth).items():
+                self.held[name].append(holds)
+            if axis.total_delay_s is not None:
+                self.errors.append(abs(axis.total_delay_s.value - truth["total_delay_s"]))
+        if one.overshoots:
+            self.fine.append(max(one.overshoots) <= 6.0)
+
+    def show(self, kind: str) -> None:
+        """Print the row."""
+        shares = [
+            f"{100.0 * np.mean(one):8.0f}/{len(one):<4}" if one else 13 * " "
+            for one in self.held.values()
+        ]
+        error = f"{1e3 * np.median(self.errors):7.1f}" if self.errors else "      -"
+        fine = f"{np.sum(self.fine):.0f}/{len(self.fine)}"
+        print(f"{kind:13}{self.refused:8}{self.doubted:8}", *shares, error, fine, flush=True)
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--plant", action="store_true", help="robots of the simulator's own plant")
     parser.add_argument("--robots", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--kind", nargs="*", default=[*KINDS])
+    parser.add_argument("--kind", nargs="*")
     parser.add_argument("--all", action="store_true")
     parser.add_argument("--noise", type=float, default=1.0, help="times the usual noise")
     parser.add_argument("--duration", type=float, default=40.0)
     asked = parser.parse_args()
     began_s = time.process_time()
     print(f"{asked.robots} robots of each kind, seeds from {asked.seed} on; % of intervals hold")
-    print(
-        f"{'kind':13}{'refused':>8}{'doubted':>8}",
-        *(f"{name:>13}" for name in NAMES),
-        "  error",
-        "P<=6%",
-    )
-    for kind in asked.kind:
-        seeds = range(asked.seed, asked.seed + asked.robots)
-        show(kind, seeds, asked.noise, asked.duration, shows_all=asked.all)
+    heads = f"{'kind':13}{'refused':>8}{'doubted':>8}"
+    print(heads, *(f"{name:>13}" for name in NAMES), "  error", "P<=6%")
+    known = plant_robots.KINDS if asked.plant else limited_robots.KINDS
+    for kind in asked.kind or known:
+        row = Row()
+        for one in identify_robots(kind, asked):
+            row.add(one)
+            if asked.all:
+                show_robot(one)
+        row.show(kind)
     print(f"{time.process_time() - began_s:.1f} s of processor time")
 
 
-def show(kind: str, seeds: range, noise: float, duration_s: float, *, shows_all: bool) -> None:
-    """Print the row of a kind."""
-    held: dict[str, list[bool]] = {name: [] for name in NAMES}
-    errors, fine, refused, doubted = [], [], 0, 0
-    for seed in seeds:
-        truth, log = draw_robot(kind, seed)
-        log = replace(log, noise_rad=noise * log.noise_rad, duration_s=duration_s)
-        run = turn_on_the_spot(truth, log, seed)
-        model = tl.identify_robot(run)
-        axis = model.turn_rate
-        if not axis.is_known:
-            refused += 1
-        doubted += bool(axis.doubts)
-        said = judge(axis, truth)
-        for name, (holds, _) in said.items():
-            held[name].append(holds)
-        if axis.total_delay_s is not None:
-            errors.append(abs(axis.total_delay_s.value - truth.dead_time_s - truth.lag_s))
-        overshoots = turn_as_advised(model, run, truth) if axis.is_known else None
-        if overshoots is not None:
-            fine.append(max(overshoots) <= 6.0)
-        if shows_all:
-            print(seed, truth)
-            print("   ", *(f"{name} {text}" for name, (_, text) in said.items()), axis.reason)
-            print("    overshoot", overshoots, *model.notes)
-    shares = [
-        f"{100.0 * np.mean(one):8.0f}/{len(one):<4}" if one else 13 * " " for one in held.values()
-    ]
-    error = f"{1e3 * np.median(errors):7.1f}" if errors else "      -"
-    print(
-        f"{kind:13}{refused:8}{doubted:8}",
-        *shares,
-        error,
-        f"{np.sum(fine):.0f}/{len(fine)}",
-        flush=True,
+def identify_robots(kind: str, asked: argparse.Namespace) -> Iterator[Identified]:
+    """Yield the robots of a kind."""
+    identify = identify_plant if asked.plant else identify_limited
+    for seed in range(asked.seed, asked.seed + asked.robots):
+        yield identify(kind, seed, asked.noise, asked.duration)
+
+
+def identify_limited(kind: str, seed: int, noise: float, duration_s: float) -> Identified:
+    """Identify a robot of the independent simulation."""
+    truth, log = limited_robots.draw_robot(kind, seed)
+    log = replace(log, noise_rad=noise * log.noise_rad, duration_s=duration_s)
+    run = limited_robots.turn_on_the_spot(truth, log, seed)
+    model = tl.identify_robot(run)
+    known = model.turn_rate.is_known
+    overshoots = limited_robots.turn_as_advised(model, run, truth) if known else []
+    return Identified(
+        f"{seed} {truth}", [(model.turn_rate, list_truth(truth))], overshoots, model.notes
     )
 
 
-def judge(axis: AxisModel, truth: Limited) -> dict[str, tuple[bool, str]]:
-    """Return which intervals hold the truth, and what they are."""
-    true = {
+def identify_plant(kind: str, seed: int, noise: float, duration_s: float) -> Identified:
+    """Identify a robot of the simulator's plant."""
+    keys, log = plant_robots.draw_robot(kind, seed)
+    log = replace(
+        log,
+        noise_rad=noise * log.noise_rad,
+        noise_m=noise * log.noise_m,
+        duration_s=duration_s,
+    )
+    run = plant_robots.drive_robot(keys, log, seed)
+    model = tl.identify_robot(run)
+    known = all(axis.is_known for axis in model.axes)
+    overshoots = plant_robots.turn_as_advised(model, run, keys) if known else []
+    axes = [(axis, plant_robots.list_truth(keys, axis)) for axis in model.axes]
+    return Identified(f"{seed} {keys}", axes, overshoots, model.notes)
+
+
+def list_truth(truth: Limited) -> dict[str, float]:
+    """Return the true values by name."""
+    return {
         "gain": truth.gain,
         "dead_time_s": truth.dead_time_s,
         "lag_s": truth.lag_s,
         "total_delay_s": truth.dead_time_s + truth.lag_s,
         "rate_limit": min(truth.acceleration, truth.ramp),
         "bound": min(truth.bound, truth.stop),
+        "deadband": truth.deadband,
         "friction": truth.friction,
         "reverse_gain": truth.gain * truth.reverse,
     }
+
+
+def judge(axis: AxisModel, truth: dict[str, float]) -> dict[str, tuple[bool, str]]:
+    """Return which intervals hold the truth, and what they are; a limit that is none does not."""
     said = {}
-    for name, value in true.items():
+    for name in NAMES:
         found = getattr(axis, name, None)
         if found is not None:
-            mark = "" if found.low <= value <= found.high else "!"
-            said[name] = (not mark, f"{mark}{found!r}")
+            holds = name in truth and found.low <= truth[name] <= found.high
+            said[name] = (holds, f"{'' if holds else '!'}{found!r}")
     return said
+
+
+def show_robot(one: Identified) -> None:
+    """Print what was found of a robot."""
+    print(one.text)
+    for axis, truth in one.axes:
+        said = judge(axis, truth).items()
+        print("   ", axis.axis, *(f"{name} {text}" for name, (_, text) in said), axis.reason)
+    print("    overshoot", one.overshoots, *one.notes)
 
 
 if __name__ == "__main__":

@@ -60,6 +60,19 @@ EFFECTS: Final[Mapping[str, Changes]] = MappingProxyType(
             "plant.turn_dead_time_s": 0.06,
             "plant.turn_lag_s": 0.15,
         },
+        "robot_limits": {
+            "plant.kind": "lagged",
+            "plant.speed_lag_s": 0.1,
+            "plant.speed_acceleration": 0.8,
+            "plant.speed_bound": 0.7,
+            "plant.speed_deadband": 0.02,
+            "plant.speed_reverse_gain": 0.6,
+            "plant.turn_gain": 0.9,
+            "plant.turn_acceleration": 2.0,
+            "plant.turn_bound": 0.8,
+            "plant.turn_deadband": 0.01,
+            "plant.turn_reverse_gain": 1.1,
+        },
     }
 )
 """What turns each effect on, by a name for it; on top of any preset."""

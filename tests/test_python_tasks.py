@@ -1,7 +1,4 @@
-"""What one does in a notebook: tasks of at most six lines, with no file where none is asked for.
-
-Rerun's notebook widget is not among them: a simulation is written for its viewer.
-"""
+"""What one does in a notebook: tasks of at most six lines, with no file where none is asked for."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -38,14 +35,18 @@ series = heading.to_pandas()
             a["array"].tolist() == a["series"].tolist() and a["series"].index.name == "time_s"
         ),
     ),
-    "poses as pandas, polars, Arrow": (
+    "poses as pandas, polars, Arrow, xarray": (
         """
 import polars as pl
 frame = run.to_pandas()
 lazy = pl.DataFrame(run)
 arrow = run.to_arrow()
+labelled = run.to_xarray()
 """,
-        lambda a: len(a["frame"]) == len(a["lazy"]) == a["arrow"].num_rows == 793,
+        lambda a: (
+            {len(a["frame"]), len(a["lazy"]), a["arrow"].num_rows, a["labelled"].sizes["time_s"]}
+            == {793}
+        ),
     ),
     "all metrics as a table": (
         "frame = tl.measure_run(run).to_pandas()",
@@ -77,10 +78,19 @@ mine = tl.simulate_run("textbook", law=turn, changes={"max_duration_s": 5.0})
 """,
         lambda a: abs(a["mine"].poses.heading_rad[-1] - 1.0) < 1e-3,
     ),
+    "a law that is a class": (
+        """
+class Turn:
+    def step(self, time_ns, pose):
+        return 0.0, 2.0 * (1.0 - pose.heading_rad)
+mine = tl.simulate_run("textbook", law=Turn, changes={"max_duration_s": 5.0})
+""",
+        lambda a: abs(a["mine"].poses.heading_rad[-1] - 1.0) < 1e-3,
+    ),
     "a sweep over two arrays": (
         """
 grid = {"law.kp_linear": np.linspace(1, 4, 3), "law.kp_angular": np.array([1.0, 2.0])}
-table = tl.sweep_scenario("paper", grid, metrics=["run.duration"])
+table = tl.sweep_scenario("paper", grid, metrics="run.duration")
 frame = table.to_pandas()
 """,
         lambda a: frame_has(a["frame"], 6),
@@ -93,9 +103,9 @@ figure = tl.draw_map(table)
 """,
         lambda a: len(a["figure"].axes) >= 1,
     ),
-    "tune a gain": (
+    "tune two gains": (
         """
-ranges = {"law.kp_linear": (1, 6)}
+ranges = {"law.kp_linear": (1, 6), "law.kp_angular": (1, 6)}
 best = tl.tune_scenario("textbook", ranges, minimise="run.duration", evaluations=8)
 """,
         lambda a: 1.0 <= a["best"].values["law.kp_linear"] <= 6.0,
@@ -125,13 +135,16 @@ robot = tl.identify.build_robot_scenario(model, driven).scenario
 """,
         lambda a: abs(a["plant"].dcgain() - 1.0) < 0.01 and a["robot"].plant.kind == "lagged",
     ),
-    "theory's margins": (
+    "theory's margins of an identified robot": (
         """
-process = tl.theory.Process(lag_s=0.1, dead_time_s=0.08)
-gains = tl.theory.PidGains(kp=2.0)
+law = {"law.kind": "open-loop", "law.signal": "prbs"}
+model = tl.identify_robot(tl.simulate_run("lagged", changes=law))
+gains, process = tl.theory.PidGains(kp=2.0), model.turn_rate.to_process()
 loop = tl.theory.analyse_pid_loop(gains, period_s=0.016, process=process)
 """,
-        lambda a: a["loop"].margins.gain_margin > 1.0,
+        lambda a: (
+            a["loop"].margins.gain_margin > 1.0 and abs(a["process"].dead_time_s - 0.08) < 1e-3
+        ),
     ),
     "compare with a reference": (
         """
@@ -143,6 +156,14 @@ outcome = tl.Recording("new.mcap").matches(BAG)
     "check an expression": (
         'result = tl.check_formula(run, "always(abs(cross_track) <= 0.5)")',
         lambda a: bool(a["result"]),
+    ),
+    "replay a function on recorded poses": (
+        """
+def stand(time_ns, pose, goal):
+    return 0.0, 0.0
+replay = tl.replay_law(run, law=stand)
+""",
+        lambda a: a["replay"].first_difference is not None and a["replay"].samples == 770,
     ),
     "replay a law on recorded poses": (
         """
@@ -158,6 +179,10 @@ tl.log.export_rosbag2(run, "bag")
 tl.log.export_parquet(run, "run.parquet")
 """,
         lambda _: len(tl.read_run("run.mcap").poses) == len(tl.read_run("bag").poses) == 793,
+    ),
+    "a simulation in a widget": (
+        'shown = tl.show_run(tl.simulate_run("paper-kp4"))',
+        lambda a: hasattr(a["shown"], "display") or hasattr(a["shown"], "axes"),
     ),
     "a simulation for Rerun": (
         'tl.write_run_rrd(tl.simulate_run("paper-kp4"), "run.rrd")',

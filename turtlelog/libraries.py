@@ -18,6 +18,7 @@ from turtlelog.errors import LibraryAttributeError, LibraryError, LibraryImportE
 _PURPOSES: Final = MappingProxyType(
     {
         "bokeh": ("bokeh", "reports"),
+        "cloudpickle": ("cloudpickle", "laws of this session in other processes"),
         "control": ("control", "these responses and margins"),
         "cv2": ("opencv-python-headless", "movies in .mp4"),
         "distributed": ("distributed", "work on a Dask cluster"),

@@ -245,6 +245,8 @@ class PlantPart:
         acts_in_steps: Whether a command, and a push, acts on the whole step in which it arrives:
             one is taken each step. Otherwise both act from the time at which they come.
         delays: Its keys that are delays, which last no longer than a run.
+        causes: Of `explain`: limits that it may have, by keys that are None without them.
+        added: Keys that theory leaves out, and that make no unstable loop stable.
     """
 
     name: str
@@ -260,3 +262,5 @@ class PlantPart:
     acts_in_steps: bool
     Waiting: type | None = None
     delays: tuple[str, ...] = ()
+    causes: tuple[Cause, ...] = ()
+    added: tuple[str, ...] = ()

@@ -10,11 +10,7 @@ import pytest
 import turtlelog as tl
 from tests.draw.laws import simulate_tracker
 from tests.draw.rerun.rrds import make_foreign_run
-from turtlelog.charts.characteristics import (
-    Characteristic,
-    list_characteristics,
-    read_marked_curve,
-)
+from turtlelog.charts.characteristics import Characteristic, list_characteristics, read_marked_curve
 from turtlelog.measure import MeasureSettings, measure_run
 from turtlelog.scenario import get_preset
 

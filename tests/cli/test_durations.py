@@ -68,7 +68,7 @@ def test_a_run_has_the_duration_of_its_metric(name: str, request: Any) -> None:
     assert f"{run.duration_s:.4g} s, " in run._repr_html_()
 
 
-@pytest.mark.parametrize("size", [700, 1294, 4000])
+@pytest.mark.parametrize("size", [800, 1294, 4000])
 def test_a_recording_that_lost_everything_says_what_is_absent(
     size: int, call: Call, kp10: Path, tmp_path: Path
 ) -> None:

@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.cli.conftest import Call
 from tests.identify.limited_robots import Limited, turn_on_the_spot
-from tests.identify.robots import Log, write_bag
+from tests.identify.robots import Log, make_run, write_bag
 
 LOG = Log(duration_s=25.0, noise_rad=2e-4, poses_hz=20.0, commands_hz=10.0)
 BOUND = Limited(acceleration=2.5, bound=0.8)
@@ -19,6 +20,21 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, truth in (("bound", BOUND), ("braking", BRAKING)):
         write_bag(turn_on_the_spot(truth, LOG, 2), folder / f"{name}.mcap")
     return folder
+
+
+def test_a_note_of_the_identification_stands_before_all_advice(call: Call, tmp_path: Path) -> None:
+    """A robot whose commands have one size is identified twice, for the text and for JSON."""
+    time_s = np.arange(0.5, 24.0, 0.1)
+    turns = np.array([1.0, -1.0, 0.0])[(time_s / 0.9).astype(int) % 3]
+    run = make_run(LOG, 2, speed=(time_s, 0.0 * time_s), turn=(time_s, turns))
+    bag, robot = tmp_path / "bag.mcap", tmp_path / "robot.toml"
+    write_bag(run, bag)
+    (note,) = call("identify", bag, "--json").json["notes"]
+    assert note.startswith("All commands of the turn rate have one size.")
+    said = " ".join(call("identify", bag, "--scenario", robot).out.split())
+    assert said.index(note) < said.index("model_delay_wz")
+    assert f"Note: {note}" in call("theory", robot).err
+    assert call("theory", robot, "--json").json["loops"]
 
 
 def test_identify_tells_limits_with_intervals(call: Call, bags: Path) -> None:

@@ -8,14 +8,7 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
-from tests.log.ros2.bags import (
-    START_NS,
-    Said,
-    make_command,
-    make_odometry,
-    make_poses,
-    write_mcap,
-)
+from tests.log.ros2.bags import START_NS, Said, make_command, make_odometry, make_poses, write_mcap
 from tests.log.ros2.robots import say_goal
 from tests.log.runs import find_shared
 from turtlelog.cli import info_summary

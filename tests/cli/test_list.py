@@ -35,10 +35,11 @@ def test_every_name_is_listed(call: Call) -> None:
     scenario = tl.load_scenario("paper")
     from turtlelog.explain.causes import find_causes
 
-    # Those of other laws follow, each under its law.
+    # Those of other laws follow, each under its law, and those of the robot.
     ours = find_causes(scenario)
     others = [one.name for kind in [*LAWS][1:] for one in list_causes(LAWS[kind])]
-    assert found["causes"] == [*ours, *others]
+    robot = [f"robot-{name}" for name in ("acceleration", "bound", "deadband", "reverse-gain")]
+    assert found["causes"] == [*ours, *others, *robot]
 
 
 @pytest.mark.parametrize("kind", KINDS)

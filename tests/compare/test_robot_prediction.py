@@ -10,7 +10,7 @@ import turtlelog as tl
 from tests.identify.robots import Log, draw_steps, make_run
 from tests.log.runs import find_shared
 from turtlelog.compare import ErrorBand, RobotComparison
-from turtlelog.compare.driven_commands import cut_pieces
+from turtlelog.compare.driven_commands import _find_delay, cut_pieces
 from turtlelog.compare.robot_comparison import Quantity
 from turtlelog.replay.commanded_plant import sense_driven
 from turtlelog.run import CommandColumns, PoseColumns, Run
@@ -48,6 +48,25 @@ def simulate(scenario: Scenario, seed: int, duration_s: float = 30.0) -> Run:
     states = sense_driven(replace(scenario, seed=seed), run.commands, run.poses.time_ns)
     poses = PoseColumns(time_ns=run.poses.time_ns, xy_m=states[:, :2], heading_rad=states[:, 2])
     return replace(run, poses=poses)
+
+
+@pytest.mark.parametrize(
+    ("limits", "left", "fading_s"),
+    [
+        ({}, 0.5, 0.1 * np.log(2.0)),
+        ({"acceleration": 2.0}, 0.5, 0.25),
+        ({"acceleration": 2.0}, 0.1, 0.4 + 0.1 * np.log(2.0)),
+        ({"acceleration": 20.0}, 0.5, 0.1 * np.log(2.0)),
+        ({"acceleration": 2.0, "bound": 0.6}, 0.5, 0.15),
+        ({"acceleration": 2.0, "reverse_gain": 1.5}, 0.5, 0.375),
+    ],
+)
+def test_a_rate_fades_as_the_limits_of_the_robot_let_it(
+    limits: Mapping[str, float], left: float, fading_s: float
+) -> None:
+    keys = {f"plant__turn_{name}": value for name, value in limits.items()}
+    found = _find_delay(make_scenario(**keys), "turn_rate", 1.0, left)
+    assert found == pytest.approx(QUIET.turn_rate.dead_time_s + fading_s)
 
 
 def list_verdicts(found: RobotComparison) -> list[str]:

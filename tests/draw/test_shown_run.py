@@ -71,5 +71,5 @@ def test_a_size_below_a_pixel_is_refused_by_name(size: dict[str, int]) -> None:
 @needs_widget
 def test_rerun_that_is_switched_off_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rerun.is_enabled", lambda *_: False)
-    with pytest.raises(ShowError, match="expected Rerun to be switched on"):
+    with pytest.raises(ShowError, match=r"^paper-kp4: expected Rerun to be switched on"):
         tl.show_run(RUN)

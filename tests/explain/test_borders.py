@@ -22,7 +22,7 @@ from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.resimulation import list_lost_commands
 from turtlelog.explain.setting_search import Fits
 from turtlelog.explain.stop_reason import RULE_KEYS, find_stop_rule
-from turtlelog.explain.trace import find_resolution, mark_breaks, trace_run
+from turtlelog.explain.trace import find_pose_resolution, mark_breaks, trace_run
 from turtlelog.laws import SequentialPParameters
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import simulate_run
@@ -164,12 +164,12 @@ def test_a_gain_that_many_doubles_reproduce_has_as_much_room_above_as_below() ->
 def test_poses_have_a_common_step_up_to_a_fiftieth_of_it(off: float, is_common: bool) -> None:  # noqa: FBT001
     values = np.linspace(0.0, 0.039, 40) + np.pi * 1e-9
     values[20] += off * 1e-3
-    assert (find_resolution(values) == pytest.approx(1e-3, rel=1e-3)) == is_common
+    assert (find_pose_resolution(values) == pytest.approx(1e-3, rel=1e-3)) == is_common
 
 
 @pytest.mark.parametrize(("amount", "has_step"), [(10, True), (9, False)])
 def test_ten_different_values_may_tell_a_step(amount: int, has_step: bool) -> None:  # noqa: FBT001
-    assert (find_resolution(np.linspace(0.0, (amount - 1) / 3.0, amount)) > 0.3) == has_step
+    assert (find_pose_resolution(np.linspace(0.0, (amount - 1) / 3.0, amount)) > 0.3) == has_step
 
 
 @pytest.mark.parametrize(("ticks", "missing"), [(0.4, 0), (0.6, 1)])

@@ -53,6 +53,8 @@ EFFECTS: dict[str, tuple[str, dict[str, Any]]] = {
 }  # fmt: skip
 """By cause: a metric that it changes, and the only effect of a run."""
 
+ROBOT = {"plant.kind": "lagged", "plant.turn_lag_s": 0.1}
+
 PROPERTIES: dict[str, tuple[str, str, dict[str, Any]]] = {
     "saturation": ("rotate.iae", "lower", {}),
     "acceleration": ("rotate.delay_time", "lower", {"limits.turn_acceleration_rad_s2": 1.0}),
@@ -75,6 +77,15 @@ PROPERTIES: dict[str, tuple[str, str, dict[str, Any]]] = {
          "disturbance.turn_rate_rad_s": 1.0, "disturbance.from_s": 2.0, "disturbance.to_s": 3.0},
     ),
     "tolerance": ("rotate.duration", "higher", {"law.heading_tolerance_rad": 0.1}),
+    "robot-acceleration": (
+        "rotate.delay_time", "lower", {**ROBOT, "plant.turn_acceleration": 0.8}
+    ),
+    "robot-bound": ("rotate.iae", "lower", {**ROBOT, "plant.turn_bound": 0.4}),
+    "robot-deadband": ("final.heading_error", "lower", {**ROBOT, "plant.turn_deadband": 0.3}),
+    "robot-reverse-gain": (
+        "rotate.iae", "lower",
+        {**ROBOT, "plant.turn_reverse_gain": 0.4, "goal.x_m": 6.5, "goal.y_m": 4.9},
+    ),
 }  # fmt: skip
 """The same of properties."""
 

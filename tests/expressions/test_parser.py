@@ -6,13 +6,7 @@ from hypothesis import given, settings, strategies as st
 
 from tests.expressions.trees import numbers, temporal
 from turtlelog.errors import ExpressionError
-from turtlelog.expressions import (
-    Logic,
-    Node,
-    draw_caret,
-    format_expression,
-    parse_expression,
-)
+from turtlelog.expressions import Logic, Node, draw_caret, format_expression, parse_expression
 
 
 def catch_error(text: str) -> ExpressionError:

@@ -174,7 +174,9 @@ def turn_as_advised(model: tl.RobotModel, run: Run, truth: Limited) -> list[floa
     scenario = build_robot_scenario(model, run).scenario
     declaration = tl.simulate.declare_scenario(scenario)
     loops = tl.theory.model_loops(declaration, tl.scenario.flatten_scenario(scenario))
-    settings = next(loop for loop in loops if loop.loop.name == "rotate").require()[1]
+    loop = next(loop for loop in loops if loop.loop.name == "rotate")
+    # Here a controller reads poses without any age, so the most dead time would be too cautious.
+    settings = replace(loop, most_dead_time_s=None).require_slowest()
     period_s = settings["period_s"]
     advised = recommend_gains(settings["process"], period_s=period_s, overshoot_percent=5.0)
     kp = next(one.gains.kp for one in advised if one.controller == "P" and one.gains)

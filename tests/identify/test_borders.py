@@ -12,7 +12,7 @@ from tests.identify.robots import Log, build_run, make_run
 from tests.known import known
 from turtlelog.cli.identify_answer import format_robot
 from turtlelog.identify import AxisModel, Estimate
-from turtlelog.identify.axis_fit import find_outliers
+from turtlelog.identify.axis_fit import find_outlying_steps
 from turtlelog.identify.axis_motion import find_silent_stops, read_axis_motion
 
 QUIET = Log(duration_s=12.0, jitter_s=0.0)
@@ -33,11 +33,11 @@ def turn_at(rate: NDArray[np.float64], time_s: NDArray[np.float64]) -> tl.Run:
 @pytest.mark.parametrize(("size", "count"), [(7.9, 0), (8.1, 1)])
 def test_an_outlier_is_further_off_than_noise_can_be(size: float, count: int) -> None:
     noise = np.tile([1.0, -1.0], 50)
-    assert np.count_nonzero(find_outliers(np.append(noise, size * 1.4826))) == count
+    assert np.count_nonzero(find_outlying_steps(np.append(noise, size * 1.4826))) == count
 
 
 def test_of_residuals_of_zero_none_is_an_outlier() -> None:
-    assert not find_outliers(np.array([0.0, 0.0, 0.0, 1.0])).any()
+    assert not find_outlying_steps(np.array([0.0, 0.0, 0.0, 1.0])).any()
 
 
 @pytest.mark.parametrize(("gap_s", "steps"), [(0.99, 1), (1.01, 0)])

@@ -17,8 +17,20 @@ from tests.identify.limited_robots import (
 )
 from tests.identify.robots import Log, make_run
 from tests.known import known
-from turtlelog.identify import AxisModel, build_robot_scenario, predict_axis, read_doubts
-from turtlelog.identify.held_response import LaggedResponse, hold_commands, limit_within
+from turtlelog.identify import (
+    AxisModel,
+    Estimate,
+    build_robot_scenario,
+    predict_axis,
+    read_robot_notes,
+)
+from turtlelog.identify.doubts import cover_rivals
+from turtlelog.identify.held_response import (
+    LaggedResponse,
+    Structure,
+    hold_commands,
+    limit_within,
+)
 from turtlelog.run import Run
 
 LOG = Log(duration_s=25.0, poses_hz=25.0)
@@ -117,6 +129,41 @@ def test_a_deadband_lies_between_the_commands_that_do_nothing_and_those_that_do(
     assert found.low < 0.3 <= found.high
 
 
+def test_a_deadband_is_found_among_many_magnitudes_of_commands() -> None:
+    log = replace(LOG, hold_s=(0.1, 0.3))
+    found = known(
+        tl.identify_robot(turn_on_the_spot(TRUTHS["deadband"], log, 3)).turn_rate.deadband
+    )
+    assert found.low < 0.3 <= found.high
+    assert found.high - found.low < 0.05
+
+
+@pytest.mark.parametrize(("off", "is_told"), [(0.0099, False), (0.0111, True)])
+def test_a_doubt_is_told_where_it_changes_a_recommended_gain(off: float, *, is_told: bool) -> None:
+    sure_s = Estimate(value=0.1, low=0.1, high=0.1)
+    found = AxisModel(
+        axis="turn_rate",
+        status="ok",
+        gain=Estimate(value=0.9, low=0.9, high=0.9, unit="1"),
+        dead_time_s=sure_s,
+        lag_s=sure_s,
+        total_delay_s=Estimate(value=0.2, low=0.2, high=0.2),
+    )
+    gain = Estimate(value=0.9, low=0.9, high=0.9 * (1.0 + off), unit="1")
+    rival = replace(found, gain=gain)
+    covered = cover_rivals(found, Structure(), [(Structure(order="second_order"), rival)])
+    assert known(covered.gain).high == gain.high
+    assert bool(covered.doubts) is is_told
+
+
+def test_limits_of_rivals_are_covered_too() -> None:
+    found = identify("acceleration")[1].turn_rate
+    limit = known(found.rate_limit)
+    other = replace(found, rate_limit=replace(limit, low=1.5, high=2.2))
+    covered = known(cover_rivals(found, Structure(), [(Structure(), other)]).rate_limit)
+    assert (covered.value, covered.low, covered.high) == (limit.value, 1.5, 2.2)
+
+
 @pytest.mark.parametrize("kind", ["acceleration", "ramp", "bound", "stop", "both", "direction"])
 def test_advised_gains_overshoot_by_no_more_than_was_wanted(kind: str) -> None:
     run, model = identify(kind)
@@ -176,7 +223,7 @@ def test_in_doubt_advice_has_the_longer_delay_and_says_so() -> None:
     delay_s = plant.turn_dead_time_s + plant.turn_lag_s
     assert delay_s >= known(axis.total_delay_s).high - 1e-5
     assert plant.turn_gain == pytest.approx(known(axis.gain).high, rel=1e-4)
-    assert read_doubts(robot.text) == [f"Doubt: {axis.doubts[0]}"]
+    assert read_robot_notes(robot.text) == [f"Doubt: {axis.doubts[0]}"]
     assert max(turn_as_advised(model, run, BRAKING)) <= 6.0
 
 
@@ -208,3 +255,25 @@ def test_commands_of_one_size_leave_the_gain_of_others_unknown(
     run = make_run(replace(LOG, duration_s=15.0), 2, speed=(time_s, 0.0 * time_s), turn=turns)
     notes = " ".join(tl.identify_robot(run).notes)
     assert ("All commands of the turn rate have one size" in notes) is is_told
+
+
+@pytest.mark.parametrize(("beside", "is_told"), [(1.0, False), (0.8, True)])
+def test_a_turn_rate_that_is_slower_while_it_drives_is_doubted(
+    beside: float, *, is_told: bool
+) -> None:
+    """A robot is identified from 40 s of motion, so that either part of it shows its own gain."""
+    rng = np.random.default_rng(4)
+    time_s = np.arange(0.5, 39.5, 0.05)
+    held = (time_s / 0.8).astype(int)
+    turns = rng.uniform(-1.0, 1.0, 60)[held]
+    speeds = np.where(held % 4 < 2, 0.3, 0.0)
+    obeyed = turns * np.where(speeds > 0.0, beside, 1.0)
+    log = replace(LOG, duration_s=40.0)
+    run = make_run(log, 4, speed=(time_s, speeds), turn=(time_s, obeyed))
+    commands = replace(run.commands, turn_rate_rad_s=turns)
+    found = tl.identify_robot(replace(run, commands=commands)).turn_rate
+    assert (
+        any("those with a speed from those without one" in one for one in found.doubts) is is_told
+    )
+    gain = known(found.gain)
+    assert (gain.low <= 0.8 and gain.high >= 1.0) is is_told

@@ -9,14 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import turtlelog as tl
-from tests.identify.robots import (
-    Log,
-    Truth,
-    draw_log,
-    make_run,
-    respond,
-    turn_with_limit,
-)
+from tests.identify.robots import Log, Truth, draw_log, make_run, respond, turn_with_limit
 from tests.identify.scores import (
     PARAMETERS,
     Score,
@@ -239,7 +232,7 @@ def test_a_wide_interval_is_no_value() -> None:
 def test_a_dead_time_beyond_the_largest_has_no_value() -> None:
     late = Truth(dead_time_s=1.7, lag_s=0.1)
     model = tl.identify_robot(make_run(Log(turn_rate=late, duration_s=40.0), 1))
-    assert "no dead time up to 1.5 s explains the motion" in model.turn_rate.reason
+    assert "the best dead time is the largest that is tried, 1.5 s" in model.turn_rate.reason
     in_time = Truth(dead_time_s=1.4, lag_s=0.1)
     model = tl.identify_robot(make_run(Log(turn_rate=in_time, duration_s=40.0), 1))
     assert known(model.turn_rate.dead_time_s).value == pytest.approx(1.4, abs=2e-3)

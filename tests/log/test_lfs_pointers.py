@@ -5,10 +5,7 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
-from tests.cli.conftest import (
-    Call,
-    call as call,
-)
+from tests.cli.conftest import Call, call as call
 from tests.files.range_server import RangeServer
 from tests.log.ros2.bags import write_metadata
 from turtlelog.errors import LogError

@@ -279,8 +279,10 @@ LAGGED = {"plant__kind": "lagged"}
         ({"plant__turn_dead_time_s": 0.1, "plant__speed_dead_time_s": 0.15}, (2, 3)),
         ({"plant__turn_gain": 0.8, "plant__speed_gain": 0.7}, (0, 0)),
         ({"loop__transport_delay_s": 0.1}, (2, 2)),
+        ({"plant__turn_bound": 0.5, "plant__speed_bound": 0.4}, (0, 0)),
+        ({"plant__turn_reverse_gain": 0.5, "goal__x_m": 7.0, "goal__y_m": 4.0}, (0, 0)),
     ],
-    ids=["none", "transport", "own", "gain", "seconds"],
+    ids=["none", "transport", "own", "gain", "seconds", "bound", "reverse"],
 )
 def test_robot_without_lag_has_the_dead_time_of_its_scenario(
     changes: dict[str, Any], ticks: tuple[int, int]
@@ -297,6 +299,23 @@ def test_dead_time_of_a_robot_with_a_lag_is_not_guessed() -> None:
     assert isinstance(found, Missing)
     assert found.reason == (
         "it cannot be separated from the robot's time constant (plant.turn_lag_s = 0.1)"
+    )
+
+
+def test_commands_within_a_deadband_do_not_hide_the_dead_time() -> None:
+    run = simulate("textbook", **LAGGED, plant__turn_deadband=0.02, max_duration_s=8.0)
+    assert (np.abs(run.samples.turn_rate_rad_s[-10:]) < 0.02).all()
+    found = require_found(run, ROTATE)
+    assert (found.ticks, found.is_exact) == (0, True)
+
+
+def test_dead_time_of_a_robot_with_an_acceleration_limit_is_not_guessed() -> None:
+    run = simulate("textbook", **LAGGED, plant__turn_acceleration=2.0)
+    found = find_dead_time(run, ROTATE)
+    assert isinstance(found, Missing)
+    assert found.reason == (
+        "it cannot be separated from the limit of the robot's acceleration"
+        " (plant.turn_acceleration = 2)"
     )
 
 

@@ -6,11 +6,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from turtlelog.measure.reductions import fold_at_zero, integrate
-from turtlelog.measure.step_response import (
-    compute_rms,
-    integrate_square,
-    integrate_time_weighted,
-)
+from turtlelog.measure.step_response import compute_rms, integrate_square, integrate_time_weighted
 
 VALUES = arrays(np.float64, st.integers(2, 30), elements=st.floats(-10.0, 10.0, width=16))
 

@@ -1,14 +1,17 @@
 import math
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 from turtlelog.plants import lagged
 from turtlelog.plants.lagged import PART, LaggedKeys
+from turtlelog.simulate.settings import mirror
 
 Command = tuple[int, float, float]
 Values = NDArray[np.float64]
@@ -19,7 +22,7 @@ class Robot:
     """The plant from (0, 0, 0) on, driven as the loop drives it."""
 
     def __init__(self, keys: LaggedKeys) -> None:
-        self._settings = SimpleNamespace(plant=keys)
+        self._settings = SimpleNamespace(plant=mirror(LaggedKeys).read(keys))
         self._state = PART.begin(keys, 0.0, 0.0, 0.0, is_rounded=False)
         self._rows = SimpleNamespace(waiting={}, new=[SimpleNamespace(waiting=PART.Waiting)])
 
@@ -71,6 +74,64 @@ def test_commands_beyond_a_bound_lead_to_the_bound() -> None:
     assert bound.state != drive(keys, [(0, -1.1, 0.0)], SECOND_NS).state
     turns = drive(LaggedKeys(turn_bound=0.3), [(0, 0.0, 2.0)], SECOND_NS)
     assert turns.state == (0.0, 0.0, 0.3, 0.0, 0.3)
+
+
+def test_speed_ramps_and_then_fades_by_its_closed_form() -> None:
+    # 1 m/s from rest: 2 m/s^2 for 0.4 s, until 0.2 m/s are left, which fade.
+    keys = LaggedKeys(speed_lag_s=0.1, speed_acceleration=2.0)
+    ramp = drive(keys, [(0, 1.0, 0.0)], 300_000_000)
+    assert ramp.state == pytest.approx((0.09, 0.0, 0.0, 0.6, 0.0), abs=1e-15)
+    ramp.advance(500_000_000)
+    faded = math.exp(-1.0)
+    way_m = 0.16 + 0.1 - 0.02 * (1.0 - faded)
+    assert ramp.state == pytest.approx((way_m, 0.0, 0.0, 1.0 - 0.2 * faded, 0.0), abs=1e-15)
+
+
+def test_turn_without_a_time_constant_ramps_to_what_is_wanted_and_stays() -> None:
+    keys = LaggedKeys(turn_acceleration=4.0)
+    robot = drive(keys, [(0, 0.0, -1.0)], 100_000_000)
+    assert robot.state == pytest.approx((0.0, 0.0, -0.02, 0.0, -0.4), abs=1e-15)
+    robot.advance(SECOND_NS)
+    assert robot.state == pytest.approx((0.0, 0.0, -0.875, 0.0, -1.0), abs=1e-15)
+    assert robot.state[4] == -1.0
+
+
+@pytest.mark.parametrize("acceleration", [10.0, 11.0])
+def test_acceleration_that_a_step_does_not_reach_changes_no_bit(acceleration: float) -> None:
+    keys = LaggedKeys(speed_lag_s=0.1, turn_lag_s=0.2)
+    limited = replace(keys, speed_acceleration=acceleration, turn_acceleration=acceleration)
+    plain, same = (drive(one, [(0, 1.0, -2.0)], SECOND_NS).state for one in (keys, limited))
+    assert same == plain
+    reached = replace(keys, speed_acceleration=0.9 * 10.0)
+    assert drive(reached, [(0, 1.0, -2.0)], SECOND_NS).state != plain
+
+
+def test_commands_up_to_the_deadband_move_nothing_and_larger_ones_act_whole() -> None:
+    keys = LaggedKeys(speed_gain=0.5, speed_deadband=0.2, turn_deadband=0.3)
+    assert drive(keys, [(0, 0.2, -0.3)], SECOND_NS).state == (0.0, 0.0, 0.0, 0.0, 0.0)
+    above = math.nextafter(0.2, 1.0), -math.nextafter(0.3, 1.0)
+    assert drive(keys, [(0, *above)], SECOND_NS).state[3:] == (0.5 * above[0], above[1])
+
+
+def test_commands_below_0_have_a_gain_of_their_own() -> None:
+    keys = LaggedKeys(speed_gain=0.9, speed_reverse_gain=0.5, turn_reverse_gain=0.0)
+    assert drive(keys, [(0, -1.0, -1.0)], SECOND_NS).state == (-0.5, 0.0, 0.0, 0.5, 0.0)
+    assert drive(keys, [(0, 1.0, 0.0)], SECOND_NS).state == (0.9, 0.0, 0.0, 0.9, 0.0)
+    assert drive(keys, [(0, 0.0, 1.0)], SECOND_NS).state[4] == 1.0
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 1e-300, 0.1])
+@pytest.mark.parametrize("acceleration", [5e-324, 1e-12, 1e12, 1e308])
+@pytest.mark.parametrize("command", [5e-324, 1e-320, 1.0, 1e30])
+def test_accelerations_of_any_size_end(lag_s: float, acceleration: float, command: float) -> None:
+    keys = LaggedKeys(
+        speed_lag_s=lag_s,
+        turn_lag_s=lag_s,
+        speed_acceleration=acceleration,
+        turn_acceleration=acceleration,
+    )
+    robot = drive(keys, [(0, command, -min(command, 5.0)), (SECOND_NS, 0.0, 0.0)], 2 * SECOND_NS)
+    assert all(map(math.isfinite, robot.state))
 
 
 def test_robot_without_lag_and_dead_time_drives_the_circle_of_its_command_at_once() -> None:
@@ -181,8 +242,41 @@ def test_pose_is_that_of_superposed_step_responses(keys: LaggedKeys, steps: list
     assert (speed, turn_rate) == pytest.approx((abs(expected[3]), expected[4]), abs=1e-13)
 
 
+LIMITED = st.builds(
+    LaggedKeys,
+    speed_lag_s=st.sampled_from([0.05, 0.2]),
+    turn_lag_s=st.sampled_from([0.02, 0.4]),
+    turn_dead_time_s=st.sampled_from([0.0, 0.123456789]),
+    speed_acceleration=st.sampled_from([0.3, 2.0, 10.0]),
+    turn_acceleration=st.sampled_from([1.0, 6.0, math.inf]),
+    speed_bound=st.sampled_from([0.8, math.inf]),
+    turn_bound=st.sampled_from([2.0, math.inf]),
+    turn_deadband=st.sampled_from([0.0, 0.5]),
+    speed_reverse_gain=st.sampled_from([None, 0.6]),
+    turn_reverse_gain=st.sampled_from([None, 1.2]),
+)
+
+
+@settings(max_examples=12)
+@given(keys=LIMITED, steps=STEPS)
+def test_pose_with_limits_is_that_of_integrated_differential_equations(
+    keys: LaggedKeys, steps: list[Command]
+) -> None:
+    commands, end_ns = list_commands(steps)
+    x_m, y_m, heading_rad, speed, turn_rate = drive(keys, commands, end_ns).state
+    expected = integrate(keys, commands, end_ns)
+    assert (x_m, y_m, abs(expected[3]), expected[4]) == pytest.approx(
+        (expected[0], expected[1], speed, turn_rate), abs=1e-8
+    )
+    assert math.remainder(heading_rad - expected[2], math.tau) == pytest.approx(0.0, abs=1e-8)
+
+
 @settings(max_examples=40)
-@given(keys=KEYS, steps=STEPS, cuts=st.lists(st.floats(0, 1), min_size=1, max_size=20))
+@given(
+    keys=st.one_of(KEYS, LIMITED),
+    steps=STEPS,
+    cuts=st.lists(st.floats(0, 1), min_size=1, max_size=20),
+)
 def test_stops_on_the_way_change_nothing(
     keys: LaggedKeys, steps: list[Command], cuts: list[float]
 ) -> None:
@@ -215,6 +309,42 @@ def test_loop_that_runs_away_does_not_take_forever() -> None:
 def test_missing_keys_are_those_of_a_robot_that_does_as_it_is_told() -> None:
     commands = [(0, 1.0, 0.5)]
     assert drive(PLAIN, commands, SECOND_NS).state == drive(LaggedKeys(), commands, SECOND_NS).state
+
+
+def integrate(keys: LaggedKeys, commands: list[Command], end_ns: int) -> tuple[float, ...]:
+    """Return x, y, heading, speed and turn rate, as their equations are integrated numerically."""
+
+    def want(axis: str, row: int, time_ns: float) -> float:
+        dead_ns = round(getattr(keys, f"{axis}_dead_time_s") * 1e9)
+        held = [one[row] for one in commands if one[0] + dead_ns <= time_ns]
+        command = float(held[-1]) if held else 0.0
+        reverse = getattr(keys, f"{axis}_reverse_gain")
+        gain = getattr(keys, f"{axis}_gain") if command > 0 or reverse is None else reverse
+        bound = getattr(keys, f"{axis}_bound")
+        is_dead = abs(command) <= getattr(keys, f"{axis}_deadband")
+        return 0.0 if is_dead else float(np.clip(gain * command, -bound, bound))
+
+    dead_times = {round(getattr(keys, f"{axis}_dead_time_s") * 1e9) for axis in ("speed", "turn")}
+    switches = {one[0] + dead_ns for one in commands for dead_ns in dead_times}
+    edges = sorted({0, end_ns, *(switch for switch in switches if switch < end_ns)})
+    lags = np.array([keys.speed_lag_s, keys.turn_lag_s])
+    most = np.array([keys.speed_acceleration, keys.turn_acceleration])
+    state = np.zeros(5)
+    for begin, end in pairwise(edges):
+        wanted = np.array([want("speed", 1, begin), want("turn", 2, begin)])
+
+        def change(_: float, now: Values, wanted: Values = wanted) -> list[float]:
+            rates = np.clip((wanted - now[3:]) / lags, -most, most)
+            along = now[3] * np.cos(now[2]), now[3] * np.sin(now[2])
+            return [*along, now[4], *rates]
+
+        span = 0.0, (end - begin) / 1e9
+        found = solve_ivp(
+            change, span, state, method="DOP853", rtol=1e-10, atol=1e-11, max_step=0.02
+        )
+        state = found.y[:, -1]
+    values: tuple[float, ...] = tuple(state.tolist())
+    return values
 
 
 def superpose(keys: LaggedKeys, commands: list[Command], end_ns: int) -> tuple[float, ...]:

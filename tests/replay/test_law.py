@@ -8,7 +8,8 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from tests.log.runs import find_shared, make_run, simulate_preset
 from tests.replay.changes import change_scenario, change_value, scenarios, write_law
-from turtlelog.errors import ScenarioError, SimulationError
+from turtlelog.errors import LawError, ScenarioError, SimulationError
+from turtlelog.laws import LAWS, Pose
 from turtlelog.log import read_recording, read_run, write_recording
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay import LawReplay, ReplayError, replay_law
@@ -296,3 +297,30 @@ def test_commands_that_all_went_out_at_another_time_differ(kp4: Run, late_ns: in
     first = replay_law(run).first_difference
     assert first is not None
     assert (first.signal, first.recorded, first.replayed) == ("pause", late_ns / TICK_NS, 0)
+
+
+class Stand:
+    def step(self, time_ns: int, pose: Pose) -> tuple[float, float]:
+        return 0.0, 0.25
+
+
+def stand(time_ns: int, pose: Pose, goal: object) -> tuple[float, float]:
+    return 0.0, 0.25
+
+
+@pytest.mark.parametrize("law", [Stand, stand, Stand()], ids=["class", "function", "object"])
+def test_a_law_may_be_given_in_any_form_that_a_simulation_takes(law: Any, kp4: Run) -> None:
+    found = replay_law(kp4, law=law)
+    assert found.samples == 681
+    assert set(found.answers.turn_rate_rad_s) == {0.25}
+
+
+def test_a_law_may_be_given_by_its_name(kp4: Run) -> None:
+    assert replay_law(kp4, law="sequential-p").first_difference is None
+    assert replay_law(kp4, law=LAWS["sequential-p"]).first_difference is None
+    assert replay_law(kp4, law="posture").first_difference is not None
+
+
+def test_what_is_no_law_is_refused_by_its_argument(kp4: Run) -> None:
+    with pytest.raises(LawError, match="law: expected a class, a function of"):
+        replay_law(kp4, law=3)

@@ -9,12 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import PathError
 from turtlelog.run.path_pieces import REACH_M, locate_on
-from turtlelog.run.paths import (
-    MOST_POINTS,
-    Path,
-    PathFollower,
-    restore_path,
-)
+from turtlelog.run.paths import MOST_POINTS, Path, PathFollower, restore_path
 
 SQUARE = Path(kind="polygon", points=((3.0, 3.0), (8.0, 3.0), (8.0, 8.0), (3.0, 8.0)))
 HEXAGON_M = 2.0

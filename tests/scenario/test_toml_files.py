@@ -4,12 +4,7 @@ import pytest
 
 from tests.scenario.lines import match_whole
 from turtlelog.errors import ScenarioError
-from turtlelog.scenario import (
-    get_preset,
-    load_scenario,
-    parse_scenario,
-    read_scenario,
-)
+from turtlelog.scenario import get_preset, load_scenario, parse_scenario, read_scenario
 
 
 def test_text_that_is_no_toml_is_told_with_its_place() -> None:

@@ -2,9 +2,7 @@ import pytest
 
 from tests.scenario.lines import match_whole
 from turtlelog.errors import ScenarioError
-from turtlelog.scenario import (
-    parse_scenario,
-)
+from turtlelog.scenario import parse_scenario
 
 KEYS = "kp_angular, kp_linear, heading_tolerance_rad, position_tolerance_m,"
 

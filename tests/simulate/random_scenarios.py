@@ -104,10 +104,17 @@ def build_robot(draw: random.Random) -> Mapping[str, Any]:
     }
 
 
-def build_bounds(draw: random.Random) -> Mapping[str, Any]:
+def build_limits(draw: random.Random) -> Mapping[str, Any]:
+    """Return limits of a robot; a reverse gain of None is that of the other direction."""
     return {
         "plant.turn_bound": draw.choice([math.inf, 0.3, 1.0]),
         "plant.speed_bound": draw.choice([math.inf, 0.4]),
+        "plant.turn_acceleration": draw.choice([math.inf, 0.5, draw.uniform(1.0, 20.0)]),
+        "plant.speed_acceleration": draw.choice([math.inf, 0.2, draw.uniform(0.5, 10.0)]),
+        "plant.turn_deadband": draw.choice([0.0, 0.05]),
+        "plant.speed_deadband": draw.choice([0.0, 0.02]),
+        "plant.turn_reverse_gain": draw.choice([None, 0.0, draw.uniform(0.5, 1.5)]),
+        "plant.speed_reverse_gain": draw.choice([None, draw.uniform(0.5, 1.5)]),
     }
 
 

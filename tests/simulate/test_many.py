@@ -12,7 +12,7 @@ from tests.effects_cases import EFFECTS
 from tests.simulate.random_scenarios import (
     DRAWN_EFFECTS,
     OTHER_LAWS,
-    build_bounds,
+    build_limits,
     build_other,
     build_random,
     build_robot,
@@ -116,9 +116,21 @@ def test_compiled_robot_is_the_plain_one_with_every_effect(effect: str) -> None:
     draw = random.Random(effect)
     for preset in PRESETS:
         changes: dict[str, Any] = {"max_duration_s": 8.0, **EFFECTS["lagged"], **EFFECTS[effect]}
-        changes |= {**build_robot(draw), **build_bounds(draw), "loop.period_ticks": 1}
+        changes |= {**build_robot(draw), **build_limits(draw), "loop.period_ticks": 1}
         changes["loop.queue_policy"] = draw.choice(["one-per-tick", "newest"])
         require_same(override_scenario(get_preset(preset), changes))
+
+
+@pytest.mark.parametrize("kind", ["sequential-p", "sequential-pid"])
+def test_compiled_robot_with_limits_is_the_plain_one_bit_for_bit(kind: str) -> None:
+    draw = random.Random(f"limits {kind}")
+    for _ in range(40):
+        changes: dict[str, Any] = {"max_duration_s": 8.0, **EFFECTS["lagged"], "law.kind": kind}
+        changes |= {**build_robot(draw), **build_limits(draw)}
+        changes["start.heading_rad"] = draw.uniform(-3.0, 3.0)
+        changes["disturbance.turn_rate_rad_s"] = draw.choice([0.0, 0.1])
+        changes["loop.transport_delay_s"] = draw.choice([0.0, 0.03])
+        require_same(override_scenario(get_preset("textbook"), changes))
 
 
 def test_compiled_robot_is_pushed_on_every_edge() -> None:

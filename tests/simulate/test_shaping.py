@@ -10,11 +10,7 @@ from numpy.typing import NDArray
 
 from tests.effects_cases import build_case
 from turtlelog.arithmetic import clip
-from turtlelog.effects.acceleration import (
-    Follower,
-    follow_with_acceleration,
-    follow_with_jerk,
-)
+from turtlelog.effects.acceleration import Follower, follow_with_acceleration, follow_with_jerk
 from turtlelog.run import Run
 from turtlelog.simulate import iterate_ticks, simulate_run
 

@@ -17,13 +17,7 @@ from turtlelog.log import Recorder, read_recording
 from turtlelog.log.live_run import run_live
 from turtlelog.replay import replay_law
 from turtlelog.scenario import Scenario, get_preset, override_scenario
-from turtlelog.simulate import (
-    collect_run,
-    iterate_ticks,
-    simulate_many,
-    simulate_run,
-    step_budget,
-)
+from turtlelog.simulate import collect_run, iterate_ticks, simulate_many, simulate_run, step_budget
 from turtlelog.simulate.step_budget import StepBudget, StepBudgetError
 from turtlelog.sweep import prepare_sweep
 from turtlelog.sweep.tune import Candidates

@@ -7,8 +7,9 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -21,9 +22,22 @@ import turtlelog as tl
 import turtlelog.sweep.cluster
 from tests.laws.test_law_files import write_law
 from turtlelog.cli.app import main
-from turtlelog.errors import ProcessError
+from turtlelog.errors import LawError, ProcessError
+from turtlelog.laws import WorkWithLaws, name_given_law
+from turtlelog.laws.given_laws import find_given_law
 from turtlelog.processes import map_in_processes
 from turtlelog.sweep.cluster import connect_cluster
+
+
+class Weave:
+    """A law without a name in a module, once it is made in a function."""
+
+    def __init__(self, rate_rad_s: float) -> None:
+        self.rate_rad_s = rate_rad_s
+
+    def step(self, time_ns: int, pose: Any) -> tuple[float, float]:
+        return 0.5, self.rate_rad_s if time_ns % 2_000_000_000 < 1_000_000_000 else 0.0
+
 
 FILES = [f"recordings/paper/kp{gain}.mcap" for gain in (1, 4, 7, 10)]
 
@@ -360,3 +374,69 @@ def test_what_has_no_place_beside_a_cluster_is_refused(
     assert code == 2
     assert said in err
     assert "PW" not in err
+
+
+def make_weaving(rate_rad_s: float) -> Any:
+    def weave(time_ns: int, pose: Any, goal: Any) -> tuple[float, float]:
+        return 0.5, rate_rad_s if time_ns % 2_000_000_000 < 1_000_000_000 else 0.0
+
+    return weave
+
+
+GRID = {"limits.speed_m_s": [0.1 * number for number in range(1, 7)], "max_duration_s": [3.0]}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("make", [make_weaving, Weave])
+def test_workers_get_a_law_of_this_session_with_their_work(
+    cluster: str, make: Callable[[float], Any]
+) -> None:
+    """Starts a cluster, and simulates plain: 5 s."""
+    for rate_rad_s in (0.3, 0.6):
+        law = make(rate_rad_s)
+        here = tl.sweep_scenario("textbook", GRID, law=law, metrics=["run.path_length"], jobs=1)
+        with connect_cluster(cluster) as jobs:
+            there = tl.sweep_scenario(
+                "textbook", GRID, law=law, metrics=["run.path_length"], jobs=jobs
+            )
+        assert there.failed == 0
+        assert there.to_arrow().equals(here.to_arrow())
+
+
+def test_a_law_that_cannot_be_sent_is_refused_before_the_work() -> None:
+    law = Weave(0.3)
+    law.lock = threading.Lock()  # type: ignore[attr-defined]
+    kind = name_given_law(law)
+    with pytest.raises(LawError, match=f"{kind} cannot be sent .*write it to a file"):
+        WorkWithLaws(len, [kind])
+
+
+def test_a_worker_uses_one_law_of_a_name_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two sessions may each have a law `session:weave`; here one task waits inside the other."""
+    laws = make_weaving(0.3), make_weaving(0.6)
+    kinds = [name_given_law(law) for law in laws]
+    works = [WorkWithLaws(read_rate, [kind]) for kind in kinds]
+    given: dict[str, Any] = {}
+    monkeypatch.setattr("turtlelog.laws.given_laws._OWN", "another session")
+    monkeypatch.setattr("turtlelog.laws.given_laws._GIVEN", given)
+    monkeypatch.setattr("turtlelog.laws.given_laws._LENT", {})
+    first, second = works[0]._packed[kinds[0]], works[1]._packed[kinds[1]]
+    works[0]._packed, works[1]._packed = {"session:weave": first}, {"session:weave": second}
+    assert [work("session:weave") for work in (*works, works[0])] == [0.3, 0.6, 0.3]
+
+    def use_other(kind: str) -> float:
+        works[1](kind)
+        return 0.0
+
+    works[0].work = use_other
+    with pytest.raises(LawError, match="this worker uses a law of that name of another session"):
+        works[0]("session:weave")
+    assert works[1]("session:weave") == 0.6
+    given["session:own"] = laws[0]
+    works[1]._packed = {"session:own": second}
+    with pytest.raises(LawError, match="session:own: this worker uses a law of that name"):
+        works[1]("session:own")
+
+
+def read_rate(kind: str) -> float:
+    return float(find_given_law(kind)(0, None, None)[1])

@@ -7,12 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from tests.theory.polynomials import compute_pid_polynomial
-from turtlelog.theory import (
-    PidGains,
-    compute_pid_step_response,
-    find_stable_gains,
-    is_pid_stable,
-)
+from turtlelog.theory import PidGains, compute_pid_step_response, find_stable_gains, is_pid_stable
 from turtlelog.theory.pid_stability import NEAREST
 
 TICK_S = 0.016

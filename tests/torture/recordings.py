@@ -6,16 +6,7 @@ from io import BytesIO
 from pathlib import Path
 
 from mcap.reader import NonSeekingReader
-from mcap.records import (
-    Attachment,
-    Channel,
-    DataEnd,
-    Header,
-    McapRecord,
-    Message,
-    Metadata,
-    Schema,
-)
+from mcap.records import Attachment, Channel, DataEnd, Header, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 

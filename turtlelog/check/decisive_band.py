@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Curve
-from turtlelog.check.formula import find_unit
+from turtlelog.check.formula import find_formula_unit
 from turtlelog.check.formula_trace import FormulaTrace
 from turtlelog.check.robustness import PartReader
 from turtlelog.expressions import (
@@ -297,7 +297,7 @@ class BandReader:
         if isinstance(node, Call) and node.function not in {"abs", "min", "max"}:
             return ""
         if isinstance(node, Name):
-            return find_unit(node.name, self._run.declaration) or ""
+            return find_formula_unit(node.name, self._run.declaration) or ""
         operator = getattr(node, "operator", "")
         children = node.list_children()
         if operator in {"*", "/", "**"} or not children:

@@ -303,7 +303,9 @@ def read_sides(
     if not isinstance(node, Comparison):
         return Sides()
     names = {part.name for part in iterate_nodes(node) if isinstance(part, Name)}
-    units = {name: unit for name in names if (unit := find_unit(name, declaration)) is not None}
+    units = {
+        name: unit for name in names if (unit := find_formula_unit(name, declaration)) is not None
+    }
     measured, limit = node.operands
     if _is_measured(limit, units) and not _is_measured(measured, units):
         measured, limit = limit, measured
@@ -315,7 +317,7 @@ def read_sides(
     )
 
 
-def find_unit(name: str, declaration: Declaration) -> str | None:
+def find_formula_unit(name: str, declaration: Declaration) -> str | None:
     """Return the unit of a signal or metric, None if the name is of neither.
 
     Empty for a metric of a loop that is not declared, whose unit depends on what it controls.

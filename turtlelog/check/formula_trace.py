@@ -12,13 +12,7 @@ from numpy.typing import NDArray
 from turtlelog.check.piecewise_constant import Steps, make_steps
 from turtlelog.check.vocabulary import find_kind
 from turtlelog.errors import CheckError
-from turtlelog.expressions import (
-    Expression,
-    Name,
-    describe_unknown_name,
-    fail_at,
-    iterate_nodes,
-)
+from turtlelog.expressions import Expression, Name, describe_unknown_name, fail_at, iterate_nodes
 from turtlelog.log.recording.head import LOSS_NOTES, NO_LOSS
 from turtlelog.measure import COMMANDED, find_signal, list_signals, measure_run
 from turtlelog.run import Run

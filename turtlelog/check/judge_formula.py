@@ -16,7 +16,7 @@ from turtlelog.check.vocabulary import (
     TRAJECTORY_VALUES,
     TrajectoryJudge,
     choose_signals,
-    describe_no_phase,
+    describe_missing_phase,
     find_kind,
     measure_robot,
     require_known_names,
@@ -79,7 +79,7 @@ def measure_named(
         trajectories: What measures errors beside a reference; without it they have no value.
         file: What the run is called.
     """
-    names = list_names(checks)
+    names = list_formula_names(checks)
     ids = sorted(name for name in names if find_kind(run, name) is not None)
     of_robot = measure_robot(run, sorted(names & ROBOT_VALUES.keys()))
     errors = sorted(names & TRAJECTORY_VALUES.keys())
@@ -87,7 +87,7 @@ def measure_named(
     return {**(measure_run(run, only=ids) if ids else {}), **of_robot, **beside}
 
 
-def list_names(checks: Sequence[Check]) -> set[str]:
+def list_formula_names(checks: Sequence[Check]) -> set[str]:
     """Return the names in the formulas of checks."""
     formulas = [found for check in checks for found in (check.formula, check.when) if found]
     return {name for formula in formulas for name in formula.names}
@@ -142,7 +142,7 @@ class _Judge:
         names = check.formula.names
         window_ns = find_span(run, names) if not check.phase else find_window(run, check.phase)
         if window_ns is None:
-            return self._leave_open(describe_no_phase(run, check.phase or ""))
+            return self._leave_open(describe_missing_phase(run, check.phase or ""))
         found = check_run(run, check.formula, window_ns=window_ns)
         begun_s = (window_ns[0] - run.start_ns) / 1e9
         value_s, failed_s = (

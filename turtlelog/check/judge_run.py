@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_difference import match_run
-from turtlelog.check.judge_formula import Grown, judge_check, list_names, measure_named
+from turtlelog.check.judge_formula import Grown, judge_check, list_formula_names, measure_named
 from turtlelog.check.reference import MetricsFile, read_metrics_file
 from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check, Spec
@@ -110,7 +110,7 @@ def read_reference_trajectory(
         CheckError: If errors have no reference.
         LogError: If it cannot be read.
     """
-    names = sorted(list_names(spec.checks) & TRAJECTORY_VALUES.keys())
+    names = sorted(list_formula_names(spec.checks) & TRAJECTORY_VALUES.keys())
     if not names:
         return None
     if spec.reference is None:

@@ -14,11 +14,7 @@ from turtlelog.check.judge_formula import judge_check
 from turtlelog.check.judge_run import fail_recording
 from turtlelog.check.recorded_metric import watch_metric
 from turtlelog.check.reference import ReferenceFile
-from turtlelog.check.result import (
-    CheckOutcome,
-    CheckResult,
-    PartialLogError,
-)
+from turtlelog.check.result import CheckOutcome, CheckResult, PartialLogError
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import (
     describe_nearest,

@@ -28,7 +28,7 @@ from turtlelog.expressions import Expression, Until, iterate_nodes, parse_expres
 from turtlelog.files.text_files import describe_missing, parse_toml, read_text_file
 from turtlelog.files.urls import is_url, make_path
 from turtlelog.log import ReadChoice
-from turtlelog.log.read_choice import TimeSource, parse_goal, parse_wheelbase, parse_wheels
+from turtlelog.log.read_choice import TimeSource, parse_goal_option, parse_wheelbase, parse_wheels
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.dotted_keys import describe_value, name_key
 
@@ -342,7 +342,7 @@ def _read_goal(table: Mapping[str, Any], place: str) -> tuple[float, ...] | None
         return None
     is_list = isinstance(goal, list) and all(type(value) in {int, float} for value in goal)
     try:
-        parse_goal(tuple(goal) if is_list else ())
+        parse_goal_option(tuple(goal) if is_list else ())
     except LogError as err:
         expected = "[x, y] in m, or [x, y, heading] with the heading in rad"
         found = describe_value(goal)

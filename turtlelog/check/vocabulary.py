@@ -165,7 +165,7 @@ def require_phase(phase: str, run: Run | None = None) -> None:
         raise CheckError(f"phase: {describe_nearest(phase, known)}")
 
 
-def describe_no_phase(run: Run, phase: str) -> str:
+def describe_missing_phase(run: Run, phase: str) -> str:
     """Return why a run has no such phase: it does not come to it, or its law has others."""
     known = [name for name in run.phase_names if name != DONE]
     if phase in known:

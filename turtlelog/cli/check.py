@@ -128,10 +128,10 @@ def _require_use(spec: "Spec", reference: Path | None) -> None:
     Raises:
         UsageError: Where there is one.
     """
-    from turtlelog.check.judge_formula import list_names
+    from turtlelog.check.judge_formula import list_formula_names
     from turtlelog.check.vocabulary import TRAJECTORY_VALUES
 
-    if reference is not None and list_names(spec.checks).isdisjoint(TRAJECTORY_VALUES):
+    if reference is not None and list_formula_names(spec.checks).isdisjoint(TRAJECTORY_VALUES):
         raise UsageError(
             "--reference: leave it out beside --expect, which has no tolerances and names no error"
             " of a trajectory (ate.position.rmse)"

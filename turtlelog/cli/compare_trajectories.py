@@ -30,12 +30,7 @@ from turtlelog.display import describe_count, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog.compare import (
-        ErrorStatistics,
-        Table,
-        TrajectoryComparison,
-        TrajectorySettings,
-    )
+    from turtlelog.compare import ErrorStatistics, Table, TrajectoryComparison, TrajectorySettings
     from turtlelog.log import ReadChoice
     from turtlelog.run import Trajectory
 

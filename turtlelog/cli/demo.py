@@ -8,13 +8,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Place
-from turtlelog.cli.output import (
-    fill_lines,
-    find_command_name,
-    find_width,
-    print_note,
-    print_text,
-)
+from turtlelog.cli.output import fill_lines, find_command_name, find_width, print_note, print_text
 from turtlelog.display import format_short
 from turtlelog.errors import UsageError
 from turtlelog.libraries import load_library

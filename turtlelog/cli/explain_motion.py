@@ -6,12 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from turtlelog.cli.output import fill_lines
-from turtlelog.cli.replay_plant import (
-    PlantReplayAnswer,
-    build_plant,
-    judge_rounding,
-    list_breaks,
-)
+from turtlelog.cli.replay_plant import PlantReplayAnswer, build_plant, judge_rounding, list_breaks
 from turtlelog.display import describe_count, join_words
 from turtlelog.escapes import escape_controls
 

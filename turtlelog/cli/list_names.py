@@ -92,7 +92,9 @@ def _list_rows(entry: Mapping[str, Any], titles: Sequence[str]) -> Iterator[tupl
     if not isinstance(last, Mapping):
         yield (*map(_show, first), _show(last))
         return
-    settings = [f"{key} = {value}" for key, value in last.items()] or ["-"]
+    settings = [
+        f"{key} not given" if value is None else f"{key} = {value}" for key, value in last.items()
+    ] or ["-"]
     yield (*map(_show, first), settings[0])
     yield from ((*("" for _ in first), setting) for setting in settings[1:])
 
@@ -168,13 +170,14 @@ def _list_plants() -> Entries:
 
 
 def _list_causes() -> Entries:
-    from turtlelog.explain.causes import LOOP_CAUSES
+    from turtlelog.explain.causes import LOOP_CAUSES, PLANT_CAUSES
     from turtlelog.laws import LAWS, list_causes
 
+    of_plants = [(name, one) for name, causes in PLANT_CAUSES.items() for one in causes]
     of_laws = [(name, one) for name, law in LAWS.items() for one in list_causes(law)]
     return [
         {"name": one.name, "kind": one.kind, "of": law, "without it": dict(one.neutral)}
-        for law, one in [*(("any loop", one) for one in LOOP_CAUSES), *of_laws]
+        for law, one in [*(("any loop", one) for one in LOOP_CAUSES), *of_laws, *of_plants]
     ]
 
 

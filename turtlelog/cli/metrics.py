@@ -9,18 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.folders import (
-    FolderOptions,
-    build_table_answer,
-    summarise_table,
-    tabulate,
-)
+from turtlelog.cli.folders import FolderOptions, build_table_answer, summarise_table, tabulate
 from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.metrics_answer import (
-    list_needed,
-    print_chosen,
-    print_essential,
-)
+from turtlelog.cli.metrics_answer import list_needed, print_chosen, print_essential
 from turtlelog.cli.options import (
     Files,
     Place,

@@ -6,12 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import (
-    fill_lines,
-    find_width,
-    print_tables,
-    print_text,
-)
+from turtlelog.cli.output import fill_lines, find_width, print_tables, print_text
 from turtlelog.display import describe_count, format_short, join_words
 from turtlelog.escapes import escape_controls
 

@@ -16,7 +16,7 @@ _DELAY_S: Final = 1.0
 _REFRESH_S: Final = 0.1
 
 
-class Progress:
+class ProgressLine:
     """How much is done; a thread of its own draws it, so that one long step is seen as well.
 
     Attributes:
@@ -109,15 +109,15 @@ class Rate:
         return f", {rate:.{0 if rate >= 10 else 1}f}/s, {timedelta(seconds=left_s)} left"
 
 
-_live: Final[list[Progress]] = []
+_live: Final[list[ProgressLine]] = []
 
 
 @contextmanager
 def show_progress(
     label: str, total: float | None = None, unit: str = "", *, has_rate: bool = False
-) -> Iterator[Progress]:
+) -> Iterator[ProgressLine]:
     """Show on the way what the block does, where it takes more than a second."""
-    progress = Progress(label, total, unit, has_rate=has_rate)
+    progress = ProgressLine(label, total, unit, has_rate=has_rate)
     _live.append(progress)
     try:
         yield progress

@@ -26,12 +26,7 @@ from turtlelog.cli.replay_answer import (
     format_law,
     format_loop,
 )
-from turtlelog.cli.replay_choice import (
-    ReplayOptions,
-    choose_replayed,
-    require_sound,
-    settle_file,
-)
+from turtlelog.cli.replay_choice import ReplayOptions, choose_replayed, require_sound, settle_file
 from turtlelog.cli.replay_plant import (
     CommandReplayAnswer,
     build_plant,

@@ -22,7 +22,7 @@ from turtlelog.cli.output import (
     print_note,
     print_text,
 )
-from turtlelog.cli.progress import Progress, show_progress, watch_ticks
+from turtlelog.cli.progress import ProgressLine, show_progress, watch_ticks
 from turtlelog.cli.scenario_options import (
     LawOptions,
     RowOptions,
@@ -319,7 +319,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
 class _Watcher:
     """Shows how far a live run is."""
 
-    def __init__(self, progress: Progress) -> None:
+    def __init__(self, progress: ProgressLine) -> None:
         self._progress = progress
 
     def receive(self, tick: "Tick") -> None:

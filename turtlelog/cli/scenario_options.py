@@ -134,7 +134,7 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     path, declared = make_path(name_or_path), None
     if name_or_path in tl.PRESETS or not is_recording(path):
         base = tl.load_scenario(name_or_path)
-        _note_doubts(path)
+        _note_robot(path)
     else:
         run = read_chosen_run(path, TopicOptions())
         if not run.scenario_is_complete:
@@ -145,11 +145,12 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     return apply_options(base, options, declared)
 
 
-def _note_doubts(path: Path) -> None:
-    """Print what `identify` doubted of the robot in a scenario file, before what is said of it."""
+def _note_robot(path: Path) -> None:
+    """Print what `identify` noted of the robot in a scenario file, before what is said of it."""
     if path.suffix == ".toml" and path.is_file():
-        for doubt in tl.identify.read_doubts(path.read_text(encoding="utf-8", errors="replace")):
-            print_note(doubt)
+        text = path.read_text(encoding="utf-8", errors="replace")
+        for note in tl.identify.read_robot_notes(text):
+            print_note(note)
 
 
 def apply_options(

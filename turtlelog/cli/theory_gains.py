@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 from cyclopts import Parameter
@@ -86,24 +86,25 @@ class Wishes:
     def recommend_for(self, models: "Sequence[LoopModel]") -> "list[Recommended]":
         """Return gains for the declared loops that theory knows, alike loops together.
 
-        They are for the most dead time that a loop may have.
+        They are for the most dead time that a loop may have, and for its largest steps.
         """
-        groups: dict[tuple[Process, float, float], dict[str, PidGains]] = {}
-        longest_s: dict[str, float] = {}
+        groups: dict[tuple[Process, float, float], dict[str, LoopModel]] = {}
         for model in tl.theory.list_known(models):
-            gains, settings = model.require()
-            process = settings["process"]
-            if model.most_dead_time_s is not None:
-                process = replace(process, dead_time_s=model.most_dead_time_s)
-                longest_s[model.loop.name] = model.most_dead_time_s
-            key = process, settings["period_s"], gains.filter_s
-            groups.setdefault(key, {})[model.loop.name] = gains
-        return [
-            self.recommend(*key, given=tuple(loops.values()))._replace(
-                loops=tuple(loops), most_dead_time_s=longest_s.get(next(iter(loops)))
+            gains, settings = model.require()[0], model.require_slowest()
+            key = settings["process"], settings["period_s"], gains.filter_s
+            groups.setdefault(key, {})[model.loop.name] = model
+        found = []
+        for key, loops in groups.items():
+            first = next(iter(loops.values()))
+            recommended = self.recommend(*key, given=[one.require()[0] for one in loops.values()])
+            found.append(
+                recommended._replace(
+                    loops=tuple(loops),
+                    most_dead_time_s=first.most_dead_time_s,
+                    ramp_s=first.ramp_s,
+                )
             )
-            for key, loops in groups.items()
-        ]
+        return found
 
     def tell(self, one: "Recommendation") -> str:
         """Return controller and rule in words, for a table."""
@@ -130,12 +131,14 @@ class Recommended(NamedTuple):
         given: What given gains do, of loops in their order.
         loops: The names of the loops that they are for.
         most_dead_time_s: The most dead time, if it may grow [s].
+        ramp_s: By how much their time constant is longer for limits of the acceleration [s].
     """
 
     found: "tuple[Recommendation, ...]"
     given: "tuple[Recommendation, ...]" = ()
     loops: Sequence[str] = ()
     most_dead_time_s: float | None = None
+    ramp_s: float = 0.0
 
     def find_best(self, controller: str) -> "Recommendation | None":
         """Return the first gains of a controller, or of P, for what is wanted; None without any."""
@@ -335,6 +338,11 @@ def _list_notes(recommended: Recommended, wishes: Wishes, *, shows_all: bool) ->
     if recommended.most_dead_time_s is not None:
         most = f"{1e3 * recommended.most_dead_time_s:.6g} ms"
         yield f"They are for the most dead time, {most}."
+    if recommended.ramp_s:
+        yield (
+            "They are for large steps: the limited acceleration counts as"
+            f" {1e3 * recommended.ramp_s:.3g} ms of time constant."
+        )
     if not shows_all:
         return
     yield (

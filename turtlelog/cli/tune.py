@@ -7,14 +7,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_metrics
-from turtlelog.cli.options import (
-    Json,
-    Place,
-    StepBudgetMs,
-    Whole,
-    WorkOptions,
-    choose_step_budget,
-)
+from turtlelog.cli.options import Json, Place, StepBudgetMs, Whole, WorkOptions, choose_step_budget
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord

@@ -13,7 +13,8 @@ from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.columns import take_rows
-from turtlelog.scenario import Scenario
+from turtlelog.run.loops import PLANT_KEYS, read_number
+from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate.streams import RANDOM_KEYS, list_streams
 
 _FADED: Final = 1e-3
@@ -54,7 +55,8 @@ def list_commands(
     for axis in AXES:
         for stop in motions[axis].stops:
             # It is down to half by then, and the simulated robot takes its own time to get there.
-            earlier_s = _find_delay(scenario, axis, _HALF)
+            begun = max(int(np.searchsorted(time_ns, round(stop.begin_s * 1e9), "right")) - 1, 0)
+            earlier_s = _find_delay(scenario, axis, float(held[axis][begun]), _HALF)
             stop_ns = round(max(stop.stop_s - earlier_s, stop.begin_s) * 1e9)
             row = int(np.searchsorted(time_ns, stop_ns, side="right"))
             if not row:
@@ -81,7 +83,11 @@ def find_known(run: Run, scenario: Scenario) -> int:
     seen_s = (poses.time_ns[earlier][-1] - poses.time_ns[0]) / 1e9 if earlier.any() else 0.0
     if seen_s >= _LOOK_S and all(_stands(run, axis, earlier, seen_s) for axis in AXES):
         return int(poses.time_ns[0])
-    return first_ns + round(max(_find_delay(scenario, axis, _FADED) for axis in AXES) * 1e9)
+    delays_s = [
+        _find_delay(scenario, axis, float(np.abs(get_commands(run, axis)).max()), _FADED)
+        for axis in AXES
+    ]
+    return first_ns + round(max(delays_s) * 1e9)
 
 
 def silence(scenario: Scenario) -> Scenario:
@@ -117,17 +123,24 @@ def _drop_repeated(commands: CommandColumns) -> CommandColumns:
     return take_rows(commands, np.concatenate([[True], changes]))
 
 
-def _find_delay(scenario: Scenario, axis: Axis, left: float) -> float:
-    """Return after what time a share of an earlier rate is left [s]."""
-    plant, loop = scenario.plant, scenario.loop
-    dead_time_s, lag_s = (
-        (plant.speed_dead_time_s, plant.speed_lag_s)
-        if axis == "speed"
-        else (plant.turn_dead_time_s, plant.turn_lag_s)
-    )
-    transport_s: float = loop.transport_delay_s + loop.transport_delay_ticks * plant.facts.period_s
-    delay_s: float = transport_s + (dead_time_s or 0.0) - math.log(left) * (lag_s or 0.0)
-    return delay_s
+def _find_delay(scenario: Scenario, axis: Axis, command: float, left: float) -> float:
+    """Return after what time a share of the rate that a command led to is left [s]."""
+    values, loop = flatten_scenario(scenario), scenario.loop
+    key = PLANT_KEYS[axis]
+    transport_s: float = loop.transport_delay_s
+    transport_s += loop.transport_delay_ticks * scenario.plant.facts.period_s
+    lag_s = read_number(values, f"{key}lag_s")
+    acceleration = read_number(values, f"{key}acceleration", math.inf)
+    gains = [read_number(values, f"{key}{name}gain") for name in ("", "reverse_")]
+    rate = max(map(abs, gains)) * abs(command)
+    rate = min(rate, read_number(values, f"{key}bound", math.inf))
+    fading_s, end = 0.0, left * rate
+    if acceleration < math.inf:
+        bend = min(max(acceleration * lag_s, end), rate)
+        fading_s, rate = (rate - bend) / acceleration, bend
+    if rate > end:
+        fading_s += lag_s * math.log(rate / end)
+    return transport_s + read_number(values, f"{key}dead_time_s") + fading_s
 
 
 def _stands(run: Run, axis: Axis, earlier: NDArray[np.bool_], seen_s: float) -> bool:

@@ -44,7 +44,7 @@ from turtlelog.identify.axis_motion import (
     NAMES,
     Axis,
     AxisMotion,
-    measure_steps,
+    measure_axis_steps,
     read_axis_motion,
 )
 from turtlelog.identify.motion_prediction import AxisTraces, join_rates
@@ -283,8 +283,8 @@ def _build_poses(time_ns: Rows, states: Values) -> PoseColumns:
 def _trace(
     axis: Axis, motion: AxisMotion, recorded: PoseColumns, simulated: PoseColumns
 ) -> AxisTraces:
-    time_s, measured, _ = measure_steps(recorded, axis)
-    _, modelled, _ = measure_steps(simulated, axis)
+    time_s, measured, _ = measure_axis_steps(recorded, axis)
+    _, modelled, _ = measure_axis_steps(simulated, axis)
     return join_rates(axis, motion, time_s, measured, modelled)
 
 

@@ -23,7 +23,7 @@ from turtlelog.compare.trajectory_errors import (
     find_origin_alignment,
     measure_absolute_errors,
     measure_relative_errors,
-    measure_steps,
+    measure_way_steps,
     project_trajectory,
     summarise_errors,
 )
@@ -345,7 +345,7 @@ _EXTENTS: Final[tuple[DeltaUnit, ...]] = ("m", "deg")
 def _describe_extent(trajectory: Trajectory) -> str:
     """Return how far, and how long, a trajectory goes, and how much it turns."""
     span_s = float(trajectory.time_ns[-1] - trajectory.time_ns[0]) / 1e9
-    way_m, turn_deg = (float(measure_steps(trajectory, unit).sum()) for unit in _EXTENTS)
+    way_m, turn_deg = (float(measure_way_steps(trajectory, unit).sum()) for unit in _EXTENTS)
     told = [f"cover {way_m:.3g} m", *([] if trajectory.clock == "frame" else [f"{span_s:.3g} s"])]
     return f"{join_words(told)} and turn by {turn_deg:.3g} deg"
 

@@ -305,7 +305,7 @@ def choose_pairs(
     """
     if unit == "s":
         return _pair_times(trajectory.time_ns, round(delta * 1e9), overlaps=overlaps)
-    steps = measure_steps(trajectory, unit)
+    steps = measure_way_steps(trajectory, unit)
     if overlaps:
         way = np.concatenate([[0.0], np.cumsum(steps)])
         firsts = np.arange(len(way))
@@ -340,7 +340,7 @@ def _pair_times(time_ns: Rows, delta_ns: int, *, overlaps: bool) -> tuple[Rows, 
     return firsts[is_near], seconds[is_near]
 
 
-def measure_steps(trajectory: Trajectory, unit: DeltaUnit) -> Values:
+def measure_way_steps(trajectory: Trajectory, unit: DeltaUnit) -> Values:
     """Return how far it is from each pose to the next, in the unit, shape (n - 1,)."""
     if unit == "frames":
         return np.ones(max(len(trajectory) - 1, 0))

@@ -16,6 +16,7 @@ from turtlelog.explain.attribution import (
 )
 from turtlelog.explain.causes import (
     LOOP_CAUSES,
+    PLANT_CAUSES,
     SAMPLING,
     describe_no_sampling,
     find_cause,
@@ -205,7 +206,8 @@ def require_causes(run: Run, metric: str, causes: Sequence[str] | None) -> None:
     kind = str(run.parameters.get("law.kind", DEFAULT_LAW))
     if kind not in LAWS:
         return
-    known = [*LOOP_CAUSES, *list_causes(find_law(kind))]
+    plant = str(run.parameters.get("plant.kind"))
+    known = [*LOOP_CAUSES, *PLANT_CAUSES.get(plant, ()), *list_causes(find_law(kind))]
     table = {cause.name: cause for cause in known}
     for name in causes or ():
         find_cause(name, table, Scenario())

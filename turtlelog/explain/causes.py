@@ -12,6 +12,7 @@ from typing import Any, Final
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ExplainError, describe_unknown
 from turtlelog.laws import find_law, list_causes, list_sample_counters, name_law
+from turtlelog.plants import PLANTS
 from turtlelog.run import Run
 from turtlelog.run.loops import Cause
 from turtlelog.scenario import (
@@ -38,7 +39,12 @@ LOOP_CAUSES: Final = (
         meaning=f"a clock {FINER} times finer, each pose answered, delays unchanged",
     ),
 )
-"""What lies between law and plant, whatever the law. Dead time and lag of a robot are its own."""
+"""What lies between law and plant, whatever the law."""
+
+PLANT_CAUSES: Final[Mapping[str, tuple[Cause, ...]]] = MappingProxyType(
+    {kind: part.causes for kind, part in PLANTS.items() if part.causes}
+)
+"""Limits of a plant, by its kind. Dead time and time constant of a robot are its own."""
 
 RANDOM_EFFECTS: Final = frozenset(
     one.name for one in LOOP_CAUSES if not RANDOM_KEYS.isdisjoint(one.neutral)
@@ -58,7 +64,7 @@ def draws_random(scenario: Scenario) -> bool:
 
 
 def find_causes(scenario: Scenario) -> Mapping[str, Cause]:
-    """Return what a scenario may have, by name: the loop's causes, then those of its law.
+    """Return what a scenario may have, by name: causes of the loop, the plant, and the law.
 
     Without `sampling` where the clock cannot be made finer.
 
@@ -69,6 +75,7 @@ def find_causes(scenario: Scenario) -> Mapping[str, Cause]:
     law = find_law(resolve_scenario(scenario).law.kind)
     is_offered = not describe_no_sampling(scenario)
     found = {one.name: one for one in LOOP_CAUSES if is_offered or one.name != SAMPLING}
+    found |= {one.name: one for one in PLANT_CAUSES.get(scenario.plant.kind, ())}
     for cause in list_causes(law):
         if cause.name in found or cause.name == SAMPLING:
             raise ExplainError(

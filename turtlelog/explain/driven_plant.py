@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from turtlelog.explain.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.resimulation import number_poses
-from turtlelog.explain.trace import Trace, Values, list_breaks
+from turtlelog.explain.trace import Trace, Values, list_trace_breaks
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.measure.motion import COARSE, FEWEST_DIFFERENT, OFF_GRID
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
@@ -266,7 +266,7 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
 
 def _list_stretches(trace: Trace, count: int) -> list[slice]:
     """Return the rows between jumps and gaps; after a gap, from where all commands are known."""
-    bounds = [0, *(row for row in list_breaks(trace) if row < count), count]
+    bounds = [0, *(row for row in list_trace_breaks(trace) if row < count), count]
     missing = {row for row, _ in trace.missing}
     skip = _UNKNOWN_TICKS // trace.period_ticks
     starts = [row + skip if row in missing else row for row in bounds[:-1]]

@@ -8,14 +8,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.explain.identification import (
-    Finding,
-    bound_value,
-    find_exactly,
-    fit_value,
-    miss,
-)
-from turtlelog.explain.trace import estimate_trace_noise, find_resolution
+from turtlelog.explain.identification import Finding, bound_value, find_exactly, fit_value, miss
+from turtlelog.explain.trace import estimate_trace_noise, find_pose_resolution
 
 Values = NDArray[np.float64]
 
@@ -199,7 +193,7 @@ def measure_pose_noise(values: Values) -> PoseNoise:
     return PoseNoise(
         size=estimate_trace_noise(values),
         least=estimate_trace_noise(values, order=4),
-        grain=max(find_resolution(column) for column in values.T),
+        grain=max(find_pose_resolution(column) for column in values.T),
     )
 
 
@@ -356,7 +350,7 @@ def _shows_clipping(error: Values, noise: float) -> bool:
     return change > _BEYOND * noise * math.sqrt(2.0 / third)
 
 
-def describe_gain(fit: CommandFit) -> Finding:
+def describe_fitted_gain(fit: CommandFit) -> Finding:
     """Return the gain, or by how much or why the commands do not tell it."""
     if fit.gain is None:
         return miss(

@@ -39,7 +39,7 @@ from turtlelog.explain.setting_search import Fits, drive_loop, search_loop
 from turtlelog.explain.trace import (
     Trace,
     Values,
-    describe_breaks,
+    describe_trace_breaks,
     mark_breaks,
     space_out,
     trace_run,
@@ -187,7 +187,7 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
         law=kind,
         tried={} if fits is None else fits.ranges,
         notes=(
-            *describe_breaks(trace),
+            *describe_trace_breaks(trace),
             *dict.fromkeys(filter(None, (reason, around, recorded.reach))),
         ),
     )

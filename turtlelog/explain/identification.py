@@ -15,7 +15,7 @@ import numpy as np
 
 from turtlelog.display import fit_line, format_answer, format_html
 from turtlelog.errors import ExplainError, ReplayError
-from turtlelog.explain.causes import LOOP_CAUSES
+from turtlelog.explain.causes import LOOP_CAUSES, PLANT_CAUSES
 from turtlelog.explain.resimulation import Resimulation
 from turtlelog.replay import replay_plant
 from turtlelog.run import Run
@@ -263,7 +263,11 @@ _USUAL: Final = frozenset(flatten_scenario(Scenario()))
 """Keys that every scenario has."""
 
 _NAMES: Final = {
-    **{key: found.name for found in LOOP_CAUSES for key in found.neutral},
+    **{
+        key: found.name
+        for found in (*LOOP_CAUSES, *(one for causes in PLANT_CAUSES.values() for one in causes))
+        for key in found.neutral
+    },
     "loop.trigger": "a timer",
     "plant.kind": "another plant",
 }

@@ -47,7 +47,7 @@ from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
 from turtlelog.explain.setting_search import Fits, search_loop
 from turtlelog.explain.stop_reason import RULE_KEYS, Ending, find_pause, find_stop_rule
-from turtlelog.explain.trace import Trace, describe_breaks, mark_breaks, space_out, trace_run
+from turtlelog.explain.trace import Trace, describe_trace_breaks, mark_breaks, space_out, trace_run
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run, slice_run
@@ -200,7 +200,7 @@ def _identify_samples(run: Run) -> Identification:
     rotation, turning = identify_rotation(trace)
     translation, driving = identify_translation(trace)
     obstacle = _contradict_law(trace, turning, driving)
-    breaks = describe_breaks(trace)
+    breaks = describe_trace_breaks(trace)
     if obstacle:
         return give_up(run.name, findings, obstacle, breaks)
     obstacle = _find_obstacle(trace)

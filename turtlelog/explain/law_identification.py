@@ -10,7 +10,7 @@ from turtlelog.explain.gain_fit import (
     CommandFit,
     Reproduce,
     compute_misfit,
-    describe_gain,
+    describe_fitted_gain,
     describe_limit,
     fit_command,
     measure_pose_noise,
@@ -75,7 +75,7 @@ def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | No
     fit = wrapped if wraps else plain
     error = wrap_angle(error) if wraps else error
     return {
-        "law.kp_angular": describe_gain(fit),
+        "law.kp_angular": describe_fitted_gain(fit),
         "limits.turn_rate_rad_s": describe_limit(fit),
         "law.heading_tolerance_rad": bound_heading_tolerance(trace, error, fit),
         "law.wrap_error": wrap_finding,
@@ -108,7 +108,7 @@ def identify_translation(trace: Trace) -> tuple[dict[str, Finding], CommandFit |
     projection = _choose_projection(fits)
     fit = fits[projection.used]
     return {
-        "law.kp_linear": describe_gain(fit),
+        "law.kp_linear": describe_fitted_gain(fit),
         "limits.speed_m_s": describe_limit(fit),
         "law.position_tolerance_m": bound_position_tolerance(errors, command, fit),
         "law.projection": projection,

@@ -26,8 +26,8 @@ from turtlelog.explain.robot_parts import (
     find_parts,
     get_axis,
     list_axes,
-    list_fields,
-    list_values,
+    list_part_fields,
+    list_part_values,
     read_robot_log,
     share_unseen_bounds,
 )
@@ -230,7 +230,7 @@ def _find_acting(
 
 def _describe(part: Cause, logs: Sequence[RobotLog]) -> Change:
     keys = tuple(part.neutral)
-    first, second = (tuple(list_values(log, keys).values()) for log in logs)
+    first, second = (tuple(list_part_values(log, keys).values()) for log in logs)
     return Change(name=part.name, keys=keys, first=first, second=second)
 
 
@@ -363,7 +363,7 @@ class RobotGame(Game):
         if not second.is_known or not first.is_known:
             return second if second.is_known else first
         motion = f" {MOTIONS[axis]}"
-        fields = [name for part in parts for name in list_fields(part.removesuffix(motion))]
+        fields = [name for part in parts for name in list_part_fields(part.removesuffix(motion))]
         return replace(second, **{name: getattr(first, name) for name in fields})
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.identify.axis_motion import AXES, Axis, measure_steps, read_axis_motion
+from turtlelog.identify.axis_motion import AXES, Axis, measure_axis_steps, read_axis_motion
 from turtlelog.identify.axis_values import NORMAL_95
 from turtlelog.identify.held_response import HeldInput
 from turtlelog.identify.robot_identification import identify_robot
@@ -133,7 +133,7 @@ def _take_bounds(log: RobotLog, other: RobotLog) -> RobotLog:
 
 def _find_reached_rate(run: Run, axis: Axis) -> float:
     """Return the rate that a robot exceeds for a fiftieth of its time [m/s] or [rad/s]."""
-    time_s, moved, is_sound = measure_steps(run.poses, axis)
+    time_s, moved, is_sound = measure_axis_steps(run.poses, axis)
     rates = np.abs(moved / np.diff(time_s))[is_sound]
     return float(np.quantile(rates, _MOSTLY)) if len(rates) else 0.0
 
@@ -174,14 +174,14 @@ def _list_axis_parts(
         return
     names = [*FIELDS] if _can_mix(*models) else [*_MIXED]
     for name in names:
-        fields = list_fields(name)
+        fields = list_part_fields(name)
         before, after = ({key: show_value(getattr(m, key)) for key in fields} for m in models)
         if before != after:
             found: dict[str, object] = {f"{axis}.{key}": value for key, value in before.items()}
             yield f"{name} {MOTIONS[axis]}", found
 
 
-def list_fields(part: str) -> tuple[str, ...]:
+def list_part_fields(part: str) -> tuple[str, ...]:
     """Return the fields of an axis that a part has, by its name without the motion."""
     return tuple(name for one in part.split(" and ") for name in FIELDS[one])
 
@@ -196,7 +196,7 @@ def _can_mix(first: AxisModel, second: AxisModel) -> bool:
     return all(bool(model.structure.is_possible) for model in mixed)
 
 
-def list_values(log: RobotLog, keys: Iterable[str]) -> dict[str, Any]:
+def list_part_values(log: RobotLog, keys: Iterable[str]) -> dict[str, Any]:
     """Return what a log has for the keys of a part."""
     run, found = log.run, {}
     for key in keys:

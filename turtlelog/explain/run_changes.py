@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ScenarioError
-from turtlelog.explain.causes import draws_random
+from turtlelog.explain.causes import PLANT_CAUSES, draws_random
 from turtlelog.explain.game import Coalition, Outcome, Play, ScenarioGame, Work
 from turtlelog.laws import find_law, list_causes
 from turtlelog.run.loops import Cause
@@ -88,7 +88,7 @@ def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
         if (second.path is None) != (first.path is None):
             names["path"] = LAW
         return names
-    causes = list_causes(find_law(second.law.kind))
+    causes = (*PLANT_CAUSES.get(second.plant.kind, ()), *list_causes(find_law(second.law.kind)))
     names |= {key: one.name for one in causes for key in one.neutral}
     gains = declare_scenario(second).list_gains()
     if len(gains) > 1 and all(_has_one_value(one, gains) for one in (first, second)):

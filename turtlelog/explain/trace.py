@@ -101,12 +101,12 @@ class Trace:
     @property
     def grain_m(self) -> float:
         """Step in which positions are logged [m]."""
-        return max(find_resolution(self.xy_m[:, 0]), find_resolution(self.xy_m[:, 1]))
+        return max(find_pose_resolution(self.xy_m[:, 0]), find_pose_resolution(self.xy_m[:, 1]))
 
     @property
     def grain_rad(self) -> float:
         """Step in which headings are logged [rad]."""
-        return find_resolution(self.heading_rad)
+        return find_pose_resolution(self.heading_rad)
 
     @property
     def coarse_steps(self) -> tuple[float, float, float]:
@@ -176,7 +176,7 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
     )
 
 
-def find_resolution(values: Values) -> float:
+def find_pose_resolution(values: Values) -> float:
     """Return the step that all values are multiples of, or the spacing of their 32-bit floats.
 
     0 where they have more bits and no common step.
@@ -259,12 +259,12 @@ def mark_breaks(trace: Trace) -> Trace:
     return replace(trace, jumps=jumps, number=number)
 
 
-def list_breaks(trace: Trace) -> list[int]:
+def list_trace_breaks(trace: Trace) -> list[int]:
     """Return the rows at which a new stretch begins: after a jump, or after missing rows."""
     return sorted({*trace.jumps, *(row for row, _ in trace.missing)})
 
 
-def describe_breaks(trace: Trace) -> list[str]:
+def describe_trace_breaks(trace: Trace) -> list[str]:
     """Return jumps, missing rows and misread poses in sentences; of many the first."""
     found = []
     if trace.jumps:
@@ -297,7 +297,7 @@ def space_out(trace: Trace) -> Run:
     missing and no pose jumps.
     """
     run = trace.run
-    if not list_breaks(trace):
+    if not list_trace_breaks(trace):
         return run
     if trace.has_ticks:
         time_ns = run.poses.time_ns.copy()
@@ -331,12 +331,15 @@ def _find_fastest(trace: Trace) -> tuple[float, float]:
     if find_plant(run).name != LAGGED:
         return speed, turn_rate
     gains = [
-        read_number(run.parameters, f"{PLANT_KEYS[name]}gain", 1.0)
+        max(
+            abs(read_number(run.parameters, f"{PLANT_KEYS[name]}{of}gain", default))
+            for of, default in (("", 1.0), ("reverse_", 0.0))
+        )
         for name in ("speed", "turn_rate")
     ]
     shown = [run.poses.speed_m_s, run.poses.turn_rate_rad_s]
     fastest = [
-        max(rate * abs(gain), _find_largest(values))
+        max(rate * gain, _find_largest(values))
         for rate, gain, values in zip((speed, turn_rate), gains, shown, strict=True)
     ]
     return fastest[0], fastest[1]

@@ -20,5 +20,5 @@ from .robot_model import (
 from .robot_scenario import (
     RobotScenario as RobotScenario,
     build_robot_scenario as build_robot_scenario,
-    read_doubts as read_doubts,
+    read_robot_notes as read_robot_notes,
 )

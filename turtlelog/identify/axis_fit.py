@@ -201,7 +201,7 @@ def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[Ax
     noise = _learn_noise(model, parameters)[0].noise
     ahead = StepModel(rest, fit.model.structure)
     residual = ahead.moved - ahead.linearise(parameters)[0]
-    outlier = find_outliers(residual)
+    outlier = find_outlying_steps(residual)
     whitening = Whitening(noise, ahead.duration_s, ahead.follows, outlier)
     return _sum_softly(whitening.apply(residual)) + whitening.log_size
 
@@ -223,6 +223,15 @@ def measure_gain(fit: AxisFit, structure: Structure, extras: Sequence[float]) ->
     return float(left[0] @ left[0] - left[1] @ left[1])
 
 
+def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
+    """Return what another structure leaves near the parameters of a fit: after one linear step."""
+    other = StepModel(fit.model.motions, structure)
+    near = np.append(fit.parameters[: LAG + 1], extras)
+    modelled, slopes = other.linearise(near)
+    white, slopes = (fit.whitening.apply(one) for one in (other.moved - modelled, slopes))
+    return _sum_softly(white - slopes @ np.linalg.lstsq(slopes, white)[0])
+
+
 def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
     """Return by how much some steps alone would move the parameters, and the covariance of that.
 
@@ -239,7 +248,7 @@ def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
 
 def _learn_noise(model: StepModel, parameters: Values) -> tuple[Whitening, NDArray[np.bool_]]:
     residual = model.moved - model.linearise(parameters)[0]
-    is_outlier = find_outliers(residual)
+    is_outlier = find_outlying_steps(residual)
     noise = estimate_noise(residual, model.follows, is_outlier)
     return Whitening(noise, model.duration_s, model.follows, is_outlier), is_outlier
 
@@ -270,7 +279,7 @@ def _conclude(
     )
 
 
-def find_outliers(residual: Values) -> NDArray[np.bool_]:
+def find_outlying_steps(residual: Values) -> NDArray[np.bool_]:
     """Return which residuals are no noise."""
     size = np.abs(residual)
     scale = NORMAL_MAD * float(np.median(size))

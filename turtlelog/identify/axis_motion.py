@@ -5,7 +5,7 @@ commands hold for ever would take that for a slow robot.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, Literal
 
@@ -70,6 +70,7 @@ class AxisMotion:
         moved: How far each step went [m] or [rad], shape (n,).
         commands: Commands of this axis, with a 0 if the robot stops by itself.
         stops: Place where it stops.
+        beside: Commands of the other axis; None where they are not known.
     """
 
     time_s: Values
@@ -77,6 +78,7 @@ class AxisMotion:
     moved: Values
     commands: HeldInput
     stops: tuple[SilentStop, ...] = ()
+    beside: HeldInput | None = None
 
     @property
     def duration_s(self) -> Values:
@@ -90,13 +92,15 @@ class AxisMotion:
 
     def take(self, steps: slice) -> "AxisMotion":
         """Return some of the steps."""
-        return _select(self.time_s, self.first[steps], self.moved[steps], self.commands, self.stops)
+        first, moved = self.first[steps], self.moved[steps]
+        taken = _select(self.time_s, first, moved, self.commands, self.stops)
+        return replace(taken, beside=self.beside)
 
 
 def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     """Return the steps of an axis in which earlier commands act, and all commands are known."""
     command = get_commands(run, axis)
-    time_s, moved, is_sound = measure_steps(run.poses, axis)
+    time_s, moved, is_sound = measure_axis_steps(run.poses, axis)
     command_s = run.commands.time_ns / 1e9
     first = np.arange(len(moved))
     if not len(command):
@@ -109,7 +113,9 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     stands = _stands(moved[earlier], (ends_s - begins_s)[earlier], np.abs(command).max())
     known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + _MEMORY_S))
     used = known & _find_active(commands, begins_s, ends_s)
-    return _select(time_s, first[used], moved[used], commands, tuple(stops))
+    other = get_commands(run, "turn_rate" if axis == "speed" else "speed")
+    motion = _select(time_s, first[used], moved[used], commands, tuple(stops))
+    return replace(motion, beside=hold_commands(command_s, other, 0.0))
 
 
 def get_commands(run: Run, axis: Axis) -> Values:
@@ -117,7 +123,7 @@ def get_commands(run: Run, axis: Axis) -> Values:
     return run.commands.speed_m_s if axis == "speed" else run.commands.turn_rate_rad_s
 
 
-def measure_steps(poses: PoseColumns, axis: Axis) -> tuple[Values, Values, NDArray[np.bool_]]:
+def measure_axis_steps(poses: PoseColumns, axis: Axis) -> tuple[Values, Values, NDArray[np.bool_]]:
     """Return the times of poses, how far each step went, and whether it can be trusted."""
     time_s = poses.time_ns / 1e9
     apart_s = np.diff(time_s)

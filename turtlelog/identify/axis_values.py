@@ -6,19 +6,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from turtlelog.identify.axis_fit import (
-    DEAD_TIME,
-    EXTRA,
-    GAIN,
-    LAG,
-    TOTAL,
-    AxisFit,
-    fit_without_lag,
-)
-from turtlelog.identify.axis_motion import (
-    UNITS,
-    Axis,
-)
+from turtlelog.identify.axis_fit import DEAD_TIME, EXTRA, GAIN, LAG, TOTAL, AxisFit, fit_without_lag
+from turtlelog.identify.axis_motion import UNITS, Axis
 from turtlelog.identify.held_response import FIRST_ORDER, Values
 from turtlelog.identify.robot_model import AxisModel, Estimate
 

@@ -17,20 +17,22 @@ from numpy.typing import NDArray
 
 from turtlelog.display import join_words
 from turtlelog.identify.axis_fit import DEAD_TIME, GAIN, LAG, TOTAL, AxisFit, solve_part
-from turtlelog.identify.axis_motion import NAMES, AxisMotion
+from turtlelog.identify.axis_motion import NAMES, Axis, AxisMotion
 from turtlelog.identify.held_response import Structure, Values
 from turtlelog.identify.refused_axes import find_repetition
 from turtlelog.identify.robot_model import AxisModel, Estimate
 from turtlelog.identify.robot_noise import LEAST_STEP
 
 _FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
+_LIMITS: Final = ("rate_limit", "bound", "deadband", "reverse_gain", "friction")
+"""What structures may have beside these; of two that both have it, the values may differ."""
 
 _FEWEST: Final = 50
 """Steps of a part of the motion from which it has values of its own."""
 
 _APART: Final = 4.0
 """Standard deviations by which two parts of the motion must differ to be a curve that the model
-leaves: by chance in 1 of 1,000 robots, of 16 differences each."""
+leaves: by chance in 1 of 800 robots, of 20 differences each."""
 
 _LIKELY: Final = 2.0
 """The same where the model leaves a curve, so that something must differ."""
@@ -52,6 +54,11 @@ _MOST: Final = 3.0
 _TELLS: Final = 1.05
 """By how much an interval must become wider to be told."""
 
+_MATTERS: Final = 0.01
+"""Half-width of an interval, as a share of the gain or of the total delay, from which a doubt is
+told: below it no recommended gain changes by more than 1 %. A simulated log without noise shows a
+curve in the eighth digit."""
+
 
 def cover_rivals(
     found: AxisModel, structure: Structure, others: Sequence[tuple[Structure, AxisModel]]
@@ -59,9 +66,9 @@ def cover_rivals(
     """Return an axis whose intervals cover those of other structures that explain it as well."""
     covered = found
     for _, other in others:
-        for field in _FIELDS:
+        for field in (*_FIELDS, *_LIMITS):
             covered = _widen(covered, field, getattr(other, field))
-    if not _is_wider(found, covered):
+    if not (_is_wider(found, covered) and _matters(covered)):
         return covered
     rivals = describe_rivals([structure, *(one for one, _ in others)])
     doubt = (
@@ -99,8 +106,9 @@ def _list_parts(structure: Structure) -> list[str]:
 def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     """Return an axis whose intervals cover what parts of the motion say that differ.
 
-    Small commands and large ones, those of either sign, rising and falling ones, and both halves of
-    the log have one set of values where the model explains the motion. Where it leaves a curve they
+    Small commands and large ones, those of either sign, rising and falling ones, both halves of the
+    log, and what is commanded with the other axis or without it have one set of values where the
+    model explains the motion. Where it leaves a curve they
     count as different sooner, and all intervals grow by what neighbours share.
     """
     excess = _measure_curve(fit)
@@ -109,14 +117,14 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     if is_curve:
         for field in _FIELDS:
             covered = _stretch(covered, field, _measure_sharing(fit))
-    for names, is_first in _split_steps(fit):
+    for pair, is_first in _split_steps(found.axis, fit):
         differing = [*_compare_parts(fit, is_first, _LIKELY if is_curve else _APART)]
         for field, values in differing:
             for value in values:
                 covered = _widen(covered, field, value)
         if differing:
-            said.append(f"{names[0]} from {names[1]} ones")
-    if not said and not is_curve:
+            said.append(pair)
+    if not (said or is_curve) or not _matters(covered):
         return covered
     what = f" Commands differ: {join_words(said)}." if said else ""
     doubt = (
@@ -160,21 +168,25 @@ def _clip(fit: AxisFit) -> Values:
     return np.where(fit.is_outlier, 0.0, np.clip(fit.white, -_MOST, _MOST))
 
 
-def _split_steps(fit: AxisFit) -> Iterator[tuple[tuple[str, str], NDArray[np.bool_]]]:
+def _split_steps(axis: Axis, fit: AxisFit) -> Iterator[tuple[str, NDArray[np.bool_]]]:
     """Yield what the steps are divided by: in which of them the first of two commands acts."""
     dead_time_s = float(fit.parameters[DEAD_TIME])
-    acting, before = [], []
+    acting, before, beside = [], [], []
     for motion in fit.model.motions:
         end_s = motion.time_s[motion.first + 1] - dead_time_s
         held = motion.commands.place(end_s).held
         acting.append(motion.commands.value[held])
         before.append(motion.commands.value[np.maximum(held - 1, 0)])
+        other = motion.beside
+        beside.append(0.0 * end_s if other is None else other.value[other.place(end_s).held])
     value, earlier = np.concatenate(acting), np.concatenate(before)
     change = np.abs(value - earlier)
-    yield ("small", "large"), change <= float(np.median(change))
-    yield ("positive", "negative"), value + earlier > 0.0
-    yield ("rising", "falling"), np.abs(value) > np.abs(earlier)
-    yield ("earlier", "later"), np.arange(len(value)) < len(value) // 2
+    yield "small from large ones", change <= float(np.median(change))
+    yield "positive from negative ones", value + earlier > 0.0
+    yield "rising from falling ones", np.abs(value) > np.abs(earlier)
+    yield "earlier from later ones", np.arange(len(value)) < len(value) // 2
+    other_name = NAMES["turn_rate" if axis == "speed" else "speed"]
+    yield f"those with a {other_name} from those without one", np.concatenate(beside) != 0.0
 
 
 def _compare_parts(
@@ -189,6 +201,8 @@ def _compare_parts(
     for field, weights in _list_contrasts(len(fit.parameters)).items():
         moves = [float(weights @ moved) for moved, _ in solved]
         variances = [float(weights @ covariance @ weights) for _, covariance in solved]
+        if min(variances) <= 0.0:  # a part that does not show the value at all, to rounding
+            continue
         error = float(np.sqrt(sum(variances)))
         if abs(moves[0] - moves[1]) > apart * error:
             value = _evaluate(fit, field)
@@ -239,6 +253,17 @@ def _widen(axis: AxisModel, field: str, other: Estimate | None) -> AxisModel:
         return axis
     low, high = min(own.low, max(other.low, 0.0)), max(own.high, other.high)
     return replace(axis, **{field: replace(own, low=low, high=high)})
+
+
+def _matters(covered: AxisModel) -> bool:
+    """Return whether an axis has an interval that is wide enough to change what is advised."""
+    total = covered.total_delay_s
+    for field in _FIELDS:
+        own = getattr(covered, field)
+        whole = own if field == "gain" or total is None else total
+        if max(own.high - own.value, own.value - own.low) >= _MATTERS * whole.value:
+            return True
+    return False
 
 
 def _is_wider(found: AxisModel, covered: AxisModel) -> bool:

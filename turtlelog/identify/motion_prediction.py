@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.errors import IdentifyError
-from turtlelog.identify.axis_motion import Axis, AxisMotion, measure_steps, read_axis_motion
+from turtlelog.identify.axis_motion import Axis, AxisMotion, measure_axis_steps, read_axis_motion
 from turtlelog.identify.held_response import HeldInput, Values
 from turtlelog.identify.robot_model import AxisModel
 from turtlelog.run import Run
@@ -45,7 +45,7 @@ def trace_axis(model: AxisModel, run: Run) -> AxisTraces:
     Raises:
         IdentifyError: If the model does not know the axis.
     """
-    time_s, moved, _ = measure_steps(run.poses, model.axis)
+    time_s, moved, _ = measure_axis_steps(run.poses, model.axis)
     modelled, _ = predict_axis(model, run, time_s)
     return join_rates(
         model.axis, read_axis_motion(run, model.axis), time_s, moved, np.diff(modelled)

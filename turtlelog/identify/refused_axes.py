@@ -162,8 +162,8 @@ def _find_doubt(found: AxisModel, fit: AxisFit) -> str:
     """Return why values that were fitted are none; a total delay within a step is well known."""
     if fit.parameters[DEAD_TIME] >= LARGEST_DEAD_TIME_S:
         return (
-            f"no dead time up to {LARGEST_DEAD_TIME_S:g} s explains the motion: are commands and"
-            " poses of one clock?"
+            f"the best dead time is the largest that is tried, {LARGEST_DEAD_TIME_S:g} s:"
+            " commands and poses may have different clocks, or the commands change too slowly"
         )
     if found.explained is None or found.explained <= 0.0:
         return (

@@ -11,7 +11,7 @@ from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
 from turtlelog.identify.held_response import Bound, Order, Structure
 from turtlelog.run import Clock
-from turtlelog.theory.process import build_delayed
+from turtlelog.theory.process import Process, build_delayed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,11 +154,28 @@ class AxisModel:
             TheoryError: The order is negative.
             LibraryError: python-control is not installed.
         """
+        gain, dead_time_s, lag_s = self._require_known()
+        product = 0.0 if self.lag_product_s2 is None else self.lag_product_s2.value
+        return build_delayed([gain], (product, lag_s, 1.0), dead_time_s, pade_order)
+
+    def to_process(self) -> Process:
+        """Return the axis as a process of `theory`: a delayed rate, integrated.
+
+        Of second order the sum of both time constants is its time constant. Limits and a deadband
+        are left out.
+
+        Raises:
+            IdentifyError: The axis is not known.
+            TheoryError: The gain is not positive.
+        """
+        gain, dead_time_s, lag_s = self._require_known()
+        return Process(gain=gain, dead_time_s=dead_time_s, lag_s=lag_s)
+
+    def _require_known(self) -> tuple[float, float, float]:
+        """Return gain, dead time [s] and time constant [s]."""
         if self.gain is None or self.dead_time_s is None or self.lag_s is None:
             raise IdentifyError(f"{self.axis}: {self.reason or 'it is not known'}")
-        product = 0.0 if self.lag_product_s2 is None else self.lag_product_s2.value
-        lags = (product, self.lag_s.value, 1.0)
-        return build_delayed([self.gain.value], lags, self.dead_time_s.value, pade_order)
+        return self.gain.value, self.dead_time_s.value, self.lag_s.value
 
     @property
     def advised_delay_s(self) -> float | None:
@@ -170,9 +187,18 @@ class AxisModel:
 
     @property
     def advised_gain(self) -> float | None:
-        """The gain likewise: of both directions, and in doubt, the largest [1]."""
-        gains = [one for one in (self.gain, self.reverse_gain) if one is not None]
-        return max((one.high if self.doubts else one.value for one in gains), default=None)
+        """The gain likewise: in doubt the largest [1]."""
+        return self._take_advised(self.gain)
+
+    @property
+    def advised_reverse_gain(self) -> float | None:
+        """The gain of commands below 0 likewise, where it is another [1]."""
+        return self._take_advised(self.reverse_gain)
+
+    def _take_advised(self, gain: Estimate | None) -> float | None:
+        if gain is None:
+            return None
+        return gain.high if self.doubts else gain.value
 
     @property
     def structure(self) -> Structure:

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.display import describe_count
+from turtlelog.display import describe_count, join_words
 from turtlelog.errors import IdentifyError, ScenarioError
 from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS, Axis, get_commands
@@ -33,12 +33,8 @@ _FEWEST: Final = 10
 """Fewest intervals from which a period is computed."""
 
 _DOUBT: Final = "Doubt: "
-"""What a sentence begins with that later answers repeat."""
-
-_RAMP: Final = 0.2
-"""Share of the time of the largest change by which a limit of the acceleration makes the time
-constant longer: the recommended gain for 5 % then overshot turns of 0.1 to 3.1 rad by 3.2 % at
-most, of 80 robots; a tenth gave 21 %."""
+_NOTE: Final = "Note: "
+"""What sentences begin with that later answers repeat: notes of the identification."""
 
 _WHOLE: Final = 0.05
 """Share by which the timer's period may be off a multiple of the poses' to be made one: two clocks
@@ -94,25 +90,26 @@ class RobotScenario:
         return "".join(f"# {line}\n" for line in lines) + "\n" + format_scenario(self.scenario)
 
 
-def read_doubts(text: str) -> list[str]:
-    """Return the doubts about its robot that a scenario file names in comments."""
+def read_robot_notes(text: str) -> list[str]:
+    """Return the doubts and notes of the identification that a scenario file has in comments."""
     found: list[str] = []
-    is_doubt = False
+    is_told = False
     for line in text.splitlines():
         if not line.startswith("#"):
             break
         said = line.removeprefix("# ")
-        is_doubt = said.startswith(_DOUBT) or (is_doubt and said.startswith("  "))
-        if said.startswith(_DOUBT):
+        begins = said.startswith((_DOUBT, _NOTE))
+        is_told = begins or (is_told and said.startswith("  "))
+        if begins:
             found.append(said)
-        elif is_doubt:
+        elif is_told:
             found[-1] += f" {said.strip()}"
     return found
 
 
 def _wrap(note: str) -> list[str]:
-    """Return the lines of a note; those of a doubt show where it ends."""
-    indent = "  " if note.startswith(_DOUBT) else ""
+    """Return the lines of a note; those that later answers repeat show where it ends."""
+    indent = "  " if note.startswith((_DOUBT, _NOTE)) else ""
     return textwrap.wrap(note, 97, subsequent_indent=indent)
 
 
@@ -134,7 +131,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
         raise IdentifyError("runs: must not be empty")
     _require_robot(model)
     parts = (
-        _list_plant(model, runs),
+        _list_plant(model),
         _list_periods(runs),
         _list_limits(model, runs),
         _list_noise(model, runs),
@@ -143,7 +140,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
     values: dict[str, Any] = {"name": model.files[0] or "robot", "loop.pose_precision": "float64"}
     doubts = [doubt for axis in model.axes for doubt in axis.doubts]
     notes = [_DOUBT + doubt for doubt in doubts]
-    notes += [note for note in model.notes if note not in doubts]
+    notes += [_NOTE + note for note in model.notes if note not in doubts]
     for keys, sentences in parts:
         values |= keys
         notes += sentences
@@ -183,7 +180,7 @@ def _require_robot(model: RobotModel) -> None:
             )
 
 
-def _list_plant(model: RobotModel, runs: Sequence[Run]) -> Part:
+def _list_plant(model: RobotModel) -> Part:
     values: dict[str, Any] = {}
     notes = [
         "Gains, dead times and time constants are those that `turtlelog identify` finds. The"
@@ -201,52 +198,61 @@ def _list_plant(model: RobotModel, runs: Sequence[Run]) -> Part:
                 f" nothing until it is driven."
             )
             continue
-        ramp_s = _find_ramp(axis, runs)
         values |= {
             f"{key}gain": _round(gain),
             f"{key}dead_time_s": _round(max(delay_s - lag.value, 0.0)),
-            f"{key}lag_s": _round(max(lag.value, 0.0) + ramp_s),
+            f"{key}lag_s": _round(max(lag.value, 0.0)),
         }
-        if axis.bound is not None:
-            values[f"{key}bound"] = _round(axis.bound.value)
+        values |= {f"{key}{name}": _round(value) for name, value in _list_own_limits(axis)}
         if axis.model == "second_order":
             notes.append(
                 f"The {name} is of second order, the plant of first: its time constant is the sum"
                 f" of both."
             )
-        notes += _tell_plant(axis, ramp_s)
+        notes += _tell_plant(axis)
     return values, notes
 
 
-def _find_ramp(axis: AxisModel, runs: Sequence[Run]) -> float:
-    """Return by how much a limit of the acceleration makes the time constant longer [s]."""
-    if axis.rate_limit is None or axis.gain is None or axis.lag_s is None:
-        return 0.0
-    most = axis.gain.value * _find_largest(runs, axis.axis)[0]
-    most = most if axis.bound is None else min(most, axis.bound.value)
-    ramp_s = most / axis.rate_limit.value
-    # Within the loop, what is slower than the limit has no ramp.
-    less_s = axis.lag_s.value if axis.limit_acts == "within_lag" else 0.0
-    return _RAMP * max(ramp_s - less_s, 0.0)
+def _list_own_limits(axis: AxisModel) -> Iterator[tuple[str, float]]:
+    """Yield the limits of an axis that the plant has, by the end of their keys."""
+    if axis.bound is not None:
+        yield "bound", axis.bound.value
+    if axis.rate_limit is not None and axis.limit_acts == "within_lag":
+        yield "acceleration", axis.rate_limit.value
+    if axis.deadband is not None:
+        yield "deadband", axis.deadband.value
+    if axis.advised_reverse_gain is not None:
+        yield "reverse_gain", axis.advised_reverse_gain
 
 
-def _tell_plant(axis: AxisModel, ramp_s: float) -> Iterator[str]:
-    """Yield where a plant is not what was identified, so that gains for it suit the robot."""
+def _tell_plant(axis: AxisModel) -> Iterator[str]:
+    """Yield which limits a plant has, and where it is not what was identified."""
     name = NAMES[axis.axis]
     if axis.doubts:
         yield f"In doubt, the {name} has the longest delay and the largest gain of its intervals."
-    elif axis.reverse_gain is not None:
-        yield f"The {name} has one gain in the plant, the larger of both directions."
-    if ramp_s:
+    limits = [key.replace("_", " ") for key, _ in _list_own_limits(axis)]
+    if limits:
         yield (
-            f"The time constant of the {name} includes {1e3 * ramp_s:.3g} ms for its limited"
-            " acceleration, so that recommended gains suit large steps, too."
+            f"The {name} has limits of its own in the plant, as identified: {join_words(limits)}."
+            " Gain, dead time and time constant are those without them."
         )
-    for what, value in (("friction", axis.friction), ("deadband", axis.deadband)):
-        if value is not None:
-            yield (
-                f"The plant has no {what}: the {name} has one of {value.value:.3g} {value.unit}."
-            )
+    if axis.bound_acts == "rate":
+        yield (
+            f"The {name} ends at its bound as it is reached; the plant approaches the bound with"
+            " its time constant."
+        )
+    if axis.deadband is not None:
+        low, high, unit = axis.deadband.low, axis.deadband.high, axis.deadband.unit
+        yield (
+            f"The deadband of the {name} is the middle between {low:.3g} {unit}, which moves"
+            f" nothing, and {high:.3g} {unit}, which does."
+        )
+    if axis.friction is not None:
+        friction = axis.friction
+        yield (
+            f"The plant has no friction: the {name} has one of {friction.value:.3g}"
+            f" {friction.unit}."
+        )
 
 
 def _list_periods(runs: Sequence[Run]) -> Part:
@@ -321,13 +327,13 @@ def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
                 f"No limit of the {name} shows: the largest command is {largest:.6g} {unit}."
                 f" Where the robot has one, set {key}."
             )
-        if axis.rate_limit is not None and axis.gain is not None:
+        if axis.rate_limit is not None and axis.gain and axis.limit_acts == "before_lag":
             key = "limits.acceleration_m_s2"
             key = key if axis.axis == "speed" else "limits.turn_acceleration_rad_s2"
             values[key] = _round(axis.rate_limit.value / abs(axis.gain.value))
             notes.append(
-                f"The limit of how fast the {name} changes clips commands, so it is that of the"
-                f" motion by the gain."
+                f"The limit of how fast the {name} changes acts before its time constant. It clips"
+                f" commands, so it is that of the motion by the gain."
             )
     return values, notes
 

@@ -18,6 +18,7 @@ from turtlelog.identify.axis_fit import (
     AxisFit,
     measure_badness,
     measure_gain,
+    measure_near,
     predict_badness,
     refit_axis,
     restart_axis,
@@ -58,7 +59,8 @@ _FRICTIONS: Final = (0.05, 0.15)
 """Shares of the largest command that friction is looked for from."""
 
 _DEADBANDS: Final = 12
-"""Magnitudes of commands that are tried as deadband, up to half of the largest."""
+"""Magnitudes of commands that are tried as deadband, up to half of the largest; then as many
+between the neighbours of the best one, until these are the next magnitudes."""
 
 _REFINED: Final = 2
 """How many of the starts are refined, the most promising."""
@@ -202,11 +204,28 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         if values and other != structure and _is_open(other, commands):
             yield other, [start(other, **{name: value}) for value in values]
     small = levels[(levels > 0.0) & (levels <= 0.5 * levels[-1])]
-    if not structure.deadband and len(small):
-        rows = np.unique(np.linspace(0, len(small) - 1, _DEADBANDS).astype(int))
-        for deadband in small[rows].tolist():
-            other = replace(structure, deadband=deadband)
-            yield other, [start(other)]
+    for deadband in _find_deadbands(fit, small) if len(small) else []:
+        other = replace(structure, deadband=deadband)
+        yield other, [start(other)]
+
+
+def _find_deadbands(fit: AxisFit, levels: Values) -> list[float]:
+    """Return the magnitude up to which commands most likely move nothing, and its neighbours."""
+    structure, extras = fit.model.structure, fit.parameters[EXTRA:].tolist()
+    left: dict[int, float] = {}
+    low, high = 0, len(levels) - 1
+    while True:
+        rows = np.unique(np.linspace(low, high, _DEADBANDS).astype(int)).tolist()
+        for row in rows:
+            if row not in left:
+                other = replace(structure, deadband=float(levels[row]))
+                left[row] = measure_near(fit, other, extras)
+        best = min(left, key=lambda row: left[row])
+        near = sorted(left)
+        place = near.index(best)
+        low, high = near[max(place - 1, 0)], near[min(place + 1, len(near) - 1)]
+        if high - low <= (low < best) + (best < high):
+            return [float(levels[row]) for row in sorted({low, best, high})]
 
 
 def _is_open(structure: Structure, commands: Values) -> bool:

@@ -9,6 +9,7 @@ from .base import (
     Pose as Pose,
 )
 from .given_laws import (
+    WorkWithLaws as WorkWithLaws,
     is_given as is_given,
     name_given_law as name_given_law,
     read_law_source as read_law_source,

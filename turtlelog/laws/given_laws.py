@@ -1,22 +1,29 @@
 """Laws that are objects of this Python session, and laws of few lines made complete.
 
 A scenario holds laws by name. Such a law gets one, `session:NAME`, by which this process and those
-that it forks find it. No other one does: a recording has its source as text, which nothing runs.
+that it forks find it. Others get it with their work (`WorkWithLaws`).
+A recording has its source as text, which nothing runs.
 """
 
 import copy
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache
+from secrets import token_hex
 from threading import Lock
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
-from turtlelog.errors import LawError
+from turtlelog.errors import LawError, describe_error
 from turtlelog.laws.base import Goal, Law, LawPart, Pose
 from turtlelog.laws.loading import LAWS
+from turtlelog.libraries import load_library
 from turtlelog.run.paths import Path
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 _SESSION: Final = "session:"
 """Begins the kind of such a law."""
@@ -108,6 +115,80 @@ def _keep(law: Any, name: str) -> str:
         return kind
 
 
+_OWN: Final = token_hex(8)
+"""Names this session; processes that it forks have its laws, and its name."""
+
+_LENT: Final[dict[str, tuple[bytes, int]]] = {}
+"""Laws of other sessions by kind, as they were packed, with the number of tasks that use them."""
+
+
+class WorkWithLaws(Generic[T, R]):
+    """Work for other processes, with the laws of this session that it needs.
+
+    Attributes:
+        work: Work on one item. It can be pickled.
+    """
+
+    def __init__(self, work: Callable[[T], R], kinds: Iterable[str]) -> None:
+        """Pack the laws.
+
+        Raises:
+            LawError: If a law cannot be packed.
+            LibraryError: If cloudpickle is not installed.
+        """
+        self.work, self._session = work, _OWN
+        self._packed = {kind: _pack(kind) for kind in kinds if is_given(kind)}
+
+    def __call__(self, item: T) -> R:
+        """Return what the work makes of an item.
+
+        Raises:
+            LawError: If a law cannot be unpacked, or this process uses another law of its name.
+        """
+        with ExitStack() as stack:
+            if self._session != _OWN:
+                for kind, packed in self._packed.items():
+                    stack.enter_context(_borrow(kind, packed))
+            return self.work(item)
+
+
+def _pack(kind: str) -> bytes:
+    pickler = load_library("cloudpickle")
+    try:
+        packed: bytes = pickler.dumps(_GIVEN[kind])
+    except Exception as err:
+        raise LawError(
+            f"{kind} cannot be sent to other processes: {describe_error(err)}; write it to a file"
+            " and name that: path.py:NAME"
+        ) from err
+    return packed
+
+
+@contextmanager
+def _borrow(kind: str, packed: bytes) -> Iterator[None]:
+    """Let this process find a law of another session meanwhile."""
+    with _GIVING:
+        known, users = _LENT.get(kind, (b"", 0))
+        if (kind in _GIVEN and kind not in _LENT) or (users and known != packed):
+            raise LawError(f"{kind}: this worker uses a law of that name of another session")
+        if known != packed:
+            _GIVEN[kind] = _unpack(kind, packed)
+        _LENT[kind] = packed, users + 1
+    try:
+        yield
+    finally:
+        with _GIVING:
+            known, users = _LENT[kind]
+            _LENT[kind] = known, users - 1
+
+
+def _unpack(kind: str, packed: bytes) -> Any:
+    try:
+        return load_library("cloudpickle").loads(packed)
+    except Exception as err:
+        raise LawError(f"{kind} cannot be loaded in a worker: {describe_error(err)}") from err
+
+
 @cache
 def _complete_object(law: Any) -> type[Any]:
     """Return the class of runs that a copy of an object drives, each of them as it is now."""
@@ -147,7 +228,7 @@ Answer = Callable[[int, Pose, Goal | None], Any]
 
 
 @cache
-def complete_law(found: Any) -> type[Law]:
+def complete_short_law(found: Any) -> type[Law]:
     """Return a law with what it leaves out: parameters, `__init__`, `reset`.
 
     Args:

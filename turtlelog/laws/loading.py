@@ -65,9 +65,9 @@ def find_law(kind: str) -> AnyLaw:
     elif isinstance(law, type) and not hasattr(law, "step"):
         raise LawError(f"{kind}: a law needs a method step(self, time_ns, pose): {_PROTOCOL}")
     if inspect.isfunction(law) or isinstance(law, type):
-        from turtlelog.laws.given_laws import complete_law  # few commands run such a law
+        from turtlelog.laws.given_laws import complete_short_law  # few commands run such a law
 
-        law = complete_law(law)
+        law = complete_short_law(law)
     _require_law(law, kind)
     return law
 

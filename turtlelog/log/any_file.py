@@ -19,7 +19,7 @@ from turtlelog.log.read_choice import (
     ReadChoice,
     ReadOptions,
     match_topic,
-    parse_goal,
+    parse_goal_option,
     split_topic,
 )
 from turtlelog.log.recording.topics import COMMAND, POSE
@@ -105,7 +105,7 @@ def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
         return run
     if len(run.samples):
         raise LogError(f"{path}: goal: expected none beside the samples of a controller, found one")
-    goal_xy_m, heading_rad = parse_goal(choice.goal)
+    goal_xy_m, heading_rad = parse_goal_option(choice.goal)
     names = {"goal_xy_m"} | (set() if heading_rad is None else {"goal_heading_rad"})
     absent = tuple(name for name in run.absent if name not in names)
     return replace(run, goal_xy_m=goal_xy_m, goal_heading_rad=heading_rad, absent=absent)

@@ -111,7 +111,7 @@ def match_topic(asked: str, names: Collection[str]) -> str:
     return other if asked not in names and other in names else asked
 
 
-def parse_goal(goal: tuple[float, ...]) -> tuple[tuple[float, float], float | None]:
+def parse_goal_option(goal: tuple[float, ...]) -> tuple[tuple[float, float], float | None]:
     """Return position [m] and heading [rad] of a goal that is asked for; None without a heading.
 
     Raises:

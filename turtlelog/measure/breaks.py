@@ -121,7 +121,7 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     poses = poses if len(rows) == len(poses) else _take_poses(poses, rows)
     if len(poses) < 3:
         return ()
-    steps = measure_steps(poses)
+    steps = measure_excess(poses)
     step_ns = np.diff(poses.time_ns)
     usual_ns = np.asarray(np.maximum(step_ns, compute_median(step_ns)))
     moved, turned = np.hypot(steps[0], steps[1]), np.abs(steps[2])
@@ -294,7 +294,7 @@ class ExcessSteps:
     is_jump: NDArray[np.bool_]
 
 
-def measure_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
+def measure_excess(poses: PoseColumns) -> tuple[Values, Values, Values]:
     """Return each step along and across the mean heading of its poses [m], and turned [rad]."""
     turned_rad = subtract_headings(poses.heading_rad[1:], poses.heading_rad[:-1])
     mean_rad = poses.heading_rad[:-1] + 0.5 * turned_rad
@@ -305,7 +305,7 @@ def measure_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
 
 def _find_excess_steps(poses: PoseColumns) -> ExcessSteps:
     """Return the steps from pose to pose with what exceeds driving."""
-    steps = measure_steps(poses)
+    steps = measure_excess(poses)
     step_ns = np.diff(poses.time_ns)
     is_jump = np.zeros(len(step_ns), dtype=bool)
     excess = [np.zeros(len(step_ns)) for _ in steps]

@@ -14,12 +14,11 @@ from turtlelog.measure.motion import (
     CERTAIN,
     LoopMotion,
     Values,
+    describe_follower,
     find_lags,
     fit_way,
     is_within_steps,
-    name_lag,
     pushes_at_random,
-    read_lag_s,
     read_loop_motion,
 )
 from turtlelog.measure.outliers import compute_median
@@ -141,11 +140,9 @@ def find_dead_time(
     motion = read_loop_motion(run, loop)
     if motion is None:
         return Missing(status=Status.NO_PHASE, reason=describe_no_phase(run, loop))
-    lag_s = read_lag_s(run, loop)
-    if lag_s > 0.0:
-        reason = (
-            f"it cannot be separated from the robot's time constant ({name_lag(loop)} = {lag_s:g})"
-        )
+    follower = describe_follower(run, loop)
+    if follower:
+        reason = f"it cannot be separated from {follower}"
         return Missing(status=Status.UNDETERMINED, reason=reason)
     moves = np.abs(motion.moved) > motion.rounding
     if np.count_nonzero(moves) < 2:

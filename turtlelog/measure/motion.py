@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import LAGGED, Plant, find_plant
+from turtlelog.plants.lagged import want_rate
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
@@ -60,7 +61,7 @@ class LoopMotion:
         sample_tick: Tick of the pose that each sample of the run read, shape (m,), rising.
         apart: Usual distance of these [ticks], at least 1.
         command: What the plant makes of each sample's command, in the end [rad/s or m/s],
-            shape (m,): of a lagged robot times its gain.
+            shape (m,): of a lagged robot times its gain, within its limits.
     """
 
     time_ns: NDArray[np.int64]
@@ -135,7 +136,7 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
         grain=_measure_grain(poses, moved, loop),
         sample_tick=sample_tick,
         apart=max(compute_median(np.diff(sample_tick)), 1.0) if len(sample_tick) > 1 else 1.0,
-        command=command * read_gain(run, loop),
+        command=_find_wanted(run, loop, command),
     )
 
 
@@ -154,19 +155,26 @@ def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Val
     return np.asarray(rate * np.maximum(pushed_ns, 0.0) / 1e9)
 
 
-def read_gain(run: Run, loop: ControlLoop) -> float:
-    """Return the gain of the plant from a loop's command to its rate [1]."""
-    return _read_plant(run, loop, "gain", 1.0)
+def _find_wanted(run: Run, loop: ControlLoop, command: Values) -> Values:
+    """Return the rates to which commands of a loop lead the plant in the end."""
+    gain = _read_plant(run, loop, "gain", 1.0)
+    defaults = {"reverse_gain": math.nan, "deadband": 0.0, "bound": math.inf}
+    if all(f"{PLANT_KEYS[loop.command]}{name}" not in run.parameters for name in defaults):
+        return command * gain
+    limits = {name: _read_plant(run, loop, name, value) for name, value in defaults.items()}
+    return np.array([want_rate(one, gain, **limits) for one in command.tolist()])
 
 
-def read_lag_s(run: Run, loop: ControlLoop) -> float:
-    """Return the time constant with which the plant follows a loop's command [s]."""
-    return _read_plant(run, loop, "lag_s", 0.0)
-
-
-def name_lag(loop: ControlLoop) -> str:
-    """Return the key of that time constant in a scenario."""
-    return f"{PLANT_KEYS[loop.command]}lag_s"
+def describe_follower(run: Run, loop: ControlLoop) -> str:
+    """Return what makes the plant follow a loop's command slowly; empty if it does so at once."""
+    key = PLANT_KEYS[loop.command]
+    lag_s = _read_plant(run, loop, "lag_s", 0.0)
+    if lag_s > 0.0:
+        return f"the robot's time constant ({key}lag_s = {lag_s:g})"
+    acceleration = _read_plant(run, loop, "acceleration", math.inf)
+    if acceleration < math.inf:
+        return f"the limit of the robot's acceleration ({key}acceleration = {acceleration:g})"
+    return ""
 
 
 def _measure_grain(poses: PoseColumns, moved: Values, loop: ControlLoop) -> float:

@@ -1,19 +1,29 @@
 """A robot model whose rates follow commands with dead time and time constant, without walls.
 
 Per axis (speed along the heading, turn rate): rate = gain * exp(-dead_time s) / (lag s + 1) of the
-commands, each of which holds until the next one. Between two switches a rate is exponential, and
-rate, heading and way are known in closed form; the position is the integral of the speed along the
-heading, by quadrature. It is right to 1e-9 m, however long a command holds and however small the
-time constant is, for a turn of up to 1,000 rad within one move. Whatever happens at a time acts
-from that time on: a robot without time constant and dead time has its new rate at the time at which
-the command arrives.
+commands, each of which holds until the next one. A robot has limits, each absent by default. They
+are those that `turtlelog identify` finds:
+
+    wanted = 0 where |command| <= deadband,
+             else clip(gain command, +-bound), below 0 with reverse_gain in place of gain
+    rate' = clip((wanted - rate) / lag, +-acceleration)
+
+The last one is a motor's controller whose output saturates, a first-order lag with a slew rate.
+Without lag the rate moves to what is wanted at that acceleration.
+
+Between two switches a rate is a ramp, then exponential; rate, heading and way are known in closed
+form, and so is the end of the ramp. The position is the integral of the speed along the heading, by
+quadrature. It is right to 1e-9 m, however long a command holds and however small the time constant
+is, for a turn of up to 1,000 rad within one move. Whatever happens at a time acts from that time
+on: a robot without time constant and dead time has its new rate at the time at which the command
+arrives.
 """
 
 import math
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from turtlelog.arithmetic import begin_row, called, clip, least, to_float32, to_ns, wrap_angle
+from turtlelog.arithmetic import begin_row, called, clip, least, most, to_float32, to_ns, wrap_angle
 from turtlelog.parts import (
     LARGEST_FLOAT,
     LARGEST_M,
@@ -23,9 +33,12 @@ from turtlelog.parts import (
     Plant,
     PlantPart,
     Positive,
+    Size,
     Time,
+    TurnSize,
     absent,
 )
+from turtlelog.run.loops import Cause
 
 LAGGED: Final = "lagged"
 """The kind of plant, as scenarios name it."""
@@ -43,6 +56,9 @@ MOST_TURN_RAD: Final = 1000.0
 runs away."""
 
 _MOST_PIECES: Final = 2.0**62
+
+_SHORTEST_S: Final = 1e-18
+"""Of a piece [s]: where an acceleration is huge, a ramp may end after no time that counts."""
 
 _GAUSS: Final = (
     (0.019855071751231912, 0.05061426814518853),
@@ -74,6 +90,13 @@ class LaggedKeys:
         turn_lag_s: Time constant of the turn rate [s].
         speed_bound: Largest speed that a command leads to [m/s]; inf, where it is not given: none.
         turn_bound: Largest turn rate likewise [rad/s].
+        speed_acceleration: Largest change of the speed per second [m/s^2], within the loop that
+            follows the command; inf, where it is not given: none.
+        turn_acceleration: Largest change of the turn rate likewise [rad/s^2].
+        speed_deadband: Magnitude up to which a command moves nothing [m/s]; larger ones act whole.
+        turn_deadband: Magnitude likewise [rad/s].
+        speed_reverse_gain: Gain of speeds below 0 [1]; that of the others where it is not given.
+        turn_reverse_gain: Gain of turn rates below 0, to the right [1].
     """
 
     period_s: Period = 0.05
@@ -85,6 +108,12 @@ class LaggedKeys:
     turn_lag_s: Time = 0.0
     speed_bound: Positive = absent(math.inf, may_be_infinite=True)
     turn_bound: Positive = absent(math.inf, may_be_infinite=True)
+    speed_acceleration: Positive = absent(math.inf, may_be_infinite=True)
+    turn_acceleration: Positive = absent(math.inf, may_be_infinite=True)
+    speed_deadband: Size = absent(0.0)
+    turn_deadband: TurnSize = absent(0.0)
+    speed_reverse_gain: Offset | None = absent(None)
+    turn_reverse_gain: Offset | None = absent(None)
 
 
 def find_facts(keys: Any) -> Plant:
@@ -99,7 +128,9 @@ def build_facts(period_ns: int) -> Plant:
 
 @dataclass(slots=True)
 class AxisState:
-    """One rate: a constant part, and a transient that fades with the time constant.
+    """One rate: a constant part, and a transient that fades.
+
+    It fades with the time constant, but no faster than the acceleration allows.
 
     Attributes:
         target: Rate that the command leads to.
@@ -212,23 +243,44 @@ def _switch_speed(keys: Any, state: Any, rows: Any) -> None:
     """Follow the commands whose dead time is over."""
     axis = state.speed
     while axis.next_ns <= state.now_ns:
-        wanted = keys.speed_gain * rows.waiting[axis.waiting_first].speed
-        _follow(axis, clip(wanted, keys.speed_bound), keys.speed_lag_s)
+        command = rows.waiting[axis.waiting_first].speed
+        wanted = want_rate(
+            command,
+            keys.speed_gain,
+            keys.speed_reverse_gain,
+            keys.speed_deadband,
+            keys.speed_bound,
+        )
+        _follow(axis, wanted, keys.speed_lag_s, keys.speed_acceleration)
         axis.next_ns = _find_next(axis, state, rows, keys.speed_dead_time_s)
 
 
 def _switch_turn(keys: Any, state: Any, rows: Any) -> None:
     axis = state.turn
     while axis.next_ns <= state.now_ns:
-        wanted = keys.turn_gain * rows.waiting[axis.waiting_first].turn_rate
-        _follow(axis, clip(wanted, keys.turn_bound), keys.turn_lag_s)
+        command = rows.waiting[axis.waiting_first].turn_rate
+        wanted = want_rate(
+            command, keys.turn_gain, keys.turn_reverse_gain, keys.turn_deadband, keys.turn_bound
+        )
+        _follow(axis, wanted, keys.turn_lag_s, keys.turn_acceleration)
         axis.next_ns = _find_next(axis, state, rows, keys.turn_dead_time_s)
 
 
-def _follow(axis: Any, wanted: float, lag_s: float) -> None:
+def want_rate(
+    command: float, gain: float, reverse_gain: float, deadband: float, bound: float
+) -> float:
+    """Return the rate that a command leads to in the end; a reverse gain of nan is the gain."""
+    if abs(command) <= deadband:
+        return 0.0
+    if command < 0.0 and not math.isnan(reverse_gain):
+        gain = reverse_gain
+    return clip(gain * command, bound)
+
+
+def _follow(axis: Any, wanted: float, lag_s: float, acceleration: float) -> None:
     before = axis.target
     axis.target = wanted
-    if lag_s != 0.0:
+    if lag_s != 0.0 or not math.isinf(acceleration):
         axis.transient += before - wanted
     axis.waiting_first += 1
 
@@ -247,19 +299,39 @@ def _move_to(keys: Any, state: Any, time_ns: int) -> None:
     if left_s <= 0.0:
         return
     speed, turn = state.speed, state.turn
+    while left_s > 0.0 and not state.runs_away:
+        # Where a ramp ends, a rate has a bend, over which no quadrature goes.
+        piece_s = left_s
+        if _is_ramp(speed, keys.speed_lag_s, keys.speed_acceleration):
+            ramp_s = _find_ramp_s(speed, keys.speed_lag_s, keys.speed_acceleration)
+            piece_s = least(piece_s, most(ramp_s, _SHORTEST_S))
+        if _is_ramp(turn, keys.turn_lag_s, keys.turn_acceleration):
+            ramp_s = _find_ramp_s(turn, keys.turn_lag_s, keys.turn_acceleration)
+            piece_s = least(piece_s, most(ramp_s, _SHORTEST_S))
+        _move_smoothly(keys, state, piece_s)
+        left_s -= piece_s
+    state.now_ns = time_ns
+
+
+@called
+def _move_smoothly(keys: Any, state: Any, left_s: float) -> None:
+    """Move for a time in which no ramp ends."""
+    speed, turn = state.speed, state.turn
+    is_ramp = _is_ramp(speed, keys.speed_lag_s, keys.speed_acceleration)
+    is_turn_ramp = _is_ramp(turn, keys.turn_lag_s, keys.turn_acceleration)
     turn_limit = MOST_TURN_RAD / left_s
     while True:
-        speed_settles = _is_settled(speed, keys.speed_lag_s)
-        turn_settles = _is_settled(turn, keys.turn_lag_s)
+        speed_settles = not is_ramp and _is_settled(speed, keys.speed_lag_s)
+        turn_settles = not is_turn_ramp and _is_settled(turn, keys.turn_lag_s)
         is_straight = turn_settles and turn.target + turn.push == 0.0
         is_spin = speed_settles and speed.target + speed.push == 0.0
         if is_straight or is_spin or (speed_settles and turn_settles):
             _move_along_arc(keys, state, left_s)
             break
         pace = least(abs(turn.target + turn.push) + abs(turn.transient), turn_limit)
-        if not speed_settles:
+        if not speed_settles and not is_ramp:
             pace += 1.0 / keys.speed_lag_s
-        if not turn_settles:
+        if not turn_settles and not is_turn_ramp:
             pace += 1.0 / keys.turn_lag_s
         wanted = left_s * pace / LONGEST_PIECE
         if not wanted < _MOST_PIECES:
@@ -270,13 +342,13 @@ def _move_to(keys: Any, state: Any, time_ns: int) -> None:
         if pieces == 1:
             break
         left_s -= left_s / pieces
-    state.now_ns = time_ns
 
 
 def _move_along_arc(keys: Any, state: Any, duration_s: float) -> None:
     """Drive a circle, or a line; the rest of a transient adds to its length and its turn."""
-    way_m = _let_pass(state.speed, keys.speed_lag_s, duration_s)
-    half_rad = 0.5 * _let_pass(state.turn, keys.turn_lag_s, duration_s)
+    way_m = _let_pass(state.speed, keys.speed_lag_s, keys.speed_acceleration, duration_s)
+    turned_rad = _let_pass(state.turn, keys.turn_lag_s, keys.turn_acceleration, duration_s)
+    half_rad = 0.5 * turned_rad
     chord_m = way_m * (math.sin(half_rad) / half_rad) if half_rad != 0.0 else way_m
     middle_rad = state.heading_rad + half_rad
     state.x_m += chord_m * math.cos(middle_rad)
@@ -289,17 +361,20 @@ def _move_by_quadrature(keys: Any, state: Any, duration_s: float) -> None:
     x_m = y_m = 0.0
     for node, weight in _GAUSS:
         time_s = node * duration_s
-        heading_rad = state.heading_rad + _integrate(turn, keys.turn_lag_s, time_s)
+        heading_rad = state.heading_rad + _integrate(
+            turn, keys.turn_lag_s, keys.turn_acceleration, time_s
+        )
         rate = speed.target + speed.push
         if speed.transient != 0.0:
-            rate += speed.transient * math.exp(-time_s / keys.speed_lag_s)
+            rate += _fade(speed, keys.speed_lag_s, keys.speed_acceleration, time_s)
         way_m = weight * rate
         x_m += way_m * math.cos(heading_rad)
         y_m += way_m * math.sin(heading_rad)
     state.x_m += duration_s * x_m
     state.y_m += duration_s * y_m
-    _let_pass(speed, keys.speed_lag_s, duration_s)
-    state.heading_rad = wrap_angle(state.heading_rad + _let_pass(turn, keys.turn_lag_s, duration_s))
+    _let_pass(speed, keys.speed_lag_s, keys.speed_acceleration, duration_s)
+    turned_rad = _let_pass(turn, keys.turn_lag_s, keys.turn_acceleration, duration_s)
+    state.heading_rad = wrap_angle(state.heading_rad + turned_rad)
 
 
 def _is_settled(axis: Any, lag_s: float) -> bool:
@@ -307,22 +382,61 @@ def _is_settled(axis: Any, lag_s: float) -> bool:
     return settles
 
 
-def _integrate(axis: Any, lag_s: float, time_s: float) -> float:
-    """Return the way, or turn, within a time [s] without a switch."""
+def _is_ramp(axis: Any, lag_s: float, acceleration: float) -> bool:
+    """Return whether the transient fades at the largest acceleration: below, the lag asks less."""
+    is_limited: bool = not math.isinf(acceleration)
+    return is_limited and abs(axis.transient) > acceleration * lag_s
+
+
+def _find_ramp_s(axis: Any, lag_s: float, acceleration: float) -> float:
+    """Return for how long a transient that is a ramp remains one [s]."""
+    above: float = abs(axis.transient) - acceleration * lag_s
+    return above / acceleration
+
+
+def _fade(axis: Any, lag_s: float, acceleration: float, time_s: float) -> float:
+    """Return what is left of a transient after a time in which no ramp ends [s]."""
+    left: float = axis.transient
+    if not _is_ramp(axis, lag_s, acceleration):
+        left *= math.exp(-time_s / lag_s)
+    elif time_s < _find_ramp_s(axis, lag_s, acceleration):
+        left -= math.copysign(acceleration, left) * time_s
+    else:  # exactly there, so that no ramp is left by rounding
+        left = math.copysign(acceleration * lag_s, left)
+    return left
+
+
+def _integrate(axis: Any, lag_s: float, acceleration: float, time_s: float) -> float:
+    """Return the way, or turn, within a time [s] in which no ramp ends, without a switch."""
     way: float = (axis.target + axis.push) * time_s
     if axis.transient == 0.0:
+        return way
+    if _is_ramp(axis, lag_s, acceleration):
+        ramp_s = least(time_s, _find_ramp_s(axis, lag_s, acceleration))
+        slope = math.copysign(acceleration, axis.transient)
+        way += (axis.transient - 0.5 * slope * ramp_s) * ramp_s
         return way
     faded = -math.expm1(-time_s / lag_s)
     way += axis.transient * lag_s * faded
     return way
 
 
-def _let_pass(axis: Any, lag_s: float, time_s: float) -> float:
-    """Let a time pass [s]; return the way, or turn, within it."""
-    way = _integrate(axis, lag_s, time_s)
+def _let_pass(axis: Any, lag_s: float, acceleration: float, time_s: float) -> float:
+    """Let a time pass [s] in which no ramp ends; return the way, or turn, within it."""
+    way = _integrate(axis, lag_s, acceleration, time_s)
     if axis.transient != 0.0:
-        axis.transient *= math.exp(-time_s / lag_s)
+        axis.transient = _fade(axis, lag_s, acceleration, time_s)
     return way
+
+
+_AXES: Final = ("speed", "turn")
+
+
+def _build_cause(name: str, meaning: str) -> Cause:
+    """Return a limit of both axes as a cause; a key that is None is not given."""
+    keys = dict.fromkeys(f"plant.{axis}_{name}" for axis in _AXES)
+    word = name.replace("_", "-")
+    return Cause(name=f"robot-{word}", kind="design", neutral=keys, meaning=meaning)
 
 
 PART: Final = PlantPart(
@@ -339,4 +453,11 @@ PART: Final = PlantPart(
     acts_in_steps=False,
     Waiting=Waiting,
     delays=("speed_dead_time_s", "turn_dead_time_s"),
+    causes=(
+        _build_cause("acceleration", "no limit of the robot's own acceleration"),
+        _build_cause("bound", "no bound of the robot's own speed and turn rate"),
+        _build_cause("deadband", "small commands move the robot, too"),
+        _build_cause("reverse_gain", "the robot has one gain in both directions"),
+    ),
+    added=tuple(f"plant.{axis}_{name}" for name in ("bound", "acceleration") for axis in _AXES),
 )

@@ -15,7 +15,7 @@ from turtlelog.replay.run_pairs import has_all_commands, has_ticks
 from turtlelog.replay.taken_commands import CommandUse
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import Scenario, Start, flatten_scenario, restore_scenario
-from turtlelog.simulate.driven import DrivenPlant, State, list_commands
+from turtlelog.simulate.driven import DrivenPlant, State, list_plant_commands
 
 _MOST_S = 3600.0
 """Time that is driven at most [s], as of a replay in closed loop."""
@@ -73,7 +73,9 @@ def drive_commands(run: Run, scenario: Scenario | None = None) -> CommandReplay:
         end_ns += int(plant.watchdog_ns) + plant.period_ns
     ticks = -(-end_ns // plant.period_ns)
     drive = DrivenPlant(scenario)
-    given = [(at_ns - origin_ns, speed, rate) for at_ns, speed, rate in list_commands(commands)]
+    given = [
+        (at_ns - origin_ns, speed, rate) for at_ns, speed, rate in list_plant_commands(commands)
+    ]
     published_ns = commands.time_ns - origin_ns
     # A tick owns the time up to the next: what is published then leaves after its pose.
     bounds = np.searchsorted(published_ns, np.arange(1, ticks + 2) * plant.period_ns).tolist()
@@ -161,7 +163,7 @@ def drive_lagged(run: Run) -> LaggedPoses:
     """
     _require_whole(run)
     scenario, plant = restore_scenario(run), find_plant(run)
-    drive, commands = DrivenPlant(scenario), list_commands(run.commands)
+    drive, commands = DrivenPlant(scenario), list_plant_commands(run.commands)
     published_ns = run.commands.time_ns
     ticks = run.poses.time_ns // plant.period_ns
     last = int(ticks[-1])
@@ -224,7 +226,7 @@ def sense_driven(
     origin = Start(x_m=0.0, y_m=0.0, heading_rad=0.0)
     sensing = replace(scenario.sensing, dropout_probability=0.0)
     scenario = replace(scenario, start=origin, sensing=sensing)
-    drive, given = DrivenPlant(scenario), list_commands(commands)
+    drive, given = DrivenPlant(scenario), list_plant_commands(commands)
     states: list[State] = []
     ticks = np.arange(-(-int(time_ns[-1]) // period_ns) + 1) * period_ns
     visits = np.searchsorted(time_ns, ticks, side="right").tolist()

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import fit_line
 from turtlelog.errors import ReplayError as ReplayError
-from turtlelog.laws import Law, Pose, find_law
+from turtlelog.laws import Law, LawPart, Pose, find_law
 from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.bag_reader import NOT_READ
@@ -39,7 +40,12 @@ from turtlelog.replay.run_pairs import (
     pair_samples,
 )
 from turtlelog.run import Run, SampleColumns
-from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
+from turtlelog.scenario import (
+    Scenario,
+    choose_scenario,
+    resolve_scenario,
+    restore_scenario,
+)
 from turtlelog.simulate import PlainLoop, SampleRow, SampleRows
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.step_budget import (
@@ -103,7 +109,7 @@ def replay_law(
     run: Run,
     scenario: Scenario | None = None,
     *,
-    law: Law | None = None,
+    law: Any = None,
     tolerance: float = 0.0,
     trust_law: bool = False,
     step_budget_s: float | None = STEP_BUDGET_S,
@@ -118,13 +124,15 @@ def replay_law(
     Args:
         run: Run with samples.
         scenario: Otherwise that of the recording.
-        law: Takes the place of the scenario's.
+        law: Takes the place of the scenario's: a law with its parameters, or a class, a function or
+            text as in `simulate_run`.
         tolerance: Differences up to this one are none, in each signal's unit.
         trust_law: Run the law that the recording names, where it is not built in: its code.
         step_budget_s: Time that the law may compute for one answer [s]; None: as long as it takes.
 
     Raises:
         ReplayError: If the run holds no samples.
+        LawError: If `law` is no law.
         ScenarioError: If no scenario is given, and the run does not hold all of its own or names a
             law that is neither built in nor trusted.
         SimulationError: If the law fails, computes for longer, or answers with something that is no
@@ -136,6 +144,9 @@ def replay_law(
             f"{run.name}: {_describe_nothing_read(run)}: {run.source}; {advise_other_mode(run)}"
         )
     scenario = restore_scenario(run) if scenario is None else scenario
+    is_made = not isinstance(law, type | LawPart) and hasattr(law, "step") and hasattr(law, "reset")
+    if law is not None and not is_made:
+        scenario, law = choose_scenario(scenario, law=law), None
     if law is None:
         scenario = resolve_scenario(scenario, trust_law=trust_law)
     found, blocks_ticks, stop_reason = _answer_poses(run, scenario, law, step_budget_s)

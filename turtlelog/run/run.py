@@ -8,13 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from turtlelog.display import (
-    describe_count,
-    fit_line,
-    format_answer,
-    format_html,
-    format_short,
-)
+from turtlelog.display import describe_count, fit_line, format_answer, format_html, format_short
 from turtlelog.errors import PathError, RunError
 from turtlelog.run.columns import (
     Clock,

@@ -29,7 +29,7 @@ from turtlelog.simulate.twins import (
     as_record,
     build_dtype,
     describe_numba_error,
-    sum_up,
+    stamp_functions,
 )
 
 
@@ -171,7 +171,7 @@ def _bind(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> tuple[Kind
     parts = bind_parts(plant, bind_step(law.step), bind_states(states), EFFECTS)
     from importlib.metadata import version
 
-    stamp = sum_up(
+    stamp = stamp_functions(
         [*_STEPS.values(), *parts, compiled_entry.run_loop, compiled_entry.run_rows],
         *(kinds.settings, kinds.state, kinds.new.dtype, PIECE, _OFTICKS, _OFSAMPLES),
         *(version("numba"), np.__version__),

@@ -113,7 +113,7 @@ class DrivenPlant:
         return self.read()
 
 
-def list_commands(commands: CommandColumns) -> list[tuple[int, float, float]]:
+def list_plant_commands(commands: CommandColumns) -> list[tuple[int, float, float]]:
     """Return time [ns], speed [m/s] and turn rate [rad/s] of commands."""
     columns = (commands.time_ns, commands.speed_m_s, commands.turn_rate_rad_s)
     return [*zip(*(column.tolist() for column in columns), strict=True)]

@@ -68,13 +68,14 @@ def _describe_wrong_signs(
     the gains, delays and lags, one pole of the closed loop lies there.
     """
     for loop in declaration.loops:
-        key = f"{PLANT_KEYS[loop.command]}gain"
-        gain = read_number(parameters, key)
-        if gain < 0.0 and not isinstance(read_gains(loop, parameters), str):
-            yield (
-                f"{loop.name}: {key} = {_write(gain)} feeds the error back with the wrong sign:"
-                f" theory's loop is unstable at any {loop.gain} above 0"
-            )
+        for name in ("gain", "reverse_gain"):
+            key = f"{PLANT_KEYS[loop.command]}{name}"
+            gain = read_number(parameters, key)
+            if gain < 0.0 and not isinstance(read_gains(loop, parameters), str):
+                yield (
+                    f"{loop.name}: {key} = {_write(gain)} feeds the error back with the wrong sign:"
+                    f" theory's loop is unstable at any {loop.gain} above 0"
+                )
 
 
 def _describe_idle(scenario: Scenario) -> Iterator[str]:

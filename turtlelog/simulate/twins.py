@@ -72,7 +72,7 @@ def take_twin(thing: Any) -> Any:
     return _TWINS.get(thing, thing) if callable(thing) else thing
 
 
-def sum_up(functions: typing.Iterable[Function], *more: Any) -> str:
+def stamp_functions(functions: typing.Iterable[Function], *more: Any) -> str:
     """Return a stamp of all code and constants that functions reach, as they are compiled.
 
     Raises:

@@ -17,7 +17,7 @@ from turtlelog.measure.registry import CUT, LOOP_METRICS, NO_STEP, RUN_METRICS, 
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.simulate.assemble import Function, compile_text
 from turtlelog.simulate.compiled_loop import SAMPLE, TICK, compile_entry
-from turtlelog.simulate.twins import Twins, sum_up
+from turtlelog.simulate.twins import Twins, stamp_functions
 from turtlelog.sweep import batch_kernel
 from turtlelog.sweep.batch_kernel import REFERENCES, SIGNALS, USES_OF_ROW, Memory, Row
 
@@ -163,13 +163,13 @@ def _bind(curves: tuple[str, ...], courses: tuple[str, ...]) -> tuple[dict[str, 
         "IS_ANY": batch_kernel.is_any,
         "PREPARE_ROW": batch_kernel.prepare_row,
         "FIND_STRETCH": batch_kernel.find_stretch,
-        "READ_CURVE": batch_kernel.read_curve,
+        "READ_CURVE": batch_kernel.read_loop_curve,
         "READ_COURSE": batch_kernel.read_course,
         "MEASURE_CURVE": of_curve,
         "MEASURE_COURSE": of_course,
     }
     types = FACTS, TICK, SAMPLE, LINE, LOOP, SPAN
-    return functions, sum_up(functions.values(), *types, version("numba"), np.__version__)
+    return functions, stamp_functions(functions.values(), *types, version("numba"), np.__version__)
 
 
 def _chain(what: str, kinds: Mapping[str, Any]) -> Function:

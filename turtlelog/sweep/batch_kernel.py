@@ -208,7 +208,7 @@ def _end_ns(row: Row, span: Any) -> int:
 
 
 @called
-def read_curve(row: Row, number: int, first: int, after: int, band: float) -> LoopCurve:
+def read_loop_curve(row: Row, number: int, first: int, after: int, band: float) -> LoopCurve:
     """Return the curve of a loop between two poses."""
     facts, memory, samples, loop = row.facts, row.memory, row.samples, row.loops[number]
     span = memory.spans[number]

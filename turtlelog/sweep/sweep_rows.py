@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, overload
 
 from turtlelog.errors import LogError, ScenarioError, SweepError
 from turtlelog.files.urls import RemotePath, has_files, make_path
-from turtlelog.laws import is_given, read_law_source
+from turtlelog.laws import WorkWithLaws, is_given, read_law_source
 from turtlelog.laws.law_files import list_law_files
 from turtlelog.log.complete_files import remove_leftovers
 from turtlelog.log.error_boundary import name_file
@@ -238,14 +238,13 @@ def _simulate(
             jobs, threads = 1, jobs
     else:
         size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // count)))
-    is_forked = _has_given_law(sweep)
-    if is_forked and isinstance(jobs, int) and not CAN_FORK:
+    laws = _list_given_laws(sweep)
+    if laws and isinstance(jobs, int) and not CAN_FORK:
         jobs = 1
+    work = WorkWithLaws(simulate_rows, () if isinstance(jobs, int) else laws)
     cut = partial_call(sweep.cut_chunk, ahead=rest // count, threads=threads)
     chunks = _Chunks(cut, rows.list_gaps(sweep.plan.row_count), size)
-    for results in map_in_processes(
-        simulate_rows, chunks, jobs, name=_name_chunk, is_forked=is_forked
-    ):
+    for results in map_in_processes(work, chunks, jobs, name=_name_chunk, is_forked=bool(laws)):
         rows.add(results)
         watch(rows.count, results)
 
@@ -414,9 +413,9 @@ def _sum_up_code(kinds: Sequence[str]) -> str:
     return hashlib.sha256(b"".join(parts)).hexdigest() if parts else ""
 
 
-def _has_given_law(sweep: Sweep) -> bool:
-    """Return whether a row may have a law that only this process and its forks find."""
+def _list_given_laws(sweep: Sweep) -> tuple[str, ...]:
+    """Return the laws of the rows that only this process and its forks find."""
     kinds = [parse_scenario(sweep.base).law.kind]
     for one in (*sweep.plan.grid, *sweep.plan.zipped):
         kinds += [*one.values] if one.key == "law.kind" else []
-    return any(map(is_given, kinds))
+    return tuple(dict.fromkeys(filter(is_given, kinds)))

@@ -92,7 +92,7 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
     scenario: Scenario | str | Path,
     grid: Mapping[str, Iterable[Any]],
     *,
-    metrics: Sequence[str] | None = None,
+    metrics: str | Sequence[str] | None = None,
     law: Any = None,
     changes: Mapping[str, Any] | None = None,
     output: str | Path | None = None,
@@ -107,9 +107,10 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         scenario: Scenario that the rows vary: a scenario, the name of a preset, or a file.
         grid: Values by dotted key, as in `{"law.kp_linear": np.linspace(1, 4, 30)}`; those of `kp`
             are of all gains of the law together.
-        metrics: Ids or patterns; None: the essential ones of the law but `dead_time`.
+        metrics: Id or pattern, or several; None: the essential ones of the law but `dead_time`.
         law: Law to use instead of the scenario's law, as in `simulate_run`. Processes beside this
-            one find a law of a notebook on Linux; elsewhere there is one process for it.
+            one find a law of a notebook on Linux; elsewhere there is one process for it. A cluster
+            gets it with the work.
         changes: Values by dotted key that all rows have.
         output: The .parquet file, which the same call goes on with where it was interrupted; None:
             no file is kept.
@@ -126,6 +127,7 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
     """
     base = choose_scenario(scenario, law=law, changes=changes)
     plan = SweepPlan(grid=tuple(_read_values(grid)))
+    metrics = [metrics] if isinstance(metrics, str) else metrics
     sweep = prepare_sweep(base, plan, metrics=metrics, step_budget_s=step_budget_s)
     notes: list[str] = []
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:

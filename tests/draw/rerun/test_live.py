@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
-from tests.draw.laws import (
-    TRACKERS,
-    build_scenario,
-    build_tracker,
-    simulate_law,
-    simulate_tracker,
-)
+from tests.draw.laws import TRACKERS, build_scenario, build_tracker, simulate_law, simulate_tracker
 from tests.draw.rerun.headless import start_headless
 from tests.draw.rerun.rrds import list_entities, read_rows, read_times, simulate_preset
 from tests.log.live import start_recording

@@ -8,13 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 import turtlelog as tl
-from tests.draw.laws import (
-    SQUARE,
-    simulate_law,
-    simulate_pid,
-    simulate_tracker,
-    simulate_untimed,
-)
+from tests.draw.laws import SQUARE, simulate_law, simulate_pid, simulate_tracker, simulate_untimed
 from tests.draw.rerun.rrds import (
     join_strips,
     list_entities,

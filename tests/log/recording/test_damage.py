@@ -11,13 +11,7 @@ from mcap.writer import Writer
 
 from tests.log.runs import find_shared, simulate_short_run
 from turtlelog.errors import LogError
-from turtlelog.log import (
-    import_log,
-    read_info,
-    read_recording,
-    recover_recording,
-    write_recording,
-)
+from turtlelog.log import import_log, read_info, read_recording, recover_recording, write_recording
 
 HEAD = {
     "format_version": "1",

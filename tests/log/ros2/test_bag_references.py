@@ -5,14 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.log.ros2.bags import START_NS
-from tests.log.ros2.robots import (
-    say_goal,
-    say_odometry,
-    say_path,
-    say_transform,
-    turn,
-    write_robot,
-)
+from tests.log.ros2.robots import say_goal, say_odometry, say_path, say_transform, turn, write_robot
 from turtlelog import measure_run
 from turtlelog.errors import LogError
 from turtlelog.log import read_run, write_recording

@@ -6,18 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.log.ros2.bags import (
-    change,
-    make_command,
-    make_poses,
-    write_sqlite,
-)
+from tests.log.ros2.bags import change, make_command, make_poses, write_sqlite
 from turtlelog.errors import LogError
-from turtlelog.log import (
-    read_columns,
-    read_info,
-    recover_recording,
-)
+from turtlelog.log import read_columns, read_info, recover_recording
 from turtlelog.log.engine import sqlite_source
 from turtlelog.log.ros2.bag import open_bag
 

@@ -11,11 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from turtlelog.charts.curves import (
-    MOST_POINTS,
-    Curve,
-    choose_rows,
-)
+from turtlelog.charts.curves import MOST_POINTS, Curve, choose_rows
 from turtlelog.charts.looks import LOOP_DASHES
 from turtlelog.draw.figures.legend import name_some
 from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_lines

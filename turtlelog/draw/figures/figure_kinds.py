@@ -16,26 +16,13 @@ from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.display import NamedValues, fit_line
 from turtlelog.draw.figures.attribution_figure import draw_attribution
-from turtlelog.draw.figures.figure_curves import (
-    draw_plant_responses,
-    draw_step_responses,
-)
+from turtlelog.draw.figures.figure_curves import draw_plant_responses, draw_step_responses
 from turtlelog.draw.figures.gain_figure import draw_gains
 from turtlelog.draw.figures.luck_figure import draw_luck
-from turtlelog.draw.figures.needs import (
-    OF_THEORY,
-    find_lack_of_gain,
-    find_lacks,
-    has_states,
-)
+from turtlelog.draw.figures.needs import OF_THEORY, find_lack_of_gain, find_lacks, has_states
 from turtlelog.draw.figures.plane_panels import draw_plane, has_one_plane
 from turtlelog.draw.figures.rates_figure import draw_rates
-from turtlelog.draw.figures.sampled_loops import (
-    draw_bode,
-    draw_nyquist,
-    draw_root_locus,
-    draw_step,
-)
+from turtlelog.draw.figures.sampled_loops import draw_bode, draw_nyquist, draw_root_locus, draw_step
 from turtlelog.draw.figures.strip_figure import draw_strips
 from turtlelog.draw.figures.time_panels import (
     Draw,

@@ -28,7 +28,7 @@ from turtlelog.identify import (
     predict_axis,
     trace_axis,
 )
-from turtlelog.identify.axis_motion import measure_steps
+from turtlelog.identify.axis_motion import measure_axis_steps
 from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
@@ -307,7 +307,7 @@ def _read_fine(one: DrawnAxis, run: Run) -> tuple[Values, Values]:
     """Return the mean rate of each step between two poses, at its middle."""
     if one.traces is None:
         return one.measured or (np.empty(0), np.empty(0))
-    time_s, moved, _ = measure_steps(run.poses, one.model.axis)
+    time_s, moved, _ = measure_axis_steps(run.poses, one.model.axis)
     apart_s = np.diff(time_s)
     return time_s[:-1] + 0.5 * apart_s - run.start_ns / 1e9, moved / apart_s
 

@@ -25,12 +25,7 @@ from turtlelog.draw.figures.figure_curves import (
     list_paper_poles,
 )
 from turtlelog.draw.figures.legend import name_some
-from turtlelog.draw.figures.page import (
-    REFERENCE,
-    STROKES,
-    choose_lines,
-    label_runs,
-)
+from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_lines, label_runs
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run

@@ -30,15 +30,7 @@ from turtlelog.charts.robot_curves import list_seen_gaps
 from turtlelog.charts.time_axes import find_range
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.charts.violated_signal import ViolatedSignal
-from turtlelog.draw.report.drawn import (
-    MOST_POINTS,
-    RING,
-    Drawn,
-    Plots,
-    make_figure,
-    thin,
-    to_hex,
-)
+from turtlelog.draw.report.drawn import MOST_POINTS, RING, Drawn, Plots, make_figure, thin, to_hex
 from turtlelog.draw.report.marked_plots import RED, draw_violations, mark_plots
 from turtlelog.draw.report.planes import draw_planes
 from turtlelog.libraries import load_library

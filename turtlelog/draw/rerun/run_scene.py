@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from turtlelog.charts.plane_scene import move_near
 from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.content import Content, describe_content, find_corners, find_largest_shown
-from turtlelog.draw.rerun.entities import APPLICATION_ID, join_path
+from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.ghosts import Ghost, build_ideal_ghost, draw_ghost, draw_key
 from turtlelog.draw.rerun.layout import build_run_layout, is_small
 from turtlelog.draw.rerun.legends import name_legends
@@ -39,9 +40,7 @@ from turtlelog.draw.rerun.plots import (
 from turtlelog.draw.rerun.rrd_file import (
     draw_documents,
     open_recording,
-    require_enabled,
     send_run_properties,
-    strict_mode,
 )
 from turtlelog.draw.rerun.timelines import (
     RunStream,
@@ -57,6 +56,7 @@ from turtlelog.draw.rerun.world import (
     draw_worst_place,
     widen_plane,
 )
+from turtlelog.errors import ShowError
 from turtlelog.log.ros2.bag_scans import Surroundings
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
@@ -250,19 +250,20 @@ def _draw_events(run_stream: RunStream, single: Single, content: Content) -> Non
 def build_run_widget(run: Run, size: tuple[int, int]) -> Viewer:
     """Return a widget of this width and height [pixels] that holds all of a run.
 
+    The page gets the recording in one message. Rerun's own way is a message for each part: of
+    hundreds at once a browser without a graphics card often shows nothing.
+
     Raises:
         ShowError: Where the environment switches Rerun off.
     """
-    scene = build_run_scene(run, size=size)
-    with strict_mode():
-        # The properties that Rerun would send hold the wall-clock time.
-        stream = rr.RecordingStream(APPLICATION_ID, send_properties=False)
-        require_enabled(stream, run.name)
-        stream.set_log_time_enabled(False)
-        width, height = size
-        layout = build_run_layout(scene.content)
-        viewer = Viewer(width=width, height=height, recording=stream, blueprint=layout)
-        stream.send_recording_name(run.name)
-        scene.draw(stream)
-        stream.flush()
+    with TemporaryDirectory(prefix="turtlelog-") as folder:
+        file = Path(folder, "run.rrd")
+        try:
+            write_run_rrd(run, file, size=size)
+        except ShowError as err:
+            raise ShowError(str(err).replace(str(file), run.name)) from err
+        data = file.read_bytes()
+    width, height = size
+    viewer = Viewer(width=width, height=height, use_global_recording=False)
+    viewer._viewer.send_rrd(data)
     return viewer

@@ -27,14 +27,7 @@ from turtlelog.log.engine.framing import (
     measure_record,
     skip_followed,
 )
-from turtlelog.log.engine.limits import (
-    CHUNKS,
-    DAMAGES,
-    LARGEST_CHUNK,
-    NOTES,
-    UNPACKED,
-    Allowance,
-)
+from turtlelog.log.engine.limits import CHUNKS, DAMAGES, LARGEST_CHUNK, NOTES, UNPACKED, Allowance
 
 _BATCH: Final = 2**20  # bytes of lone records handed on together
 _LONGEST_NAME: Final = 64  # bytes; of a compression

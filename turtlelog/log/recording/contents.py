@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import walk_blocks
 from turtlelog.log.engine.channels import Catalogue, TopicPlan
-from turtlelog.log.engine.decode import (
-    LOG_TIME,
-    PUBLISH_TIME,
-    SEQUENCE,
-    Rows,
-    make_empty_rows,
-)
+from turtlelog.log.engine.decode import LOG_TIME, PUBLISH_TIME, SEQUENCE, Rows, make_empty_rows
 from turtlelog.log.engine.limits import Allowance, measure_stored
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.engine.source import Selection, Source, read_piece

@@ -15,14 +15,7 @@ from turtlelog.log.error_boundary import name_file
 from turtlelog.log.file_info import RecordingInfo, TopicInfo
 from turtlelog.log.planar import describe_height, lift_poses
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
-from turtlelog.log.recording.topics import (
-    CONTROL,
-    LAW_STATE,
-    POSE,
-    REFERENCE64,
-    SENSED,
-    SHAPED,
-)
+from turtlelog.log.recording.topics import CONTROL, LAW_STATE, POSE, REFERENCE64, SENSED, SHAPED
 from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_clock import time_rows
 from turtlelog.log.ros2.bag_columns import (
@@ -48,12 +41,7 @@ from turtlelog.log.ros2.bag_commands import (
 from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_references import Track, add_references
 from turtlelog.log.ros2.bag_robots import BagRobot, describe_robots, require_robot, select_robot
-from turtlelog.log.ros2.bag_topics import (
-    TRANSFORMS,
-    NoPosesError,
-    Pick,
-    describe_unread_topics,
-)
+from turtlelog.log.ros2.bag_topics import TRANSFORMS, NoPosesError, Pick, describe_unread_topics
 from turtlelog.log.ros2.reported_motion import (
     LATERAL,
     PATH_NOTE,

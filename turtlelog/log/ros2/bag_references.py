@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, PathError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.read_choice import ReadChoice, parse_goal
+from turtlelog.log.read_choice import ReadChoice, parse_goal_option
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
 from turtlelog.log.ros2.bag_topics import choose_goal_topic, choose_path_topics, list_first_names
@@ -93,7 +93,7 @@ def add_references(run: Run, bag: Bag, source: PoseSource, track: Track, choice:
 
 
 def _take_given(given: tuple[float, ...]) -> "FoundGoal":
-    xy_m, heading_rad = parse_goal(given)
+    xy_m, heading_rad = parse_goal_option(given)
     return FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as given")
 
 

@@ -125,7 +125,9 @@ _GRAIN_S: Final = 1e-6
 """Rounding of times [s]: a command that holds for half a second holds for 499,999,999 ns, too."""
 
 
-def measure_steps(rates: Rates, steps: list[CommandStep], band: float) -> Iterator[StepFigures]:
+def measure_command_steps(
+    rates: Rates, steps: list[CommandStep], band: float
+) -> Iterator[StepFigures]:
     """Yield how the robot answers each step that it answers."""
     for step in steps:
         found = _measure_step(rates, step, band)
@@ -227,7 +229,9 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
             reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_FEWEST} Hz"
             return Missing(status=Status.TOO_SHORT, reason=reason)
         band = context.settings.band
-        figures = context.recall(("answers", axis), lambda: list(measure_steps(rates, steps, band)))
+        figures = context.recall(
+            ("answers", axis), lambda: list(measure_command_steps(rates, steps, band))
+        )
         found = [getattr(one, name) for one in figures]
         known = [value for value in found if value is not None]
         if not known:

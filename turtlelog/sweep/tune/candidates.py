@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from turtlelog.errors import ScenarioError, TuneError
-from turtlelog.laws import is_given
+from turtlelog.laws import WorkWithLaws, is_given
 from turtlelog.measure import list_metrics
 from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes, start_pool
 from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
@@ -188,13 +188,14 @@ class Candidates:
             # A generation is cut for all who work, and for those who are done sooner.
             threads, size = 1, -(-len(points) // _CUTS)
             size = max(1, min(size, int(_CHUNK_S / self._row_s)))
-        is_forked = is_given(self._scenario.law.kind)
+        law = self._scenario.law.kind
+        work = WorkWithLaws(simulate_rows, () if isinstance(jobs, int) else (law,))
         chunks = [
             self._cut(points[first : first + size], threads=threads)
             for first in range(done, len(points), max(size, 1))
         ]
         for results in map_in_processes(
-            simulate_rows, chunks, jobs, name=_name_chunk, is_forked=is_forked
+            work, chunks, jobs, name=_name_chunk, is_forked=is_given(law)
         ):
             yield done, results
             done += len(results)

@@ -196,7 +196,12 @@ def _find_fault(one: Candidate, limit: float, sign: float) -> tuple[End, str] | 
 _DELAY: Final = "loop.transport_delay_ticks"
 _SEED: Final = "seed"
 
-_PARTS: Final = {"gain": "gain", "dead_time_s": "dead_time_s", "lag_s": "lag_s"}
+_PARTS: Final = {
+    **{
+        name: name for name in ("gain", "dead_time_s", "lag_s", "bound", "deadband", "reverse_gain")
+    },
+    "rate_limit": "acceleration",
+}
 _AXES: Final = {"speed": "speed", "turn_rate": "turn"}
 _MOST_BYTES: Final = 2**24
 """Of what `identify --json` printed: of one robot it prints some kB."""
@@ -271,7 +276,7 @@ def choose_variations(
 
 
 def read_intervals(path: Path, scenario: Scenario) -> tuple[Variation, ...]:
-    """Return the intervals of a robot's gains, dead times and lags.
+    """Return the intervals of a robot's gains, dead times, lags and limits.
 
     Args:
         path: What `turtlelog identify --json` printed.
