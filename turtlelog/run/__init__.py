@@ -1,6 +1,6 @@
-"""Run: the columns that every stage hands on.
+"""The class `Run`: the columns that all stages exchange.
 
-The names stand in `__init__.pyi` and load on first use.
+The names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

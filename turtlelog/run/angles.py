@@ -16,7 +16,7 @@ def wrap_angle(angle_rad: NDArray[np.float64]) -> NDArray[np.float64]: ...
 def wrap_angle(angle_rad: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
     """Return the same direction in [-pi, pi) [rad]; arrays keep their shape.
 
-    An angle that is already inside comes back bit for bit.
+    An angle already in this interval is returned unchanged.
     """
     if isinstance(angle_rad, np.ndarray):
         turned = np.fmod(angle_rad, _TURN_RAD)
@@ -41,5 +41,5 @@ def subtract_headings(
 def subtract_headings(
     to_rad: float | NDArray[np.float64], from_rad: float | NDArray[np.float64]
 ) -> float | NDArray[np.float64]:
-    """Return the shortest turn that leads from one heading to another [rad], in [-pi, pi)."""
+    """Return the smallest rotation from one heading to another [rad], in [-pi, pi)."""
     return wrap_angle(to_rad - from_rad)

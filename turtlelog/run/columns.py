@@ -44,24 +44,24 @@ Rebuilding = tuple[Any, tuple[type, dict[str, Any]]]
 class PoseColumns:
     """The turtle's pose, one row per tick (imported logs: one row per sample).
 
-    Takes its arrays over and makes them read-only.
+    The arrays are not copied; they become read-only.
 
     Attributes:
         time_ns: Time [ns], shape (n,), strictly increasing.
         xy_m: Position in the world frame [m], shape (n, 2).
-        heading_rad: Counter-clockwise from +x [rad], within a float32 step of [-pi, pi),
+        heading_rad: Heading, counter-clockwise from +x [rad], within a float32 step of [-pi, pi),
             shape (n,).
         speed_m_s: Magnitude of the applied velocity [m/s], shape (n,); None if not recorded.
         turn_rate_rad_s: Applied turn rate [rad/s], shape (n,); None if not recorded.
-        measured_speed_m_s: Forward speed as the robot reports it, backward negative [m/s], shape
-            (n,); None if it reports none.
-        measured_turn_rate_rad_s: Turn rate likewise [rad/s], shape (n,).
-        sensed_xy_m: Position as it was sensed, which is what the controller reads [m], shape (n,
-            2); NaN if a pose dropped out, None if the pose itself is read.
-        sensed_heading_rad: Heading likewise [rad], shape (n,).
-        height_m: Above the plane of x and y [m], shape (n,); NaN where a pose has none, None of a
-            robot that stays in the plane.
-        tilt_rad: Angle between the robot's vertical axis and the world's [rad], likewise.
+        measured_speed_m_s: Forward speed that the robot reports, negative when it drives backward
+            [m/s], shape (n,); None if not reported.
+        measured_turn_rate_rad_s: Turn rate that the robot reports [rad/s], shape (n,).
+        sensed_xy_m: Sensed position, which the controller reads [m], shape (n, 2); NaN if a pose
+            dropped out, None if the controller reads the true pose.
+        sensed_heading_rad: Sensed heading [rad], shape (n,).
+        height_m: Height above the plane of x and y [m], shape (n,); NaN for poses without a height,
+            None if the robot stays in the plane.
+        tilt_rad: Angle between the robot's vertical axis and the world's [rad], shape (n,).
     """
 
     time_ns: NDArray[np.int64]
@@ -88,7 +88,7 @@ class PoseColumns:
 
     @property
     def read_xy_m(self) -> NDArray[np.float64]:
-        """Position that the controller reads [m], shape (n, 2): as sensed, or the pose's own."""
+        """Position that the controller reads [m], shape (n, 2): the sensed or the true one."""
         return self.xy_m if self.sensed_xy_m is None else self.sensed_xy_m
 
     @property
@@ -98,7 +98,7 @@ class PoseColumns:
 
     @property
     def dropped_out(self) -> NDArray[np.bool_]:
-        """Whether a pose never reached the controller, shape (n,)."""
+        """Whether each pose failed to reach the controller, shape (n,)."""
         rows = np.isnan(self.read_xy_m).any(axis=1) | np.isnan(self.read_heading_rad)
         return np.asarray(rows)
 
@@ -114,13 +114,13 @@ class PoseColumns:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CommandColumns:
-    """The commands as published, one row per command. Makes its arrays read-only.
+    """The published commands, one row per command. The arrays become read-only.
 
     Attributes:
         time_ns: Time of publication [ns], shape (n,), not decreasing.
-        speed_m_s: Forward along the heading [m/s], shape (n,).
+        speed_m_s: Speed along the heading, forward positive [m/s], shape (n,).
         lateral_speed_m_s: Speed to the left of the heading [m/s], shape (n,).
-        turn_rate_rad_s: Counter-clockwise [rad/s], shape (n,).
+        turn_rate_rad_s: Turn rate, counter-clockwise positive [rad/s], shape (n,).
     """
 
     time_ns: NDArray[np.int64]
@@ -145,37 +145,39 @@ class CommandColumns:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampleColumns:
-    """Values that the controller computed, one row per sample. Makes its arrays read-only.
+    """Values that the controller computed, one row per sample. The arrays become read-only.
 
-    Its columns stand in the order of the tables.
+    The fields have the order of the table columns.
 
-    The errors are the controller's own: a law may hold the last one it computed.
+    The errors are those of the controller: a law may repeat the last error that it computed.
 
     Attributes:
         time_ns: Time at which the pose was answered [ns], shape (n,), not decreasing; the samples
             of a burst share one time.
-        sequence: Number of the sample, shape (n,), strictly increasing.
+        sequence: Sample number, shape (n,), strictly increasing.
         pose_sequence: Row of `Run.poses` that the sample read, shape (n,).
         phase: Index into `Run.phase_names` of the phase in which the command was computed,
             shape (n,).
-        bearing_rad: Goal bearing [rad], shape (n,); None if not recorded, as the next three.
-        heading_error_rad: Bearing minus heading [rad], shape (n,).
+        bearing_rad: Goal bearing [rad], shape (n,). This field and the next two are None if not
+            recorded.
+        heading_error_rad: Goal bearing minus heading [rad], shape (n,).
         error_xy_m: Goal minus position, world frame [m], shape (n, 2).
-        distance_m: Length of that error [m], shape (n,).
+        distance_m: Length of `error_xy_m` [m], shape (n,); None if not recorded.
         wanted_speed_m_s: Forward speed before clipping [m/s], shape (n,); None if not recorded.
-        wanted_turn_rate_rad_s: Before clipping [rad/s], shape (n,); None if not recorded.
-        speed_m_s: Forward speed as commanded [m/s], shape (n,).
+        wanted_turn_rate_rad_s: Turn rate before clipping [rad/s], shape (n,); None if not recorded.
+        speed_m_s: Commanded forward speed [m/s], shape (n,).
         turn_rate_rad_s: Commanded turn rate [rad/s], shape (n,).
         shaped_speed_m_s: Forward speed after shaping, before the limits [m/s], shape (n,); None if
             there is no shaping.
-        shaped_turn_rate_rad_s: Shaped turn rate [rad/s], shape (n,).
+        shaped_turn_rate_rad_s: Turn rate after shaping, before the limits [rad/s], shape (n,).
         world_velocity_m_s: Gain times error before projection, world frame [m/s], shape (n, 2); NaN
-            if a sample has none, None if no sample has.
-        states: Numbers of the law's own, in the order of the declaration, shape (n, k); None if it
-            declares none.
-        reference_xy_m: Position of the reference pose, world frame [m], shape (n, 2); NaN if a
-            sample has none, None if none is declared.
-        reference_heading_rad: Its heading [rad], shape (n,), likewise.
+            for samples without this value, None if no sample has it.
+        states: State values of the law, in the order of the declaration, shape (n, k); None if the
+            law declares no states.
+        reference_xy_m: Position of the reference pose, world frame [m], shape (n, 2); NaN for
+            samples without a reference, None if no reference is declared.
+        reference_heading_rad: Heading of the reference pose [rad], shape (n,); NaN or None
+            likewise.
     """
 
     time_ns: NDArray[np.int64]
@@ -205,7 +207,7 @@ class SampleColumns:
 
     @classmethod
     def build_empty(cls) -> Self:
-        """Return a table without rows, of a run in which no controller was recorded."""
+        """Return columns without rows, for a run without a recorded controller."""
         none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
         return cls(
             time_ns=whole,
@@ -228,16 +230,15 @@ class SampleColumns:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Clock:
-    """The clock that times the poses of a bag, and how it stands to the recorder's.
+    """The clock that times the poses of a bag, and its relation to the recorder's clock.
 
     Attributes:
-        used: `stamp`: when the robot measured each pose, mapped to the recorder's clock; `log`:
-            when the recorder received it.
-        ratio: Seconds of the stamps per second of the recorder; None if poses have no stamps.
-        offset_s: The recorder's time less the stamp of the first pose, by the message that was
-            transported fastest [s]; None likewise.
-        jitter_s: Usual difference of the transport time of a pose from the fastest [s]; None
-            likewise.
+        used: `stamp`: the time when the robot measured each pose, mapped to the recorder's clock;
+            `log`: the time when the recorder received the pose.
+        ratio: Stamp seconds per second of the recorder's clock; None if poses have no stamps.
+        offset_s: Recorder's time minus stamp at the first pose, for the shortest transport delay
+            [s]; None if poses have no stamps.
+        jitter_s: Median transport delay minus the shortest transport delay [s]; None if unknown.
     """
 
     used: Literal["log", "stamp"]
@@ -250,7 +251,7 @@ Columns = TypeVar("Columns", PoseColumns, CommandColumns, SampleColumns)
 
 
 def take_rows(columns: Columns, rows: slice | NDArray[np.bool_]) -> Columns:
-    """Return some rows of every column."""
+    """Return the selected rows of every column."""
     taken = {
         field.name: values[rows]
         for field in fields(columns)
@@ -260,7 +261,7 @@ def take_rows(columns: Columns, rows: slice | NDArray[np.bool_]) -> Columns:
 
 
 def list_fields(value: Any) -> dict[str, Any]:
-    """Return what a value is built from, plain enough to be pickled."""
+    """Return the field values of an object in a form that can be pickled."""
     values = {found.name: getattr(value, found.name) for found in fields(value)}
     return {
         name: dict(inner) if isinstance(inner, MappingProxyType) else inner
@@ -269,7 +270,7 @@ def list_fields(value: Any) -> dict[str, Any]:
 
 
 def rebuild(kind: type, values: dict[str, Any]) -> Any:
-    """Build a pickled value again."""
+    """Restore a pickled object."""
     return kind(**values)
 
 
@@ -282,7 +283,7 @@ _FIELDS: Final[dict[type, tuple[Field[Any], ...]]] = {}
 
 
 def _fields(kind: type) -> tuple[Field[Any], ...]:
-    """Return the fields of a type, looked up once: they are asked for in every run."""
+    """Return the fields of a type; the result is cached."""
     if kind not in _FIELDS:
         _FIELDS[kind] = fields(kind)
     return _FIELDS[kind]
@@ -304,7 +305,7 @@ def _freeze(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -
 
 
 def _require_arrays(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
-    """Refuse lists, and times in seconds: what is counted is whole, all else a float."""
+    """Require arrays: integers for times and counts, floats for all other columns."""
     for column in _fields(type(columns)):
         values, place = getattr(columns, column.name), f"{table}.{column.name}"
         if values is None and column.default is None:

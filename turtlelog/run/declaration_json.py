@@ -39,7 +39,7 @@ class _Entry(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
 
 
 def format_declaration(declaration: Declaration) -> str:
-    """Return a declaration as JSON; phases are a list, for their order counts."""
+    """Return a declaration as JSON; phases are a list because their order matters."""
     entry = _Entry(
         loops=tuple(_Loop(**asdict(loop)) for loop in declaration.loops),
         phases=tuple(_Phase(name=name, loops=of) for name, of in declaration.phases.items()),
@@ -54,7 +54,8 @@ def parse_declaration(text: str) -> Declaration:
     """Return the declaration in a JSON text.
 
     Raises:
-        LogError: With what was expected and found; a place in it is as in JSON.
+        LogError: If the text is not a valid declaration; the message gives the place in the JSON
+            text.
     """
     try:
         entry = msgspec.json.decode(text, type=_Entry)

@@ -14,14 +14,14 @@ _MISSED: Final = ("standstill", "settled", "timeout", "max_duration")
 
 
 def find_goal_error(run: "Run") -> float | None:
-    """Return the metric `final.position_error` [m]; None of a run that was not to reach a goal."""
+    """Return the metric `final.position_error` [m]; None if the run had no goal to reach."""
     if run.goal_xy_m is None or not run.declaration.uses_goal:
         return None
     return math.dist(run.goal_xy_m, run.poses.xy_m[-1])
 
 
 def describe_goal_end(run: "Run", error_m: float, duration_s: float | None) -> str:
-    """Return whether a run reached its goal, how far from it it ended, and when.
+    """Return a sentence on whether a run reached its goal, its final distance and its duration.
 
     Args:
         run: The run.
@@ -40,12 +40,12 @@ def describe_goal_end(run: "Run", error_m: float, duration_s: float | None) -> s
 
 
 def allow_position(heading_rad: float, position_m: float, distance_m: float) -> float:
-    """Return what tolerances leave of a final position error [m].
+    """Return the final position error that the tolerances allow [m].
 
     Args:
         heading_rad: Tolerance of the heading [rad].
         position_m: Tolerance of the position [m].
-        distance_m: How far the goal is from the start [m].
+        distance_m: Distance from the start to the goal [m].
     """
     return heading_rad * distance_m + position_m
 

@@ -1,8 +1,8 @@
-"""World frame and turtle frame: the same vector seen from both.
+"""Transformation of vectors between the world frame and the turtle frame.
 
 The turtle frame has its x axis along the heading and its y axis to the left. Equation numbers are
-those of "Simulation-Based Learning of Feedback Control Through Planar Robot Motion", which prints
-the matrix of its equations 7 and 10 transposed; the formulas here are those of 11 and 16.
+those of "Simulation-Based Learning of Feedback Control Through Planar Robot Motion". Its equations
+7 and 10 print the matrix transposed; the formulas here follow equations 11 and 16.
 
 Arrays broadcast: vectors of shape (..., 2) against headings of shape (...).
 """
@@ -14,13 +14,13 @@ from turtlelog.errors import FrameError
 
 
 def build_rotation(heading_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return the matrix that takes turtle coordinates to world coordinates, shape (..., 2, 2).
+    """Return the rotation matrix from the turtle frame to the world frame, shape (..., 2, 2).
 
     Its columns are the turtle's axes in the world frame: [[cos, -sin], [sin, cos]]. Its transpose
-    is its inverse and leads back. Together they are the matrices of 7 and 10, put right.
+    is its inverse. The two are the corrected matrices of equations 7 and 10.
 
     Args:
-        heading_rad: Counter-clockwise from the world's +x [rad], shape (...).
+        heading_rad: Heading, counter-clockwise from the world's +x [rad], shape (...).
     """
     heading = np.asarray(heading_rad, dtype=np.float64)
     cos, sin = np.cos(heading), np.sin(heading)
@@ -30,11 +30,11 @@ def build_rotation(heading_rad: ArrayLike) -> NDArray[np.float64]:
 def rotate_to_world(turtle_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.float64]:
     """Return a turtle-frame vector in the world frame, in its own unit, shape (..., 2).
 
-    x_G = x_T cos - y_T sin, y_G = x_T sin + y_T cos: what turtlesim moves by in a tick.
+    x_G = x_T cos - y_T sin, y_G = x_T sin + y_T cos: the motion of turtlesim in a tick.
 
     Args:
-        turtle_xy: Forward and to the left, any unit, shape (..., 2).
-        heading_rad: Counter-clockwise from the world's +x [rad], shape (...).
+        turtle_xy: Components forward and to the left, any unit, shape (..., 2).
+        heading_rad: Heading, counter-clockwise from the world's +x [rad], shape (...).
     """
     (forward, left), cos, sin = _split(turtle_xy, heading_rad)
     return np.stack([forward * cos - left * sin, forward * sin + left * cos], axis=-1)
@@ -43,13 +43,13 @@ def rotate_to_world(turtle_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.
 def rotate_to_turtle(world_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.float64]:
     """Return a world-frame vector in the turtle frame, in its own unit, shape (..., 2).
 
-    x_T = x_G cos + y_G sin, y_T = -x_G sin + y_G cos (11). At the heading of the vector itself
-    nothing is lateral: y_T = 0 (15). With the goal bearing for a heading, a displacement from the
-    start becomes along-track and cross-track.
+    x_T = x_G cos + y_G sin, y_T = -x_G sin + y_G cos (11). If the heading is the direction of the
+    vector, y_T = 0 (15). If the heading is the goal bearing, a displacement from the start becomes
+    along-track and cross-track.
 
     Args:
-        world_xy: Along the world's x and y, any unit, shape (..., 2).
-        heading_rad: Counter-clockwise from the world's +x [rad], shape (...).
+        world_xy: Components along the world's x and y, any unit, shape (..., 2).
+        heading_rad: Heading, counter-clockwise from the world's +x [rad], shape (...).
     """
     (x, y), cos, sin = _split(world_xy, heading_rad)
     return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
@@ -62,8 +62,8 @@ def project_on_heading(world_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[n
     points behind the turtle, which then drives in reverse (17).
 
     Args:
-        world_xy: Along the world's x and y, any unit, shape (..., 2).
-        heading_rad: Counter-clockwise from the world's +x [rad], shape (...).
+        world_xy: Components along the world's x and y, any unit, shape (..., 2).
+        heading_rad: Heading, counter-clockwise from the world's +x [rad], shape (...).
     """
     (x, y), cos, sin = _split(world_xy, heading_rad)
     return np.asarray(x * cos + y * sin)

@@ -1,4 +1,4 @@
-"""What a control law controls, as data: its loops, its phases, its states, its causes."""
+"""The declaration of a control law: its loops, phases, states and causes."""
 
 import math
 import re
@@ -105,14 +105,15 @@ class ControlLoop:
     """One loop of a law.
 
     Attributes:
-        name: In ids of metrics: `rotate`, `translate`, `align`.
+        name: Name in metric ids: `rotate`, `translate`, `align`.
         signal: Controlled signal, a key of `REFERENCES`.
-        command: Command that acts: `turn_rate` or `speed`.
+        command: Command that acts on the signal: `turn_rate` or `speed`.
         reference: Reference of the signal, one of those that `REFERENCES` lists.
         gain: Scenario key of the proportional gain (`law.kp_angular`), None if there is none.
-        limit: Scenario key of the limit of its command; None for that of the command's kind.
-        is_proportional: Whether the command is gain times error and nothing else. False of a loop
-            with an integral or a derivative (PI, PD, PID): theory's lines do not hold for it.
+        limit: Scenario key of the command limit; None for the default key of this command.
+        is_proportional: Whether the command is only gain times error. False for loops with an
+            integral or derivative term (PI, PD, PID): the theory of proportional loops does not
+            apply.
         integral_gain: Scenario key of the integral gain, None if there is none.
         derivative_gain: Scenario key of the derivative gain, None if there is none.
         derivative_filter: Scenario key of the time constant of the derivative's first-order filter
@@ -160,24 +161,25 @@ class ControlLoop:
     def is_integrator(self) -> bool:
         """Whether the signal integrates the command, as in theory's loops.
 
-        A turn rate integrates to the heading, a speed to the way along the line or to the goal.
+        The integral of a turn rate is a heading; that of a speed is an along-track position or
+        distance.
         """
         return (self.signal, self.command) in _INTEGRATED
 
     @property
     def has_theory(self) -> bool:
-        """Whether theory knows the loop: an integrator under u = Kp e."""
+        """Whether theory describes the loop: an integrator with u = Kp e."""
         return self.is_integrator and self.is_proportional
 
     @property
     def gain_unit(self) -> str:
-        """Unit of the gain: that of the command by that of the signal."""
+        """Unit of the gain: unit of the command divided by unit of the signal."""
         if (self.signal == "heading") == (self.command == "turn_rate"):
             return "1/s"
         return "m/(rad s)" if self.signal == "heading" else "rad/(m s)"
 
     def read_gain(self, parameters: Mapping[str, object]) -> float | None:
-        """Return the gain among a run's parameters; None if unknown or no positive number."""
+        """Return the gain from a run's parameters; None if it is unknown or not positive."""
         kp = None if self.gain is None else parameters.get(self.gain)
         if not isinstance(kp, int | float) or isinstance(kp, bool):
             return None
@@ -214,7 +216,7 @@ PUSH_KEYS: Final = tuple(
 
 
 def read_number(parameters: Mapping[str, object], key: str, default: float = 0.0) -> float:
-    """Return a number of a run's or a scenario's parameters; the default where there is none."""
+    """Return a number from the parameters of a run or scenario; the default if it is missing."""
     value = parameters.get(key, default)
     return float(value) if isinstance(value, int | float) else default
 
@@ -224,12 +226,13 @@ class Declaration:
     """Loops, phases and states of a law; part of the run and of the recording.
 
     Attributes:
-        loops: Empty: there are no metrics of loops.
-        phases: The loops that act in each phase, by its name, in order; at least one phase.
-        states: Names of the law's own numbers, recorded with every sample.
-        state_units: Their units by name, as in `{"integral": "rad s"}`; 1 of a plain number. A
-            state without one is shown without a unit.
-        uses_goal: False: the run has no goal.
+        loops: Loops of the law; without loops there are no loop metrics.
+        phases: Names of the loops that act in each phase, by phase name, in order; at least one
+            phase.
+        states: Names of the law's state values, recorded with every sample.
+        state_units: Units of the states by name, as in `{"integral": "rad s"}`; 1 for a
+            dimensionless number. A state without an entry is shown without a unit.
+        uses_goal: Whether the law drives to a goal; if False, the run has no goal.
 
     Raises:
         RunError: One line with the place, what was expected and what was found.
@@ -302,7 +305,7 @@ class Declaration:
 
     @property
     def phase_names(self) -> tuple[str, ...]:
-        """Names by the index that samples hold: as declared, then those of every law."""
+        """Phase names by the index in samples: declared phases, then those common to all laws."""
         return (*self.phases, *(name for name in (PAUSE, DONE) if name not in self.phases))
 
     @property
@@ -316,7 +319,7 @@ class Declaration:
         return any(loop.reference == "path" for loop in self.loops)
 
     def find_loop(self, name: str) -> ControlLoop | None:
-        """Return a loop by name, None if the law has none of that name."""
+        """Return the loop of this name, None if the law has no such loop."""
         return next((loop for loop in self.loops if loop.name == name), None)
 
     def list_phases(self, loop: str) -> tuple[str, ...]:
@@ -324,25 +327,25 @@ class Declaration:
         return tuple(phase for phase, loops in self.phases.items() if loop in loops)
 
     def list_gains(self) -> tuple[str, ...]:
-        """Return the scenario keys of the gains: of speed loops first, then of turn rate loops."""
+        """Return the scenario keys of the gains: speed loops first, then turn rate loops."""
         loops = sorted(self.loops, key=lambda loop: loop.command != "speed")
         return tuple(dict.fromkeys(loop.gain for loop in loops if loop.gain is not None))
 
     def list_limits(self, command: str) -> tuple[str, ...]:
-        """Return the scenario keys of the limits of a command: its loops', or else its own."""
+        """Return the scenario keys of a command's limits: of its loops, otherwise the default."""
         keys = [loop.limit_key for loop in self.loops if loop.command == command]
         return tuple(dict.fromkeys(keys)) or (LIMIT_KEYS[command],)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cause:
-    """An effect or a design parameter of a law or its loop, and how a scenario is without it.
+    """An effect or a design parameter of a law or its loop, with the values that remove it.
 
     Attributes:
-        name: In explanations: `pause`, `delay`, `saturation`.
-        kind: `effect`, of the implementation: it gets a contribution. `design`, a design parameter:
-            it belongs to any loop of this kind, and is taken out alone.
-        neutral: Values by scenario key without it: `{"law.pause_ticks": 0}`.
+        name: Name in explanations: `pause`, `delay`, `saturation`.
+        kind: `effect`: an effect of the implementation, which gets a contribution. `design`: a
+            design parameter, which any loop of this kind has and which is removed alone.
+        neutral: Values by scenario key that remove the cause: `{"law.pause_ticks": 0}`.
         meaning: Meaning of the run without the cause, in one clause.
     """
 
@@ -370,7 +373,7 @@ def _rebuild(
 
 
 def _list_entries(place: str, entries: Any) -> tuple[Any, ...]:
-    """Return what stands in a list or tuple; a text is none, though it has letters."""
+    """Return the entries of a list or tuple; a text is not accepted as a list of letters."""
     if not isinstance(entries, list | tuple):
         raise RunError(f"{place}: expected a tuple, found {entries!r:.60}")
     return tuple(entries)

@@ -22,7 +22,7 @@ _MARK: Final = 8.0
 def format_path_svg(xy_m: NDArray[np.float64], goal_xy_m: tuple[float, float] | None) -> str:
     """Return the path as SVG: a square at its start, a dot at its end, a cross at the goal.
 
-    It is empty where there is no way to be seen, neither driven nor to the goal.
+    The text is empty if there is nothing to draw: no motion and no distance to the goal.
     """
     rows = np.unique(np.linspace(0, len(xy_m) - 1, _MOST_POINTS).round().astype(int))
     shown = xy_m if goal_xy_m is None else np.vstack([xy_m, goal_xy_m])

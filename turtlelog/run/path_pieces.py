@@ -1,9 +1,9 @@
-"""Pieces of constant curvature that a path is made of, and where a robot is on them.
+"""Pieces of constant curvature that form a path, and the position of a robot on them.
 
-The functions run plain and compiled: they read the fields of `PathPiece` and `PathNumbers`.
-`pieces` are those of a path in order; behind those of an open path stand its tangents, at the end
-and at the beginning. What is called a way is a length along a piece, from its own start. The arc
-length of a piece grows by the length of a closed path with every lap.
+The functions run in ordinary Python and compiled: they read the fields of `PathPiece` and
+`PathNumbers`. `pieces` are the pieces of a path in order; for an open path the tangents at its end
+and at its beginning follow. A `way` is a length along a piece, measured from the start of the
+piece. The arc length of a piece grows by the length of a closed path with every lap.
 """
 
 import math
@@ -35,8 +35,8 @@ class PathPoint(NamedTuple):
     Attributes:
         x_m: World frame [m].
         y_m: World frame [m].
-        heading_rad: Direction of the path there, counter-clockwise from +x, in [-pi, pi).
-        curvature_1_m: Positive where the path bends to the left [1/m].
+        heading_rad: Direction of the path, counter-clockwise from +x [rad], in [-pi, pi).
+        curvature_1_m: Curvature, positive if the path bends to the left [1/m].
     """
 
     x_m: float
@@ -46,16 +46,16 @@ class PathPoint(NamedTuple):
 
 
 class PathPiece(NamedTuple):
-    """A straight piece, or an arc where the curvature is not 0.
+    """A straight piece, or an arc if the curvature is not 0.
 
     Attributes:
-        number: Its place in the path, from 0.
+        number: Index of the piece in the path, from 0.
         start_m: Arc length of its start from the beginning of the path [m].
-        length_m: Its own length [m].
-        x_m: Of its start, world frame [m].
-        y_m: Of its start, world frame [m].
-        heading_rad: Its direction at the start, counter-clockwise from +x.
-        curvature_1_m: Positive where it bends to the left [1/m].
+        length_m: Length of the piece [m].
+        x_m: x of its start, world frame [m].
+        y_m: y of its start, world frame [m].
+        heading_rad: Direction at the start, counter-clockwise from +x [rad].
+        curvature_1_m: Curvature, positive if the piece bends to the left [1/m].
     """
 
     number: int
@@ -67,7 +67,7 @@ class PathPiece(NamedTuple):
     curvature_1_m: float
 
     def go_straight(self, way_m: float) -> "PathPiece":
-        """Return the tangent at a way as a straight piece without an end."""
+        """Return the tangent at a length along the piece as a straight piece without an end."""
         start = PathPoint(*locate_on(self, way_m))
         return PathPiece(
             self.number,
@@ -82,15 +82,15 @@ class PathPiece(NamedTuple):
 
 @dataclass(slots=True)
 class PathNumbers:
-    """A path, beside its pieces.
+    """Numbers that describe a path, apart from its pieces.
 
     Attributes:
-        count: How many pieces it has; 0: there is no path.
-        is_closed: Whether it ends where it begins.
-        length_m: Its length, once around where it is closed [m].
-        reach_m: How far along the path from the nearest point the next is looked for [m].
-        has_speed: Whether the reference moves by time.
-        speed_m_s: How fast [m/s].
+        count: Number of pieces; 0 if there is no path.
+        is_closed: Whether the path ends where it begins.
+        length_m: Length of the path; of one lap if it is closed [m].
+        reach_m: Largest distance along the path from one nearest point to the next [m].
+        has_speed: Whether the reference moves with time.
+        speed_m_s: Speed of the reference [m/s].
     """
 
     count: int = 0
@@ -113,7 +113,7 @@ def join_points(points: Sequence[tuple[float, float]]) -> Iterator[PathPiece]:
 
 @called
 def locate_on(piece: Any, way_m: float) -> Point:
-    """Return the point at a way, also beyond the ends of the piece."""
+    """Return the point at a length along the piece, also beyond its ends."""
     heading, curvature = piece.heading_rad, piece.curvature_1_m
     if curvature == 0.0:
         x_m = piece.x_m + way_m * math.cos(heading)
@@ -126,7 +126,7 @@ def locate_on(piece: Any, way_m: float) -> Point:
 
 @called
 def find_nearest_on(piece: Any, x_m: float, y_m: float, low_m: float, high_m: float) -> float:
-    """Return the way to the point between two ways that is nearest to a position [m]."""
+    """Return the length along the piece, within two bounds, that is nearest to a position [m]."""
     curvature = piece.curvature_1_m
     if curvature == 0.0:
         cos, sin = math.cos(piece.heading_rad), math.sin(piece.heading_rad)
@@ -146,7 +146,7 @@ def _find_center(piece: Any) -> Position:
 
 
 def _turn_to(piece: Any, x_m: float, y_m: float) -> float:
-    """Return by how much an arc has turned where it is nearest to a position [rad]."""
+    """Return the turn of an arc from its start to the point nearest to a position [rad]."""
     center_x_m, center_y_m = _find_center(piece)
     away = math.atan2(y_m - center_y_m, x_m - center_x_m)
     turned: float = away + math.copysign(math.pi / 2.0, piece.curvature_1_m) - piece.heading_rad
@@ -155,9 +155,9 @@ def _turn_to(piece: Any, x_m: float, y_m: float) -> float:
 
 @called
 def find_exit(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float) -> float:
-    """Return the first way from `low_m` on at which the piece leaves a circle [m].
+    """Return the first length from `low_m` on at which the piece leaves a circle [m].
 
-    NaN if it does not within its length. Both ends count by `ROUNDING_M` more.
+    NaN if the piece does not leave it. Both ends are extended by `ROUNDING_M`.
     """
     if piece.curvature_1_m == 0.0:
         cos, sin = math.cos(piece.heading_rad), math.sin(piece.heading_rad)
@@ -177,9 +177,9 @@ def find_exit(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float)
 
 @called
 def _find_exit_of_arc(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float) -> float:
-    """Return the first way from `low_m` on at which the circle of an arc leaves another [m].
+    """Return the first length from `low_m` on at which the circle of an arc leaves another [m].
 
-    Infinite if it never does.
+    Infinite if it never leaves the other circle.
     """
     curvature = piece.curvature_1_m
     arc_radius_m = 1.0 / abs(curvature)
@@ -249,9 +249,9 @@ def locate(path: Any, pieces: Any, arc_m: float) -> Point:
 
 @called
 def _find_side(path: Any, pieces: Any, position: Position, way_m: float, number: int) -> float:
-    """Return a number that is positive where a position is on the left of the path.
+    """Return a number that is positive if a position is on the left of the path.
 
-    `number` is the first piece that has the nearest point, `way_m` the way to it.
+    `number` is the first piece with the nearest point, `way_m` the length along it to that point.
     """
     piece, count = pieces[number], path.count
     point = locate_on(piece, way_m)
@@ -274,11 +274,11 @@ def _find_side(path: Any, pieces: Any, position: Position, way_m: float, number:
 def find_nearest(
     path: Any, pieces: Any, position: Position, low_m: float, high_m: float
 ) -> tuple[float, float]:
-    """Return where a position is with respect to the stretch between two arc lengths.
+    """Return the place of a position relative to the segment between two arc lengths.
 
-    Arc length of the nearest point, and the distance from there, positive on the left [m]. The
-    stretch of an open path is cut at its ends; a closed one goes round, so that an arc length may
-    be negative or beyond the length. Of points at equal distance the first counts.
+    The result is the arc length of the nearest point and the distance from it, positive on the left
+    [m]. The segment of an open path is limited to its ends. A closed path is repeated: an arc
+    length may be negative or beyond the length. Of points at equal distance the first is used.
     """
     x_m, y_m = position
     length_m = path.length_m
@@ -316,8 +316,8 @@ def find_ahead(
 ) -> Point:
     """Return the first point from an arc length on that is a lookahead away from a position.
 
-    Where the path at `from_m` is further away than that, the point there; where no point of a
-    closed path is that far away, the point that is a lookahead further along it.
+    If the path at `from_m` is further away than the lookahead, this is the point at `from_m`. If no
+    point of a closed path is that far away, it is the point one lookahead further along the path.
     """
     x_m, y_m = position
     near = locate(path, pieces, from_m)
@@ -341,23 +341,23 @@ def find_ahead(
 def follow(
     path: Any, pieces: Any, arc_m: float, position: Position, due_m: float
 ) -> tuple[float, float, float]:
-    """Return where a robot is that was at an arc length before, NaN before it came to the path.
+    """Return the place of a robot on a path; `arc_m` is its last place, NaN before the path.
 
-    The robot first has to come to the path: to its beginning, where it is open and no time belongs
-    to it; to the stretch that the reference has passed, by time; to a closed path anywhere. From
-    then on the nearest point is searched within `REACH_M` of the nearest point before, so that a
-    path that crosses itself is followed in order.
+    The robot first has to reach the path: an open path without a speed at its beginning, a path
+    with a speed on the segment that the reference has passed, a closed path anywhere. From then on
+    the nearest point is searched within `REACH_M` of the previous one, so that a path that crosses
+    itself is followed in order.
 
     Args:
         path: `PathNumbers`.
-        pieces: Of the path.
-        arc_m: Before [m].
-        position: x and y [m].
-        due_m: How far the reference is, by time [m]; NaN: no time belongs to it.
+        pieces: Pieces of the path.
+        arc_m: Arc length at the previous position [m]; NaN: not on the path yet.
+        position: Position x, y [m].
+        due_m: Arc length that the moving reference has reached [m]; NaN: the path has no speed.
 
     Returns:
-        Arc length of the nearest point, its distance as of `find_nearest`, and what is `arc_m` for
-        the next position [m].
+        Arc length of the nearest point, its distance as in `find_nearest`, and `arc_m` for the next
+        position [m].
     """
     if math.isnan(arc_m):
         joins_anywhere = path.is_closed and math.isnan(due_m)

@@ -1,7 +1,7 @@
 """A path to track: straight pieces and arcs of circles, by arc length.
 
-Every path is a chain of pieces of constant curvature, so that the point at an arc length, the
-nearest point and the point a lookahead away are closed forms.
+Every path is a chain of pieces of constant curvature. The point at an arc length, the nearest point
+and the point at the lookahead distance therefore have closed forms.
 """
 
 import math
@@ -52,11 +52,11 @@ FASTEST_M_S: Final = 1e6
 
 
 class PathPlace(NamedTuple):
-    """Where a robot is with respect to a path.
+    """Place of a robot relative to a path.
 
     Attributes:
         arc_m: Arc length of the nearest point from the beginning of the path [m].
-        offset_m: Distance from there, positive on the left of the path [m].
+        offset_m: Distance from that point, positive on the left of the path [m].
     """
 
     arc_m: float
@@ -67,9 +67,9 @@ class Corner(NamedTuple):
     """A point where the direction of a path jumps.
 
     Attributes:
-        arc_m: Where it is [m].
-        turn_rad: By how much the direction changes, positive to the left.
-        leg_m: Length of the path from there to the next corner, or to the end.
+        arc_m: Arc length of the corner [m].
+        turn_rad: Change of direction, positive to the left [rad].
+        leg_m: Length of the path from the corner to the next corner, or to the end [m].
     """
 
     arc_m: float
@@ -78,7 +78,7 @@ class Corner(NamedTuple):
 
 
 def closes_by_itself(kind: str) -> bool:
-    """Return whether a path of a kind returns to its first point unless it says otherwise."""
+    """Return whether a path of this kind is closed by default."""
     return kind not in {"line", "waypoints"}
 
 
@@ -90,13 +90,13 @@ class Path:
         kind: `line`: two points; `polygon`: corners, closed; `waypoints`: points, open; `circle`:
             counter-clockwise from its rightmost point; `figure-eight`: two circles that touch at
             the center, first the upper counter-clockwise, then the lower clockwise.
-        points: Of a line, a polygon or waypoints, world frame [m].
-        center_x_m: Of a circle or a figure eight, world frame [m].
-        center_y_m: Of a circle or a figure eight, world frame [m].
+        points: Points of a line, a polygon or waypoints, world frame [m].
+        center_x_m: Center x of a circle or a figure eight, world frame [m].
+        center_y_m: Center y of a circle or a figure eight, world frame [m].
         size_m: Radius of the circle, or of both circles of a figure eight [m].
-        closed: Whether it returns to its first point; None: a polygon does, waypoints do not.
+        closed: Whether the path returns to its first point; None: polygons do, waypoints do not.
         speed_m_s: Speed at which the reference moves along the path from its beginning [m/s]; None:
-            no time belongs to the path, and the reference is its point nearest to the robot.
+            the reference is the point of the path nearest to the robot.
 
     Raises:
         PathError: One line with the key, what was expected and what was found.
@@ -167,7 +167,7 @@ class Path:
         self._require_ways()
 
     def _require_ways(self) -> None:
-        """Refuse what has no length, and a way that leads back over itself."""
+        """Refuse pieces without length, and a path that turns back over itself."""
         if self.length_m < LEAST_M:
             found = f"{self.length_m:.3g} m"
             raise PathError(f"points: expected a path of {LEAST_M} m or more, found {found}")
@@ -180,20 +180,20 @@ class Path:
 
     @property
     def is_closed(self) -> bool:
-        """Whether it ends where it begins."""
+        """Whether the path ends where it begins."""
         if self.closed is None:
             return closes_by_itself(self.kind)
         return self.closed
 
     @cached_property
     def length_m(self) -> float:
-        """Its length, once around where it is closed [m]."""
+        """Length of the path; of one lap if it is closed [m]."""
         last = self.pieces[-1]
         return last.start_m + last.length_m
 
     @cached_property
     def corners(self) -> tuple[Corner, ...]:
-        """Where its direction jumps on the first lap, in order; its end is no corner."""
+        """Corners of the first lap, in order; the end of the path is not a corner."""
         found = [
             (piece.start_m, turn)
             for before, piece in pairwise(self.pieces)
@@ -206,9 +206,9 @@ class Path:
         )
 
     def list_corners(self, to_m: float) -> list[Corner]:
-        """Return the corners of the first lap, and of later ones up to an arc length [m], in order.
+        """Return the corners up to an arc length [m], at least of the first lap, in order.
 
-        Where one lap ends and the next begins is a corner, too, if the direction jumps there.
+        The point between two laps is a corner too if the direction jumps there.
         """
         if not self.is_closed or not to_m >= self.length_m:
             return [*self.corners]
@@ -248,17 +248,17 @@ class Path:
         return find_on_first_lap(self.numbers, arc_m)
 
     def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> PathPlace:
-        """Return where a position is with respect to the stretch between two arc lengths.
+        """Return the place of a position relative to the segment between two arc lengths.
 
-        The stretch of an open path is cut at its ends; a closed one goes round, so that an arc
-        length may be negative or beyond the length. Of points at equal distance the first counts.
+        The segment of an open path is limited to its ends. A closed path is repeated: an arc length
+        may be negative or beyond the length. Of points at equal distance the first is used.
         """
         return PathPlace(*find_nearest(self.numbers, self.ways, (x_m, y_m), low_m, high_m))
 
     def find_point(self, point: tuple[float, float, float]) -> float:
-        """Return the arc length of a point of the path, x [m], y [m] and direction [rad] [m].
+        """Return the arc length [m] of a path point given by x [m], y [m] and direction [rad].
 
-        Where the path meets itself the direction tells the branches apart.
+        If the path crosses itself, the direction selects the branch.
         """
         x_m, y_m, heading_rad = point
         best_m, best = math.inf, 0.0
@@ -274,15 +274,16 @@ class Path:
     def find_ahead(self, x_m: float, y_m: float, lookahead_m: float, from_m: float) -> PathPoint:
         """Return the first point from an arc length on that is a lookahead away from a position.
 
-        Where the path at `from_m` is further away than that, the point there; where no point of a
-        closed path is that far away, the point that is a lookahead further along it.
+        If the path at `from_m` is further away than the lookahead, this is the point at `from_m`.
+        If no point of a closed path is that far away, it is the point one lookahead further along
+        the path.
         """
         found = find_ahead(self.numbers, self.ways, (x_m, y_m), lookahead_m, from_m)
         return PathPoint(*found)
 
     @cached_property
     def pieces(self) -> tuple[PathPiece, ...]:
-        """What it consists of, in order."""
+        """Pieces of the path, in order."""
         if self.points is None:
             return tuple(_build_round(self))
         points = (*self.points, self.points[0]) if self.is_closed else self.points
@@ -290,13 +291,13 @@ class Path:
 
     @cached_property
     def ways(self) -> tuple[PathPiece, ...]:
-        """Its pieces, then the tangents at its end and at its beginning."""
+        """Pieces of the path, then the tangents at its end and at its beginning."""
         first, last = self.pieces[0], self.pieces[-1]
         return (*self.pieces, last.go_straight(last.length_m), first.go_straight(0.0))
 
     @cached_property
     def numbers(self) -> PathNumbers:
-        """What functions of paths and loops read of it, beside its pieces."""
+        """Numbers that functions of paths and loops read, apart from the pieces."""
         # A quarter of a short closed path: the way round the other side is further.
         reach_m = min(REACH_M, self.length_m / 4.0) if self.is_closed else REACH_M
         return PathNumbers(
@@ -314,26 +315,26 @@ PATH_KEYS: Final = tuple(f"path.{one.name}" for one in fields(Path))
 
 
 class PathFollower:
-    """Keeps track of the point of a path that is nearest to a robot, pose by pose.
+    """Tracker of the point of a path that is nearest to a robot, pose by pose.
 
-    The robot first has to come to the path: to its beginning, where it is open and no time belongs
-    to it; to the stretch that the reference has passed, by time; to a closed path anywhere. From
-    then on the nearest point is searched within `REACH_M` of the nearest point before, so that a
-    path that crosses itself is followed in order.
+    The robot first has to reach the path: an open path without a speed at its beginning, a path
+    with a speed on the segment that the reference has passed, a closed path anywhere. From then on
+    the nearest point is searched within `REACH_M` of the previous one, so that a path that crosses
+    itself is followed in order.
 
     Attributes:
         arc_m: Arc length of the nearest point [m], None until the robot has come to the path.
-        reach_m: How far along the path from the one before the next is looked for, either way [m].
+        reach_m: Largest distance along the path from one nearest point to the next, either way [m].
     """
 
     __slots__ = ("_path", "arc_m", "reach_m")
 
     def __init__(self, path: Path, arc_m: float | None = None) -> None:
-        """Begin off the path, or at an arc length [m]."""
+        """Start at an arc length [m], or off the path if it is None."""
         self._path, self.arc_m, self.reach_m = path, arc_m, path.numbers.reach_m
 
     def advance(self, x_m: float, y_m: float, due_m: float | None = None) -> PathPlace:
-        """Return where the robot is now; `due_m` is how far the reference is, by time [m]."""
+        """Return the robot's place; `due_m` is the arc length of the moving reference [m]."""
         path, before_m = self._path, math.nan if self.arc_m is None else self.arc_m
         due_m = math.nan if due_m is None else due_m
         arc_m, offset_m, next_m = follow(path.numbers, path.ways, before_m, (x_m, y_m), due_m)
@@ -342,10 +343,10 @@ class PathFollower:
 
 
 def restore_path(parameters: Mapping[str, Any]) -> Path | None:
-    """Return the path among a run's parameters (`path.kind` ...); None where there is none.
+    """Return the path among a run's parameters (`path.kind` ...); None if there is none.
 
     Raises:
-        PathError: Where they make no path.
+        PathError: If the parameters do not form a path.
     """
     found = [key for key in PATH_KEYS if key in parameters]
     values = {key.removeprefix("path."): parameters[key] for key in found}

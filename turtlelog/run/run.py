@@ -1,4 +1,4 @@
-"""Run: the columns that every stage hands on."""
+"""The class `Run`: the columns that all stages exchange."""
 
 import math
 from collections.abc import Mapping
@@ -33,13 +33,13 @@ CUT_SHORT = frozenset({"max_duration", "interrupted", "law_failed", "step_budget
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """Something worth a line in the log.
+    """A notable event of a run.
 
     Attributes:
         time_ns: Time of the event [ns].
         kind: `wall_hit`, `commands_dropped`, `poses_dropped`, `commands_lost`, `poses_lost` or
             `stop`.
-        text: One sentence for people.
+        text: Description in one sentence.
     """
 
     time_ns: int
@@ -52,8 +52,8 @@ class PhaseSpan:
     """A segment of time in one phase, [start_ns, end_ns].
 
     Attributes:
-        phase: Its name.
-        start_ns: Time of its first sample; of a pause, of the last sample before [ns].
+        phase: Name of the phase.
+        start_ns: Time of its first sample; for a pause, time of the last sample before it [ns].
         end_ns: Time of the next span's start, or the end of the run [ns].
     """
 
@@ -64,12 +64,12 @@ class PhaseSpan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GoalLine:
-    """The line from start to goal, which along-track and cross-track coordinates belong to.
+    """The line from start to goal, which defines along-track and cross-track coordinates.
 
     Attributes:
-        start_xy_m: The first pose that was read, or recorded, world frame [m].
-        bearing_rad: Bearing of the goal from there, counter-clockwise from +x [rad].
-        length_m: Distance from there to the goal [m], None if it is not known.
+        start_xy_m: Position of the first pose that was read, or recorded, world frame [m].
+        bearing_rad: Bearing of the goal from the start, counter-clockwise from +x [rad].
+        length_m: Distance from the start to the goal [m]; None if unknown.
     """
 
     start_xy_m: tuple[float, float]
@@ -79,9 +79,9 @@ class GoalLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class Run:
-    """Everything that is known of one run.
+    """The data of one run.
 
-    `==` and `hash` are those of the object; `equals` compares what two runs hold.
+    `==` and `hash` use the object's identity; `equals` compares the values of two runs.
 
     Attributes:
         name: Short name for tables and legends.
@@ -90,19 +90,19 @@ class Run:
         poses: Poses, one row or more; no row if `absent` names `poses`, in a log of commands alone.
         commands: Published commands; imported logs have one per sample.
         samples: Values that the controller computed; no rows if the source lacks them.
-        goal_xy_m: Goal position, world frame [m], None if not recorded.
-        goal_heading_rad: Goal heading [rad], None if none was asked for.
-        declaration: The loops, phases and states of its law; without a loop where they are not
-            known.
+        goal_xy_m: Goal position, world frame [m]; None if not recorded.
+        goal_heading_rad: Goal heading [rad]; None if the goal has no heading.
+        declaration: The loops, phases and states of its law; without loops if they are unknown.
         parameters: Known values of the scenario, by dotted key (`law.kp_linear`).
         scenario_is_complete: Whether the parameters determine the run.
-        clock: Clock that times the poses of a bag; None if there is but one clock.
-        stop_reason: Why it ended, in the law's word, or one of `CUT_SHORT`; None if not recorded.
-        events: In order of time.
+        clock: Clock that times the poses of a bag; None if there is only one clock.
+        stop_reason: Reason for the end: a word of the law or one of `CUT_SHORT`; None if not
+            recorded.
+        events: Events in order of time.
         simulated_by: Versions (`turtlelog`, `python`, `numpy`), `platform` and, for a law that is
-            not built in, the digest of its code (`law`); empty for what was not simulated, or if
-            the recording does not name them.
-        absent: Names of the fields that the source does not hold.
+            not built in, the digest of its code (`law`); empty if the run was not simulated or the
+            recording does not contain them.
+        absent: Names of the fields that the source lacks.
         notes: Notes of the importer, by name (`original_timestamp`, `sorted_rows`, ...).
     """
 
@@ -160,7 +160,7 @@ class Run:
             raise RunError(f"goal_heading_rad: expected a finite number [rad], found {heading!r}")
 
     def _require_declared(self) -> None:
-        """Refuse samples that are not of the law that is declared."""
+        """Refuse samples that do not match the declared law."""
         samples, declaration = self.samples, self.declaration
         phases = len(declaration.phase_names)
         unknown = (samples.phase < 0) | (samples.phase >= phases)
@@ -181,16 +181,16 @@ class Run:
 
     @property
     def phase_names(self) -> tuple[str, ...]:
-        """Names of the phases by the index that samples hold."""
+        """Names of the phases by their index in samples."""
         return self.declaration.phase_names
 
     @property
     def goal_line(self) -> GoalLine | None:
-        """The line from the first pose that was read to the goal; None if it is not known.
+        """The line from the first pose that was read to the goal; None if it is unknown.
 
-        If the first sample is lost, or the goal is not known, the first bearing that was recorded
-        gives the direction. If there are neither samples nor loops, nothing shows which pose was
-        read first: it is the first that was recorded.
+        If the first sample is lost or the goal is unknown, the first recorded bearing gives the
+        direction. If there are neither samples nor loops, the line starts at the first recorded
+        pose.
         """
         samples = self.samples
         if not len(self.poses):
@@ -217,21 +217,21 @@ class Run:
 
     @property
     def path(self) -> Path | None:
-        """The path that it is to follow; None if it follows none, or it is not recorded.
+        """The path to follow; None if the run follows no path or the path was not recorded.
 
-        The law of a run without samples is not known: a recorded path is used.
+        For a run without samples, whose law is unknown, a recorded path is returned.
         """
         is_followed = self.declaration.follows_path or not len(self.samples)
         return restore_path(self.parameters) if is_followed else None
 
     @property
     def first_row(self) -> str:
-        """Row that is time zero: the first `sample`, otherwise `pose`, otherwise `command`."""
+        """Kind of row that defines time zero: `sample`, otherwise `pose`, otherwise `command`."""
         return "sample" if len(self.samples) else "pose" if len(self.poses) else "command"
 
     @property
     def start_ns(self) -> int:
-        """Time zero of metrics, windows and alignment: the first sample, or else pose [ns].
+        """Time zero of metrics, windows and alignment: first sample, otherwise first pose [ns].
 
         For a run without poses it is the first command.
         """
@@ -252,7 +252,7 @@ class Run:
 
     @property
     def is_complete(self) -> bool:
-        """Whether the controller came to its own end."""
+        """Whether the controller ended the run itself."""
         return self.stop_reason is not None and self.stop_reason not in CUT_SHORT
 
     @property
@@ -261,9 +261,9 @@ class Run:
         return (self.end_ns - self.start_ns) / 1e9
 
     def slice(self, start_s: float | None = None, end_s: float | None = None) -> "Run":
-        """Return what was recorded in a segment of time, its ends included, as a run of its own.
+        """Return the rows in a time segment, both ends included, as a new run.
 
-        Its times stay those of this run. If the end is cut off it has no stop reason, and its
+        Times are not shifted. If the end is cut off, the slice has no stop reason and its
         parameters no longer determine it: `explain` identifies it from its samples.
 
         Args:
@@ -282,10 +282,10 @@ class Run:
         return replace(part, notes={**self.notes, **note})
 
     def to_arrow(self, table: str = "poses") -> Any:
-        """Return a table of this run as a `pyarrow.Table`; polars reads it by `from_arrow`.
+        """Return a table of this run as a `pyarrow.Table`; `polars.from_arrow` reads it.
 
-        The metadata of each column holds its `unit`, that of the table the run's name, goal and
-        scenario.
+        The metadata of each column contains its `unit`; the table's metadata contain the run's
+        name, goal and scenario.
 
         Args:
             table: `poses`, `commands`, `samples` or `events`.
@@ -299,8 +299,8 @@ class Run:
     def to_pandas(self, table: str = "poses") -> Any:
         """Return a table of this run as a `pandas.DataFrame`; needs pandas, which is no dependency.
 
-        Its `attrs` hold the `units` of its columns, and under `turtlelog` the run's name, goal and
-        scenario.
+        Its `attrs` contain the `units` of its columns and, under `turtlelog`, the run's name, goal
+        and scenario.
 
         Args:
             table: `poses`, `commands`, `samples` or `events`.
@@ -315,9 +315,9 @@ class Run:
         """Return a table of this run as an `xarray.Dataset`; needs xarray, which is no dependency.
 
         Its dimension is `time_s`, the time from the first sample [s]: `sel(time_s=5.0,
-        method="nearest")` takes the pose that is nearest to 5 s. Samples may share a time.
-        The `attrs` of each variable hold its `units`, those of the dataset the run's name, goal and
-        scenario.
+        method="nearest")` selects the pose nearest to 5 s. Several samples may have the same time.
+        The `attrs` of each variable contain its `units`; those of the dataset contain the run's
+        name, goal and scenario.
 
         Args:
             table: `poses`, `commands`, `samples` or `events`.
@@ -329,13 +329,13 @@ class Run:
         return build_xarray(self, table)
 
     def __arrow_c_stream__(self, requested_schema: Any = None) -> Any:
-        """Hand the poses over to polars, Arrow and pandas."""
+        """Return the poses as an Arrow stream for polars, Arrow and pandas."""
         return self.to_arrow().__arrow_c_stream__(requested_schema)
 
     def equals(self, other: object) -> bool:
-        """Return whether another run holds the same values; `==` is that of the object.
+        """Return whether another run has the same values; `==` compares identity only.
 
-        All fields are compared, the name and the notes too; columns bit for bit.
+        All fields are compared, including the name and the notes; columns bit for bit.
         """
         return isinstance(other, Run) and all(
             _is_same(getattr(self, one.name), getattr(other, one.name)) for one in fields(self)
@@ -347,7 +347,7 @@ class Run:
         return fit_line(f"<Run {self.name}: {rows}, {self.duration_s:.1f} s, {ended}>")
 
     def _describe_end(self) -> str:
-        """Return in a sentence how it ended."""
+        """Return a sentence on the end of the run."""
         ended = (self.stop_reason or "its end is not recorded").replace("_", " ")
         if self.goal_xy_m is None or not len(self.poses):
             return f"{self.name}: {self.duration_s:.4g} s, {ended}."
@@ -373,9 +373,9 @@ class Run:
         return format_answer(self._describe_end(), picture, format_html(rows))
 
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
-        """Return the phases in order; the silence after a phase's last sample is its pause.
+        """Return the phases in order; the time without samples after a phase is the phase `pause`.
 
-        A run that ends while its controller is blocked ends in that silence.
+        If a run ends while its controller is blocked, its last phase is that pause.
         """
         phase, time_ns, names = self.samples.phase, self.samples.time_ns, self.phase_names
         if not len(phase):
@@ -394,7 +394,7 @@ class Run:
         return tuple(spans)
 
     def _ends_blocked(self) -> bool:
-        """Whether the last sample's command went out later than its pose was answered, or never."""
+        """Whether the last sample's command was published after the sample's time, or never."""
         published, answered = self.commands.time_ns, self.samples.time_ns
         if len(published) < len(answered):
             return self.end_ns > int(answered[-1])
@@ -402,7 +402,7 @@ class Run:
 
 
 def _is_same(one: Any, other: Any) -> bool:
-    """Return whether two fields hold the same, columns bit for bit."""
+    """Return whether two fields are equal, columns bit for bit."""
     if type(one) is not type(other):
         return False
     if isinstance(one, np.ndarray):

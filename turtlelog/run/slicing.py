@@ -1,4 +1,4 @@
-"""A segment of a run as a run of its own."""
+"""A segment of a run as a new run."""
 
 import math
 from dataclasses import replace
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 def slice_run(run: "Run", *, start_ns: int | None = None, end_ns: int | None = None) -> "Run":
-    """Return the rows of a run in [start_ns, end_ns]; at least one pose stays.
+    """Return the rows of a run in [start_ns, end_ns], which must contain a pose.
 
-    Samples whose pose is cut off are cut off with it, and the stop reason with the run's end. Times
-    and sequence numbers stay as they are. The parameters no longer determine the run once a row is
-    missing.
+    Samples without their pose are dropped, and the stop reason is dropped with the run's end. Times
+    and sequence numbers are unchanged. If a row is missing, the parameters no longer determine the
+    run.
     """
     start_ns = int(run.poses.time_ns[0]) if start_ns is None else start_ns
     end_ns = run.end_ns if end_ns is None else end_ns
@@ -43,10 +43,10 @@ def slice_run(run: "Run", *, start_ns: int | None = None, end_ns: int | None = N
 
 
 def locate_stretch(run: "Run", start_s: float | None, end_s: float | None) -> tuple[int, int]:
-    """Return a segment that is given from the run's time zero as [start_ns, end_ns].
+    """Convert a segment relative to the run's time zero to [start_ns, end_ns].
 
     Raises:
-        RunError: If it is none, or the run has no pose in it.
+        RunError: If the segment is invalid or contains no pose.
     """
     for name, value in (("start_s", start_s), ("end_s", end_s)):
         if value is not None and not math.isfinite(value):

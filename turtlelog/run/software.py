@@ -1,4 +1,4 @@
-"""What simulated a run: versions, platform and the code of its law."""
+"""The software that simulated a run: versions, platform and the code of its law."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class SoftwareChange:
 def list_software_changes(
     first: Mapping[str, str], second: Mapping[str, str]
 ) -> tuple[SoftwareChange, ...]:
-    """Return the entries in which two runs differ; none if one of them names no software."""
+    """Return the entries that differ between two runs; empty if one of them names no software."""
     if not first or not second:
         return ()
     return tuple(
@@ -45,7 +45,7 @@ def describe_software(software: Mapping[str, str]) -> str:
 
 
 def describe_changes(changes: Sequence[SoftwareChange]) -> str:
-    """Return what differs, versions with both values: `NumPy 2.1.3, then 2.2.0`."""
+    """Return the differences as text, versions with both values: `NumPy 2.1.3, then 2.2.0`."""
     return "; ".join(
         "the code of the law"
         if one.name == LAW

@@ -1,4 +1,4 @@
-"""A run as flat tables, and values that are a table, for Arrow, pandas, polars, CSV and Parquet."""
+"""A run as flat tables, and values usable as tables, for Arrow, pandas, polars, CSV and Parquet."""
 
 import json
 from abc import ABC, abstractmethod
@@ -72,9 +72,9 @@ TABLES: Final[Mapping[str, Callable[["Run"], Table]]] = MappingProxyType(
 def tabulate_run(run: "Run", table: str) -> Table:
     """Return a table of a run: `poses`, `commands`, `samples` or `events`.
 
-    A column that was not recorded is left out. Samples carry the names of their phases, and a
-    column for each state of the law; a state that is called like another column has `state_` in
-    front.
+    A column that was not recorded is left out. Samples contain the names of their phases and a
+    column for each state of the law; a state with the name of another column gets the prefix
+    `state_`.
 
     Raises:
         RunError: If there is no such table.
@@ -85,7 +85,7 @@ def tabulate_run(run: "Run", table: str) -> Table:
 
 
 def list_units(run: "Run", table: str) -> dict[str, str]:
-    """Return the units of a table's columns by name; counts and texts have none."""
+    """Return the units of a table's columns by name; counts and texts have no unit."""
     columns = _flatten(run.samples) if table == "samples" else tabulate_run(run, table)
     found = {name: [u for end, u in _UNITS.items() if name.endswith(end)] for name in columns}
     states = run.declaration.state_units if table == "samples" else {}
@@ -93,9 +93,9 @@ def list_units(run: "Run", table: str) -> dict[str, str]:
 
 
 def _list_facts(run: "Run") -> dict[str, str]:
-    """Return what a table alone does not hold, as texts by name; JSON where it is no text.
+    """Return the facts of a run that its tables lack, as texts by name; other values are JSON.
 
-    `scenario` are the parameters that are known, by dotted key; `declaration` is the law's.
+    `scenario` contains the known parameters by dotted key, `declaration` that of the law.
     """
     goal = None if run.goal_xy_m is None else [*run.goal_xy_m, run.goal_heading_rad]
     described = {
@@ -119,9 +119,9 @@ def build_arrow(run: "Run", table: str) -> Any:
 
 
 def iterate_arrow(run: "Run", table: str, most_rows: int | None = None) -> Iterator[Any]:
-    """Yield a table of a run as `build_arrow` returns it, in parts of up to so many rows.
+    """Yield a table of a run as `build_arrow` returns it, in parts with a limited number of rows.
 
-    A part is built when it is asked for; of no rows there is one.
+    Parts are built lazily; a table without rows yields one part.
     """
     columns = tabulate_run(run, table)
     pa = load_library("pyarrow")
@@ -163,28 +163,28 @@ def build_xarray(run: "Run", table: str) -> Any:
 
 
 class Tabular(ABC):
-    """A value that pandas, polars and Arrow read as a table with units.
+    """Base class of values that pandas, polars and Arrow read as a table with units.
 
     `polars.DataFrame(value)`, `pyarrow.table(value)` and `pandas.DataFrame.from_arrow(value)` read
-    it through the Arrow protocol; `pandas.DataFrame(value)` does not know that, and raises an error
-    (`value.to_pandas()` is the same table).
+    it through the Arrow protocol. `pandas.DataFrame(value)` does not use this protocol and raises
+    an error; use `value.to_pandas()`.
     """
 
     __slots__ = ()
 
     @abstractmethod
     def _tabulate(self) -> Mapping[str, Any]:
-        """Return its columns by name, all of one length: arrays, or lists with None for none."""
+        """Return the columns by name, of one length: arrays, or lists with None if missing."""
 
     def _list_units(self) -> Mapping[str, str]:
         """Return the units of columns by name."""
         return {}
 
     def to_pandas(self) -> Any:
-        """Return the table as a `pandas.DataFrame`; its `attrs` hold the `units` of its columns.
+        """Return the table as a `pandas.DataFrame`; its `attrs` contain the `units` of its columns.
 
         Raises:
-            LibraryError: pandas is not installed; turtlelog does not install it.
+            LibraryError: If pandas is not installed; turtlelog does not install it.
         """
         columns = self._tabulate()
         frame = load_library("pandas").DataFrame(
@@ -194,10 +194,10 @@ class Tabular(ABC):
         return frame
 
     def to_arrow(self) -> Any:
-        """Return the table as a `pyarrow.Table`; the metadata of a column holds its `unit`.
+        """Return the table as a `pyarrow.Table`; the metadata of a column contain its `unit`.
 
         Raises:
-            LibraryError: pyarrow is not installed.
+            LibraryError: If pyarrow is not installed.
         """
         pa = load_library("pyarrow")
         units = self._list_units()
@@ -209,16 +209,16 @@ class Tabular(ABC):
         return pa.table([*arrays.values()], schema=pa.schema(fields))
 
     def __arrow_c_stream__(self, requested_schema: Any = None) -> Any:
-        """Hand the table over to polars, Arrow and pandas."""
+        """Return the table as an Arrow stream for polars, Arrow and pandas."""
         return self.to_arrow().__arrow_c_stream__(requested_schema)
 
 
 def refuse_array(value: object) -> NoReturn:
-    """Refuse to be a numpy array, for tables that numpy and pandas would read as their names."""
+    """Refuse conversion to a numpy array: numpy and pandas would read the column names as data."""
     kind = type(value).__name__
     raise TypeError(f"{kind} is a table, not an array: to_pandas() and to_arrow() return it")
 
 
 def _list_rows(cells: Any) -> Any:
-    """Return a column of rows that are arrays as a list of them."""
+    """Return a two-dimensional column as a list of its rows."""
     return list(cells) if getattr(cells, "ndim", 1) > 1 else cells

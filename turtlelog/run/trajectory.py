@@ -1,4 +1,4 @@
-"""Trajectory: poses in the plane or in space by absolute time, for errors between two of them."""
+"""The class `Trajectory`: poses in 2D or 3D by absolute time, for errors between two of them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,18 +24,18 @@ _FARTHEST_M: Final = 1e12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trajectory:
-    """Poses of a robot. Takes its arrays over and makes them read-only.
+    """Poses of a robot. The arrays are not copied; they become read-only.
 
     Attributes:
         name: Name in answers.
         time_ns: Time of each pose as its file gives it [ns], shape (n,), strictly increasing. For a
             trajectory without times it is the number of the pose, in units of 1 s.
         xyz_m: Position in the world frame [m], shape (n, 3).
-        orientation_quat_wxyz: Rotation from the robot's frame to the world's, of length 1, shape
-            (n, 4).
-        space: `space` if the file has heights and rotations, `plane` if x, y and heading alone.
+        orientation_quat_wxyz: Unit quaternion of the rotation from the robot's frame to the world
+            frame, shape (n, 4).
+        space: `space` if the file has heights and rotations, `plane` if only x, y and heading.
         clock: `time`, or `frame` for poses that are only numbered.
-        notes: Omissions in reading, by a word.
+        notes: Notes on rows omitted in reading, by keyword.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Trajectory:
 
 
 def build_planar_trajectory(run: Run) -> Trajectory:
-    """Return the poses of a run as a trajectory in the plane, at the run's own times."""
+    """Return the poses of a run as a planar trajectory, with the run's times."""
     return Trajectory(
         name=run.name,
         time_ns=run.poses.time_ns,
@@ -100,8 +100,8 @@ def turn_headings(heading_rad: Values) -> Values:
 def find_quaternions(rotations: Values) -> Values:
     """Return rotation matrices, shape (n, 3, 3), as quaternions w, x, y, z of length 1, (n, 4).
 
-    From the largest of the four parts, which loses no digits: S. W. Shepperd, "Quaternion from
-    Rotation Matrix", Journal of Guidance and Control 1(3), 1978.
+    The largest of the four components is computed first, to avoid cancellation: S. W. Shepperd,
+    "Quaternion from Rotation Matrix", Journal of Guidance and Control 1(3), 1978.
     """
     diagonal = np.einsum("nii->ni", rotations)
     trace = diagonal.sum(axis=1)
