@@ -1,6 +1,6 @@
-"""The one expression language: parsed by us, never run as Python.
+"""The expression language of filters and checks: parsed here, never run as Python.
 
-The names stand in `__init__.pyi` and load on first use.
+The names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

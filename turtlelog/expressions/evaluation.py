@@ -1,6 +1,6 @@
-"""Tree and values -> value, whole columns at a time; what is not known stays unknown.
+"""Evaluation of expression trees on whole columns; unknown values stay unknown.
 
-Numbers and truths are float64 arrays of any shape, a truth being 0 or 1, and nan is unknown.
+Numbers and truth values are float64 arrays of any shape; a truth value is 0 or 1, nan is unknown.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Values = Mapping[str, Value]
 
 
 class Kind(enum.Enum):
-    """Kind of an operand; UNKNOWN fits everywhere."""
+    """Kind of an operand; UNKNOWN is compatible with every kind."""
 
     NUMBER = "number"
     TEXT = "text"
@@ -56,21 +56,23 @@ _WORDS = {Kind.NUMBER: "a number", Kind.TEXT: "a text", Kind.TRUTH: "true or fal
 def evaluate_expression(expression: Expression, values: Values) -> Any:
     """Return the value of an expression.
 
-    None among the values means that there is none; what needs it has none either, as has a number
-    divided by zero, out of a function's domain, or too large. Truths follow Kleene's logic:
-    `false and unknown` is false, `true or unknown` true, and otherwise unknown stays unknown.
+    None means a missing value. A result that needs a missing value is missing too, as is the result
+    of a division by zero, of an argument outside a function's domain, or of an overflow. Truth
+    values follow Kleene's logic: `false and unknown` is false, `true or unknown` true, and
+    otherwise unknown stays unknown.
 
     Args:
-        expression: Without `always`, `eventually` and `until`.
-        values: Values by name: numbers, truths, texts, None, or arrays of one shape, nan standing
-            for no value.
+        expression: Expression without `always`, `eventually` and `until`.
+        values: Values by name: numbers, truth values, texts, None, or arrays of one shape, with nan
+            for a missing value.
 
     Returns:
-        A float, bool, str or None. With arrays, an array: of float with nan, of bool, or of object
-        with None, where a truth or text is unknown.
+        A float, bool, str or None. If values are arrays, an array: float with nan, bool, or object
+        with None if a truth value or text is unknown.
 
     Raises:
-        ExpressionError: If a name is not there or the kinds do not go together, with the column.
+        ExpressionError: If a name is unknown or the kinds do not match; the message gives the
+            column.
     """
     return evaluate_node(expression, expression.root, values).unpack()
 
@@ -81,14 +83,14 @@ class Operand:
 
     Attributes:
         kind: Kind of the value.
-        data: float64 with nan for unknown; of a text, strings; of UNKNOWN, nan.
+        data: float64 with nan for unknown values; strings for texts; nan for UNKNOWN.
     """
 
     kind: Kind
     data: NDArray[Any]
 
     def unpack(self) -> Value:
-        """Return it as a user's value: a float, bool, str, None or an array."""
+        """Convert the operand to a user's value: a float, bool, str, None or an array."""
         if self.kind in {Kind.TRUTH, Kind.UNKNOWN}:
             return _unpack_truth(self.data)
         if self.data.shape:
@@ -101,16 +103,16 @@ def evaluate_node(expression: Expression, node: Node, values: Values) -> Operand
     """Return the value of a part of an expression.
 
     Raises:
-        ExpressionError: As `evaluate_expression`.
+        ExpressionError: As for `evaluate_expression`.
     """
     return _Evaluation(expression, values).evaluate(node)
 
 
 def require_kind(expression: Expression, node: Node, operand: Operand, kind: Kind) -> None:
-    """Refuse an operand of another kind; one without a value fits everywhere.
+    """Refuse an operand of another kind; UNKNOWN is accepted.
 
     Raises:
-        ExpressionError: With the column of the node.
+        ExpressionError: If the kind differs; the message gives the column of the node.
     """
     if operand.kind not in {kind, Kind.UNKNOWN}:
         problem = f"expected {_WORDS[kind]}, found {_describe_node(node, operand)}"
@@ -178,10 +180,10 @@ class _Evaluation:
 
 
 def check_comparison(expression: Expression, node: Comparison, operands: Sequence[Operand]) -> None:
-    """Refuse operands of different kinds, and an order of texts or truths.
+    """Refuse to compare operands of different kinds, or to order texts or truth values.
 
     Raises:
-        ExpressionError: With the column of the operator.
+        ExpressionError: If they cannot be compared; the message gives the column of the operator.
     """
     for index, operator in enumerate(node.operators):
         left, right = operands[index], operands[index + 1]
@@ -198,7 +200,7 @@ def check_comparison(expression: Expression, node: Comparison, operands: Sequenc
 
 
 def describe_unknown_name(name: str, known: Mapping[str, object]) -> str:
-    """Return what to say of a name that is not there: the nearest ones that are."""
+    """Return the message about an unknown name, with the most similar known names."""
     near = find_near(name, known)
     if near:
         return f"unknown name {quote_name(name)}; did you mean {join_names(near)}?"
@@ -238,7 +240,7 @@ def _make_operand(value: Value) -> Operand:
     """Return a user's value as an operand.
 
     Raises:
-        TypeError: If it is neither number, truth, text nor an array of them.
+        TypeError: If it is not a number, truth value, text or array of these.
     """
     import numpy as np
 
@@ -255,7 +257,7 @@ def _make_operand(value: Value) -> Operand:
 
 
 def _compute_operator(operator: str, left: Operand, right: Operand) -> Operand:
-    """Return two numbers joined by + - * / or **; nan if that has no value."""
+    """Return the result of + - * / or ** on two numbers; nan if it is undefined."""
     import numpy as np
 
     ufunc = {
@@ -282,7 +284,7 @@ def describe_arguments(function: str) -> str:
 
 
 def _compute_function(function: str, arguments: Sequence[Operand]) -> Operand:
-    """Return a function of numbers; nan if it has no value."""
+    """Return the value of a function of numbers; nan if it is undefined."""
     import numpy as np
 
     ufunc = getattr(np, _UFUNCS.get(function, function))
@@ -294,7 +296,7 @@ def _compute_function(function: str, arguments: Sequence[Operand]) -> Operand:
 
 
 def compare_operands(left: Operand, operator: str, right: Operand) -> Operand:
-    """Return the truth of a comparison of two operands of one kind."""
+    """Return the truth value of a comparison of two operands of the same kind."""
     import numpy as np
 
     compare = {
@@ -315,12 +317,12 @@ def compare_operands(left: Operand, operator: str, right: Operand) -> Operand:
 
 
 def _negate_truth(operand: Operand) -> Operand:
-    """Return not."""
+    """Return the negation of a truth value."""
     return Operand(kind=Kind.TRUTH, data=1.0 - operand.data)
 
 
 def _join_truths(operator: str, operands: Sequence[Operand]) -> Operand:
-    """Return truths joined by and, or, or (two of them) implies, by Kleene's logic."""
+    """Return truth values joined by `and`, `or` or, for two, `implies` (Kleene's logic)."""
     if operator == "implies":
         return _join_truths("or", [_negate_truth(operands[0]), operands[1]])
     data = operands[0].data
@@ -340,7 +342,7 @@ def _disjoin(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
 
 
 def _make_number(data: NDArray[Any], sources: Sequence[Operand]) -> Operand:
-    """Finite numbers that give an infinite one (an overflow, a pole) have no value."""
+    """Return a number operand; infinite results of finite operands become nan (overflow, pole)."""
     import numpy as np
 
     data = np.asarray(data)

@@ -1,4 +1,4 @@
-"""Text -> tree, by precedence climbing, and tree -> text. Nothing here runs text as Python."""
+"""Parsing of expressions by precedence climbing, and formatting. No text is run as Python."""
 
 import math
 from typing import Any, Final, NoReturn, cast
@@ -49,11 +49,11 @@ def parse_expression(text: str, *, source: str = "expression") -> Expression:
     """Return the tree of an expression.
 
     Args:
-        text: In the language of docs/expressions.md.
+        text: Expression in the language of docs/expressions.md.
         source: Origin of the text for messages: an option, or a file and key.
 
     Raises:
-        ExpressionError: If it does not parse, with the column.
+        ExpressionError: If the text cannot be parsed; the message gives the column.
     """
     return Expression(text=text, source=source, root=_Parser(text, source).parse())
 
@@ -83,7 +83,7 @@ class _Parser:
         return token
 
     def _takes(self, operator: str) -> bool:
-        """Take the next token if it is this operator."""
+        """Consume the next token if it is this operator."""
         found = self._next.kind == "operator" and self._next.text == operator
         self._place += found
         return found
@@ -96,7 +96,7 @@ class _Parser:
         raise build_error(self._source, self._text, token.column, f"{expected}, found {token}")
 
     def _parse_level(self, loosest: int) -> Node:
-        """Parse operands and the operators between them that bind at least so tightly."""
+        """Parse operands and the operators between them that have at least this precedence."""
         self._open += 1
         self._check_depth(self._open, self._next)
         node = self._parse_prefix()
@@ -197,7 +197,7 @@ class _Parser:
         return self._grow(node, token)
 
     def _parse_window(self) -> tuple[float, float]:
-        """Parse `[a, b]` in seconds; without it, all of the time that follows."""
+        """Parse a window `[a, b]` in seconds; without one, return 0 to infinity."""
         if not self._takes("["):
             return 0.0, math.inf
         start_s = self._parse_bound()
@@ -245,7 +245,7 @@ class _Parser:
         return node
 
     def _grow(self, node: Node, token: Token) -> Node:
-        """Note how high the tree below a node is, and refuse one that is too high."""
+        """Update the depth of the tree at a node; refuse a tree that is too deep."""
         below = (self._heights[id(child)] for child in node.list_children())
         self._heights[id(node)] = 1 + max(below, default=0)
         self._check_depth(self._heights[id(node)], token)
@@ -261,7 +261,7 @@ _ATOM = 11
 
 
 def format_expression(expression: Expression | Node) -> str:
-    """Return an expression, or part of one, as text with no more parentheses than it needs."""
+    """Return an expression or a part of it as text with the fewest parentheses."""
     return _format(expression.root if isinstance(expression, Expression) else expression)
 
 
@@ -303,7 +303,7 @@ def _format_operator(node: Node) -> str:
 
 
 def _format_pair(node: Node, left: Node, right: Node) -> str:
-    """Format what has two operands; `implies` and `until` associate to the right."""
+    """Format a node with two operands; `implies` and `until` are right-associative."""
     binding = _find_binding(node)
     match node:
         case Arithmetic(operator="**"):

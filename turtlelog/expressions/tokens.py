@@ -1,4 +1,4 @@
-"""Text -> tokens, and errors that say where in a text something is wrong."""
+"""Splitting of text into tokens, and errors that show the place of a mistake in a text."""
 
 import re
 from collections.abc import Iterator
@@ -32,9 +32,9 @@ class Token:
     """One word of an expression.
 
     Attributes:
-        kind: Keywords are operators.
-        text: As written, `implies` for `->`; of a text without its quotes.
-        column: Counted from 1.
+        kind: Kind of the token; keywords are operators.
+        text: Token as written; `implies` for `->`; texts without their quotes.
+        column: Column, counted from 1.
     """
 
     kind: TokenKind
@@ -46,7 +46,7 @@ class Token:
 
 
 def split_tokens(text: str, *, source: str) -> list[Token]:
-    """Return the tokens of a text, the last of kind `end`.
+    """Return the tokens of a text; the last token has the kind `end`.
 
     Raises:
         ExpressionError: If a character has no meaning.
@@ -86,7 +86,7 @@ def _skip_space(text: str, position: int) -> int:
 
 
 def _name_character(character: str) -> str:
-    """Return a character in quotes, beyond ASCII with its number: look-alikes are common."""
+    """Return a character in quotes; non-ASCII characters with their code point."""
     return repr(character) + ("" if character.isascii() else f" (U+{ord(character):04X})")
 
 
@@ -105,23 +105,23 @@ def _describe_character(character: str) -> str:
 
 
 def build_error(source: str, text: str, column: int, problem: str) -> ExpressionError:
-    """Return an error with the place in front, ready to raise."""
+    """Return an error, to be raised, whose message begins with the place."""
     return ExpressionError(f"{source}: {_describe_place(text, column)}: {problem}", column=column)
 
 
 def quote_text(text: str) -> str:
-    """Return a text in quotes, its control characters escaped, cut where it is long."""
+    """Return a text in quotes, control characters escaped, long texts shortened."""
     return repr(text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]}...")
 
 
 def draw_caret(text: str, column: int) -> str:
-    """Return the line of a text in which a column stands, with a caret below it.
+    """Return the line of a text that contains a column, with a caret below the column.
 
     Long lines are cut around the column. Control characters are shown as spaces.
 
     Args:
-        text: An expression.
-        column: Counted from 1 over the whole text, as in `ExpressionError.column`.
+        text: Text of an expression.
+        column: Column, counted from 1 over the whole text, as in `ExpressionError.column`.
     """
     before, after = text[: column - 1], text[column - 1 :]
     head = before.rpartition("\n")[2]

@@ -1,4 +1,4 @@
-"""What an expression is once parsed: a frozen tree of nodes that know their column."""
+"""The tree of a parsed expression: frozen nodes with their columns in the text."""
 
 import math
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ class Node:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Number(Node):
-    """A number as written; not negative, may be `inf`."""
+    """A number as written, not negative; may be `inf`."""
 
     value: float
 
@@ -82,7 +82,7 @@ class Prefix(Node):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arithmetic(Node):
-    """Two numbers and an operator between them, at whose column it stands."""
+    """Two numbers and an operator; `column` is that of the operator."""
 
     operator: ArithmeticOperator
     left: Node
@@ -98,8 +98,8 @@ class Comparison(Node):
     """A chain as in mathematics: `a < b <= c` is `a < b and b <= c`.
 
     Attributes:
-        operators: One operator or more.
-        operands: One more than operators.
+        operators: Operators, at least one.
+        operands: Operands, one more than operators.
         columns: Columns of the operators. Not compared.
     """
 
@@ -114,7 +114,7 @@ class Comparison(Node):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Logic(Node):
-    """Truths joined by one operator: two or more by `and` and `or`, two by `implies`."""
+    """Truth values joined by one operator: two or more by `and` or `or`, two by `implies`."""
 
     operator: LogicOperator
     operands: tuple[Node, ...]
@@ -126,12 +126,12 @@ class Logic(Node):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Temporal(Node):
-    """A truth at all times, or at some time, of a window after each moment.
+    """A truth value at all times, or at some time, of a window after each instant.
 
     Attributes:
         operator: `always` or `eventually`.
-        start_s: First end of the window after the moment [s], finite, not negative.
-        end_s: Second end [s], may be inf.
+        start_s: Start of the window after the instant [s], finite, not negative.
+        end_s: End of the window after the instant [s]; may be inf.
         operand: Formula to evaluate.
     """
 
@@ -147,7 +147,7 @@ class Temporal(Node):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Until(Node):
-    """`right` comes true within the window, and `left` holds from the moment to that instant."""
+    """`right` becomes true within the window, and `left` is true until that instant."""
 
     start_s: float = 0.0
     end_s: float = math.inf
@@ -166,7 +166,7 @@ class Expression:
     Attributes:
         text: Text of the expression.
         source: Origin of the text for messages: an option, or a file and key.
-        root: The whole tree.
+        root: Root node of the tree.
         names: Signals, metrics and parameters in order of first use.
     """
 
@@ -182,7 +182,7 @@ class Expression:
 
     @property
     def is_temporal(self) -> bool:
-        """Whether it holds `always`, `eventually` or `until`, and so needs signals over time."""
+        """Whether it contains `always`, `eventually` or `until` and so needs signals over time."""
         return any(isinstance(node, Temporal | Until) for node in iterate_nodes(self.root))
 
     def __repr__(self) -> str:
@@ -190,7 +190,7 @@ class Expression:
 
 
 def iterate_nodes(node: Node) -> Iterator[Node]:
-    """Yield a node and all below it, in order of the text."""
+    """Yield a node and all nodes below it, in order of the text."""
     left = [node]
     while left:
         node = left.pop()
