@@ -1,8 +1,8 @@
-"""The files that a user names: small texts and TOML, and paths that may be URLs.
+"""Files that a user names: small texts, TOML files, and paths that may be URLs.
 
-fsspec, which reads object storage and http, is loaded for a URL only.
+fsspec, which reads object storage and http, is loaded only for URLs.
 
-The names stand in `__init__.pyi` and load on first use.
+The names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

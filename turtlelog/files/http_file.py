@@ -1,7 +1,7 @@
-"""A file behind http: each answer is checked by its head before its body is read.
+"""Files read over http: the header of each response is checked before its body is read.
 
-fsspec has the session, with what the user configured; it reads bodies of any length whole, inflates
-them, and takes a loop of redirects for a missing file. So requests are made here.
+fsspec provides the session with the user's configuration. Requests are made here because fsspec
+reads bodies of any length, decompresses them, and reports a redirect loop as a missing file.
 """
 
 import asyncio
@@ -32,16 +32,16 @@ _MARKS: Final = ("ETag", "Last-Modified")
 
 
 class HttpFile:
-    """A file behind http or https.
+    """A file read over http or https.
 
     Attributes:
-        size: Its bytes as announced; None where the server announces nothing.
-        head: Its first bytes, as the first answer brought them.
-        has_ranges: Whether the server sends parts.
+        size: Size that the server announces [bytes]; None if it announces no size.
+        head: First bytes of the file, from the first response.
+        has_ranges: Whether the server supports range requests.
     """
 
     def __init__(self, system: Any, url: str) -> None:
-        """Ask for its first bytes."""
+        """Request the first bytes."""
         self._system, self._url = system, url
         self._marks: dict[str, str] | None = None
         self.size: int | None = None
@@ -52,8 +52,8 @@ class HttpFile:
         """Return a range of bytes.
 
         Raises:
-            NoRangesError: The server sends the whole file instead.
-            AnswerError: It sends other bytes than it was asked for.
+            NoRangesError: If the server sends the whole file instead.
+            AnswerError: If the server sends other bytes than requested.
         """
         return self._run(lambda: self._fetch(start, end))
 
@@ -61,8 +61,8 @@ class HttpFile:
         """Write the whole file into another one.
 
         Args:
-            target: Where to.
-            most: Bytes at most, where the server announced no length.
+            target: File to write to.
+            most: Largest size if the server announced no length [bytes].
         """
         self._run(lambda: self._copy(target, most))
 
@@ -74,7 +74,7 @@ class HttpFile:
 
     @asynccontextmanager
     async def _ask(self, span: tuple[int, int] | None) -> AsyncIterator[Any]:
-        """Yield an answer of which only the head is read; a stalled or endless one is an error."""
+        """Yield a response whose header is read; stalled or endless responses raise an error."""
         session = await self._system.set_session()
         options = {name: value for name, value in self._system.kwargs.items() if name != "headers"}
         headers = {**self._system.kwargs.get("headers", {})}
@@ -133,7 +133,7 @@ class HttpFile:
                 target.write(piece)
 
     def _require_same(self, answer: Any) -> None:
-        """Refuse the answer of another file than the first was of."""
+        """Refuse a response if the file has changed since the first response."""
         if answer.status not in {200, 206}:
             return
         found = {name: answer.headers[name] for name in _MARKS if name in answer.headers}
@@ -144,7 +144,7 @@ class HttpFile:
 
 
 def describe_too_long(most: int) -> str:
-    """Return what is said of a file that would fill the disk."""
+    """Return the message about a file that is too large to download."""
     return (
         f"expected at most {format_size(most)}, found a file that is longer;"
         " --max-download SIZE allows more"
@@ -156,7 +156,7 @@ def _strip_weak(mark: str) -> str:
 
 
 def _require_good(answer: Any) -> None:
-    """Refuse an answer that has no bytes of the file, or others than those of the file."""
+    """Refuse a response that does not contain the plain bytes of the file."""
     if answer.status not in {200, 206, 416}:
         answer.raise_for_status()
         raise _deny(f"status {answer.status}", "the file")
@@ -172,7 +172,7 @@ def _deny(found: str, expected: str) -> AnswerError:
 
 
 def _read_length(answer: Any) -> int | None:
-    """Return the length of a body as announced, None where it comes in chunks of any number."""
+    """Return the announced length of a body; None for chunked transfer."""
     lengths = set(answer.headers.getall("Content-Length", []))
     if len(lengths) > 1 or not all(re.fullmatch(r"\d{1,18}", length) for length in lengths):
         raise _deny(f"Content-Length {', '.join(sorted(lengths))[:60]}", "one length")
@@ -180,7 +180,7 @@ def _read_length(answer: Any) -> int | None:
 
 
 def _read_range(answer: Any) -> tuple[int, int, int]:
-    """Return start, end and size of the file as Content-Range has them."""
+    """Return the start, the end and the file size in Content-Range."""
     text = answer.headers.get("Content-Range", "none")
     found = re.fullmatch(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})", text)
     if found is None:
@@ -195,7 +195,7 @@ def _require_empty(answer: Any) -> int:
 
 
 async def _read_exactly(answer: Any, count: int, length: int | None) -> bytes:
-    """Return a body of so many bytes; a longer one is refused before it is read."""
+    """Return a body of the expected length; a longer body is refused before it is read."""
     if length is not None and length != count:
         raise _deny(f"an answer of {length} bytes", f"an answer of {count} bytes")
     data = bytearray()
@@ -219,7 +219,7 @@ async def _read_most(answer: Any, count: int) -> bytes:
 
 
 async def _read_pieces(answer: Any) -> AsyncIterator[bytes]:
-    """Yield a body as it comes; one that only trickles is an error."""
+    """Yield a body in pieces; a transfer that is too slow raises an error."""
     begun_s, count = time.monotonic(), 0
     while piece := await answer.content.read(_PIECE):
         count += len(piece)

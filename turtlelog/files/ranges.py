@@ -1,4 +1,4 @@
-"""A file behind a URL, read by ranges: few requests, bounded memory."""
+"""Files behind URLs, read by range requests: few requests, bounded memory."""
 
 import io
 import os
@@ -31,19 +31,19 @@ class RemoteFile:
     """A file behind a URL.
 
     Attributes:
-        size: Its bytes.
+        size: Size of the file [bytes].
     """
 
     def __init__(self, url: str, most: int) -> None:
-        """Ask for it.
+        """Request the first bytes and the size.
 
         Args:
-            url: Where it is.
-            most: Bytes that are fetched into a temporary file at most.
+            url: URL of the file.
+            most: Most bytes that may be fetched into a temporary file.
 
         Raises:
-            RemoteError: Where it is not there or cannot be reached.
-            LibraryError: Where what reads such URLs is not installed.
+            RemoteError: If the file does not exist or cannot be reached.
+            LibraryError: If the library for such URLs is not installed.
         """
         self._system, self._path = open_system(url)
         self._url, self._most = url, most
@@ -64,19 +64,19 @@ class RemoteFile:
             self.size = self._copy_whole()
 
     def require_copy(self) -> None:
-        """Refuse to fetch all of it, into a temporary file or into memory, where it is too long.
+        """Refuse to fetch the whole file if it is too large.
 
         Raises:
-            RemoteError: It is longer than is allowed.
+            RemoteError: If the file is larger than allowed.
         """
         if self.size > self._most:
             raise RemoteError(describe_too_long(self._most))
 
     def _take_head(self, http: HttpFile) -> int:
-        """Keep the first bytes, which tell what a file is before more is fetched; return the size.
+        """Keep the first bytes, which show the kind of the file, and return the size.
 
         Raises:
-            RemoteError: Its length is not known and it begins as a web page, or is too long.
+            RemoteError: If its size is unknown and it looks like a web page or is too large.
         """
         if http.head:
             self._ends[0] = http.head
@@ -87,14 +87,14 @@ class RemoteFile:
         return self._copy_whole()
 
     def open(self) -> BinaryIO:
-        """Return a stream of its bytes, to be closed by itself."""
+        """Return a stream of the file, which the caller must close."""
         return cast("BinaryIO", RangeStream(self))
 
     def fetch(self, start: int, end: int) -> bytes:
-        """Return a range of bytes, asked for again where that fails.
+        """Return a range of bytes; failed requests are repeated.
 
         Raises:
-            RemoteError: Where it cannot be had.
+            RemoteError: If the bytes cannot be fetched.
         """
         if self._failure is not None:  # who asks again in another way waits no second time
             raise self._failure
@@ -115,10 +115,10 @@ class RemoteFile:
         return copy.read(end - start)
 
     def fetch_whole(self) -> int:
-        """Fetch all of it into a temporary file, unless it is there, and return its size.
+        """Fetch the file into a temporary file, unless that was done, and return its size.
 
         Raises:
-            RemoteError: Where it cannot be had, or is longer than is allowed.
+            RemoteError: If the file cannot be fetched or is larger than allowed.
         """
         if self._copy is None:
             if getattr(self, "size", None) is not None:
@@ -128,14 +128,14 @@ class RemoteFile:
         return self._copy.seek(0, os.SEEK_END)
 
     def find_held(self, place: int) -> tuple[int, bytes] | None:
-        """Return the end of the file that holds a byte, if it was fetched, and where it starts."""
+        """Return the start and data of the fetched end of the file with a byte; None if missing."""
         for start, data in self._ends.items():
             if start <= place < start + len(data):
                 return start, data
         return None
 
     def fetch_around(self, place: int, end: int) -> tuple[int, bytes]:
-        """Return a stretch that holds a byte; those at the ends are kept."""
+        """Return a segment that contains a byte; segments at both ends are cached."""
         tail = max(self.size - _TAIL, 0)
         start = tail if place >= tail else place
         end = self.size if start == tail else min(end, max(tail, place + 1))
@@ -154,7 +154,7 @@ class RemoteFile:
         return data
 
     def _copy_whole(self) -> int:
-        """Fetch all of it where nothing less can be had, and return its size."""
+        """Fetch the whole file, if the server supports no ranges, and return its size."""
         warnings.warn(
             f"{show_url(self._url)}: the server sends no ranges, so all of it is read",
             RemoteNote,
@@ -181,7 +181,7 @@ class RemoteFile:
 
 
 class RangeStream(io.RawIOBase):
-    """A stream of a remote file: it fetches what is read, and ahead where that goes on."""
+    """A stream of a remote file, with read-ahead for sequential reads."""
 
     def __init__(self, file: RemoteFile) -> None:
         self._file, self._place = file, 0
@@ -190,7 +190,7 @@ class RangeStream(io.RawIOBase):
         self._expected: list[tuple[int, int]] = []
 
     def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
-        """Be told what will be read, in order: ranges that lie close are fetched together."""
+        """Announce ranges to be read, in order; neighbouring ranges are fetched together."""
         merged: list[tuple[int, int]] = []
         for start, end in ranges:
             if merged and 0 <= start - merged[-1][1] <= _GAP:
@@ -208,17 +208,17 @@ class RangeStream(io.RawIOBase):
         return True
 
     def tell(self) -> int:
-        """Return the place that is read next."""
+        """Return the position of the next read."""
         return self._place
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place."""
+        """Set the position of the next read."""
         base = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self._file.size}[whence]
         self._place = max(base + offset, 0)
         return self._place
 
     def read(self, size: int | None = -1) -> bytes:
-        """Return that many bytes, fewer at the end only."""
+        """Return up to this many bytes; fewer only at the end of the file."""
         left = max(self._file.size - self._place, 0)
         if size is None or size < 0:
             self._file.require_copy()
@@ -226,11 +226,11 @@ class RangeStream(io.RawIOBase):
         return b"".join(bytes(piece) for piece in self._iterate(count))
 
     def readall(self) -> bytes:
-        """Return the rest."""
+        """Return all bytes up to the end of the file."""
         return self.read()
 
     def readinto(self, buffer: Any) -> int:
-        """Fill a buffer, less at the end only."""
+        """Fill a buffer; partly only at the end of the file."""
         view = memoryview(buffer).cast("B")
         done = 0
         for piece in self._iterate(min(len(view), max(self._file.size - self._place, 0))):
@@ -247,7 +247,7 @@ class RangeStream(io.RawIOBase):
             yield piece
 
     def _find(self, place: int, count: int) -> tuple[int, bytes]:
-        """Return a stretch of bytes that holds a place, fetched if it has to be."""
+        """Return a segment of bytes that contains a position; fetch it if necessary."""
         if self._start <= place < self._start + len(self._data):
             return self._start, self._data
         held = self._file.find_held(place)

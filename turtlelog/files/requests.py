@@ -1,4 +1,4 @@
-"""How servers are asked through fsspec, and what goes wrong with it in one line each."""
+"""Requests to servers through fsspec, with one-line errors."""
 
 import time
 from collections.abc import Callable
@@ -22,15 +22,15 @@ STALL_S: Final = 20
 
 
 class NoRangesError(Exception):
-    """A server that knows whole files only."""
+    """A server that does not support range requests."""
 
 
 class ReplacedError(Exception):
-    """A file that is another one than at the first answer."""
+    """A file that has changed since the first response."""
 
 
 class AnswerError(Exception):
-    """An answer that cannot be used, in a line that says why; asking again brings no other."""
+    """A response that cannot be used, with the reason; repeating the request does not help."""
 
 
 _BACKENDS: Final = {
@@ -42,11 +42,11 @@ _BACKENDS: Final = {
 
 
 def open_system(url: str) -> tuple[Any, str]:
-    """Return the file system of a URL, and what it calls the file.
+    """Return the file system of a URL and the file's name in it.
 
     Raises:
-        LibraryError: Where what reads such URLs is not installed.
-        RemoteError: Where nothing reads them, or credentials are missing.
+        LibraryError: If the library for such URLs is not installed.
+        RemoteError: If no library supports such URLs, or credentials are missing.
     """
     fsspec = load_library("fsspec")
     scheme = urlsplit(url).scheme.lower()
@@ -71,10 +71,10 @@ def open_system(url: str) -> tuple[Any, str]:
 
 
 def require_writable(url: str) -> tuple[Any, str]:
-    """Return the file system of a URL, and what it calls the file, as `open_system` does.
+    """Return the file system of a URL and the file's name in it, as `open_system` does.
 
     Raises:
-        RemoteError: Where nothing can be written: of http it is not known which way it would be.
+        RemoteError: If the URL is not writable, as for http.
     """
     if url.endswith("/"):
         raise RemoteError("expected the URL of a file to write to, found that of a folder")
@@ -85,10 +85,10 @@ def require_writable(url: str) -> tuple[Any, str]:
 
 
 def find_objects(url: str) -> bool:
-    """Return whether there is any object below a URL, to which more can be written.
+    """Return whether any object exists below a writable URL.
 
     Raises:
-        RemoteError: Where that cannot be told, or nothing can be written there.
+        RemoteError: If this cannot be determined, or the URL is not writable.
     """
     system, path = require_writable(url.rstrip("/"))
 
@@ -103,10 +103,10 @@ def find_objects(url: str) -> bool:
 
 
 def find_object(url: str) -> bool:
-    """Return whether there is an object; the bucket that it would be in must be there.
+    """Return whether an object exists; its bucket must exist.
 
     Raises:
-        RemoteError: Where it cannot be told, or there is no such bucket.
+        RemoteError: If this cannot be determined, or the bucket does not exist.
     """
     system, path = open_system(url)
 
@@ -128,17 +128,17 @@ _WITH_BUCKETS: Final = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss
 
 
 def put_file(source: Path, url: str) -> None:
-    """Put a local file behind a URL, in place of what is there.
+    """Upload a local file to a URL, replacing an existing object.
 
     Raises:
-        RemoteError: Where that is not allowed, or fails.
+        RemoteError: If the upload is not permitted or fails.
     """
     system, path = require_writable(url)
     try_thrice(lambda: system.put_file(str(source), path), url)
 
 
 def _choose_options(url: str) -> dict[str, Any]:
-    """Return what makes a server that hangs an error; what the user configured comes first."""
+    """Return options with timeouts for fsspec; the user's configuration has priority."""
     if "::" in url:
         return {}  # they are told apart by nothing but the user's configuration
     scheme = urlsplit(url).scheme.lower()
@@ -167,10 +167,10 @@ def _choose_options(url: str) -> dict[str, Any]:
 
 
 def try_thrice(ask: Callable[[], T], url: str) -> T:
-    """Return what a server answers; a request that fails on the way is repeated.
+    """Return the result of a request; it is repeated after temporary failures.
 
     Raises:
-        RemoteError: Where it fails again, or in a way that does not pass.
+        RemoteError: If the request fails permanently, or every repetition fails.
     """
     for wait_s in (*_WAITS_S, None):
         try:
@@ -237,7 +237,7 @@ _LIKELY: Final = (
 
 
 def _describe(err: BaseException, url: str) -> str:
-    """Return in one line what went wrong, without what is secret."""
+    """Return a one-line description of an error, without secrets."""
     names = {kind.__name__ for cause in _list_causes(err) for kind in type(cause).__mro__}
     status = _find_status(err)
     sure, likely = (

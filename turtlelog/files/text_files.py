@@ -1,4 +1,4 @@
-"""The user's own small files as text and as TOML: read within bounds, and written."""
+"""Reading and writing of the user's small text and TOML files, within size limits."""
 
 import csv
 import errno
@@ -57,15 +57,16 @@ _POINTS: Final = re.compile(r"\[\n(?P<entries>(?: *\[[-+.\w, ]+\],\n)+)(?P<inden
 
 
 def read_text_file(path: str | Path, *, most: int = MOST_BYTES) -> str:
-    """Return the text of a file, or of a pipe that somebody writes to.
+    """Return the text of a file or a pipe.
 
     Args:
         path: The file.
-        most: What is read at most [bytes]; a longer one is refused.
+        most: Largest accepted size [bytes].
 
     Raises:
-        OSError: Where it cannot be read, is too long, or a device; its `strerror` says what it is.
-        UnicodeDecodeError: Where it holds no text.
+        OSError: If the file cannot be read, is too large, or is a device; `strerror` gives the
+            reason.
+        UnicodeDecodeError: If the file is not text.
     """
     path = make_path(path)
     if isinstance(path, RemotePath):
@@ -98,11 +99,11 @@ def _decode(data: bytes, most: int) -> str:
 
 
 def iterate_lines(text: str, *, comments: bool = True) -> Iterator[tuple[int, str]]:
-    """Yield the lines that are not empty, and their numbers from 1; one is in memory at a time.
+    """Yield the non-empty lines with their numbers, from 1; one line is in memory at a time.
 
     Args:
-        text: Of any length.
-        comments: Yield also lines that begin with #.
+        text: Text of any length.
+        comments: Whether to yield lines that begin with #, too.
     """
     skipped = _BLANKS if comments else BLANKS_AND_COMMENTS
     start, number = 0, 1
@@ -119,7 +120,7 @@ def iterate_lines(text: str, *, comments: bool = True) -> Iterator[tuple[int, st
 
 
 def describe_csv_error(err: csv.Error) -> str:
-    """Return what is wrong with a cell, and what to look for."""
+    """Return a description of a CSV error in a cell, with a hint."""
     text = str(err)
     if text.startswith("field larger"):
         most = f"a cell of more than {csv.field_size_limit():,} characters"
@@ -134,7 +135,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text.
 
     Raises:
-        ValueError: Where it is none, or nests its tables or arrays too deeply, in one line.
+        ValueError: If the text is not TOML or is nested too deeply; one line.
     """
     deep = f"tables or arrays more than {_DEEPEST} deep within each other"
     if _LONG_KEY.search(text):  # tomllib takes the square of its length for each
@@ -154,13 +155,13 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def parse_known_toml(text: str) -> dict[str, Any]:
-    """Return what `parse_toml` does; lines that other texts had, too, are not parsed again.
+    """Return the tables of a TOML text as `parse_toml` does; known lines are cached.
 
-    Scenarios of one experiment differ in a few lines. Text other than tables one level deep, with
-    plain values a line each, is parsed as a whole.
+    Scenarios of one experiment differ in a few lines. The cache applies to tables of one level with
+    one plain value per line; any other text is parsed as a whole.
 
     Raises:
-        ValueError: As `parse_toml`.
+        ValueError: As for `parse_toml`.
     """
     tables: dict[str, Any] = {}
     table = tables
@@ -177,7 +178,7 @@ def parse_known_toml(text: str) -> dict[str, Any]:
 
 
 def _parse_line(line: str) -> tuple[str | None, Any]:
-    """Return key and value of a line that stands for itself, `_NO_PAIR` of any other."""
+    """Return the key and value of a complete line, `_NO_PAIR` for any other line."""
     try:
         pairs = [*tomllib.loads(line).items()]
     except (ValueError, RecursionError):
@@ -190,14 +191,14 @@ _keep_line = lru_cache(maxsize=_MOST_LINES)(_parse_line)
 
 
 def copy_tables(value: Any) -> Any:
-    """Return tables and arrays of a TOML text that share nothing with those given."""
+    """Return a deep copy of the tables and arrays of a TOML text."""
     if isinstance(value, dict):
         return {key: copy_tables(inner) for key, inner in value.items()}
     return [copy_tables(inner) for inner in value] if isinstance(value, list) else value
 
 
 def format_toml(tables: Mapping[str, Any]) -> str:
-    """Return nested tables as TOML text, with lists of numbers and of points in few lines."""
+    """Return nested tables as TOML text, with compact lists of numbers and points."""
     import tomli_w  # who reads only spares it
 
     text = tomli_w.dumps(tables)
@@ -207,7 +208,7 @@ def format_toml(tables: Mapping[str, Any]) -> str:
 
 
 def _join_entries(found: re.Match[str]) -> str:
-    """Return a list in one line, or where it is long in lines of many numbers or of one point."""
+    """Return a list on one line; a long list on lines of many numbers or one point each."""
     line = " ".join(found["entries"].split()).removesuffix(",")
     if len(line) <= _LINE_LENGTH:
         return f"[{line}]"
@@ -219,13 +220,13 @@ def _join_entries(found: re.Match[str]) -> str:
 
 
 def _list_inner(value: Any) -> list[Any]:
-    """Return the tables and arrays in one."""
+    """Return the tables and arrays within a table or an array."""
     inner = value.values() if isinstance(value, dict) else value
     return [found for found in inner if isinstance(found, dict | list)]
 
 
 def _read_pipe(path: Path, most: int) -> bytes:
-    """Read a pipe, but do not wait for ever for somebody who writes to it."""
+    """Read a pipe; give up if nobody opens it for writing."""
     with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb", buffering=0) as stream:
         end_s = time.monotonic() + _PATIENCE_S
         while (first := stream.read(most)) == b"":  # None: somebody is there, and has not begun
@@ -240,7 +241,7 @@ def _read_pipe(path: Path, most: int) -> bytes:
 
 
 def describe_missing(path: str | Path, others: Iterable[str] = ()) -> str:
-    """Return what to say of a file that is not there: what is there, or else known, like it."""
+    """Return the message about a missing file, with files or known names that are similar."""
     path = make_path(path)
     if isinstance(path, RemotePath) or not path.parent.is_dir():
         return "no such file"

@@ -1,6 +1,6 @@
-"""URLs where files are meant, as `s3://bucket/run.mcap`: paths that know how they are fetched.
+"""URLs in place of files, such as `s3://bucket/run.mcap`: paths that can fetch their content.
 
-Local files never load fsspec. What is printed of a URL holds no password and no signature.
+Local files never load fsspec. Printed URLs contain no password and no signature.
 """
 
 import errno
@@ -38,10 +38,10 @@ _SIZES: Final = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12,
 
 @contextmanager
 def limit_downloads(most: int | None = None) -> Iterator[None]:
-    """Set how much of a URL may be fetched into a temporary file while the block runs.
+    """Limit the size of downloads into temporary files within a block.
 
     Args:
-        most: Bytes of one file at most; None: as before the block.
+        most: Largest size of one file [bytes]; None: the limit before the block.
     """
     token = _MAX_DOWNLOAD.set(_MAX_DOWNLOAD.get() if most is None else most)
     try:
@@ -51,12 +51,12 @@ def limit_downloads(most: int | None = None) -> Iterator[None]:
 
 
 def set_max_download(most: int) -> None:
-    """Set the same until the end of the block of `limit_downloads` around it."""
+    """Set the limit until the end of the enclosing `limit_downloads` block."""
     _MAX_DOWNLOAD.set(most)
 
 
 def parse_size(text: str) -> int | None:
-    """Return a number of bytes, as in 500MB, 4GiB or 4G; None if a text is no such number."""
+    """Return a size such as 500MB, 4GiB or 4G in bytes; None if the text is not a size."""
     found = re.fullmatch(r"(\d+(?:\.\d+)?) *([kKMGT]?i?)B?", text)
     prefix = "" if found is None else found[2].replace("K", "k").replace("ki", "Ki")
     if found is None or prefix not in _SIZES:
@@ -65,25 +65,25 @@ def parse_size(text: str) -> int | None:
 
 
 def format_size(count: int) -> str:
-    """Return a number of bytes in the greatest unit of which there is one, as `4 GiB`."""
+    """Return a number of bytes as text in the largest suitable unit, such as `4 GiB`."""
     unit = next((name for name in ("Ti", "Gi", "Mi", "Ki") if count >= _SIZES[name]), "")
     return f"{count / _SIZES[unit]:.4g} {unit}B" if unit else f"{count} bytes"
 
 
 class RemoteNote(UserWarning):
-    """A note on a file that took more requests than needed."""
+    """A note on a file that needed more requests than necessary."""
 
 
 def is_url(text: str) -> bool:
-    """Return whether a text is a URL; `C:/x.mcap` and a file called `a:b.mcap` are none."""
+    """Return whether a text is a URL; `C:/x.mcap` and a file called `a:b.mcap` are not URLs."""
     return URL.match(text) is not None
 
 
 class _ShownUrl(str):
-    """The text of a path behind a URL; whoever makes a path of it again has the whole URL.
+    """The text of a remote path; a path made from it has the complete URL.
 
     Attributes:
-        path: What it is the text of.
+        path: Path that the text belongs to.
     """
 
     path: "RemotePath"
@@ -97,17 +97,18 @@ def _show_path(url: str, most: int) -> str:
 
 
 def _load_path(url: str, most: int) -> "RemotePath":
-    """Return a path as another process had it, with its limit."""
+    """Restore a pickled path with its download limit."""
     return RemotePath(url, max_download=most)
 
 
 class RemotePath(_LocalPath):
-    """A file behind a URL. As text it is the URL without what is secret.
+    """A file behind a URL. Its text is the URL without secrets.
 
     Attributes:
-        url: The whole URL.
-        max_download: Bytes of it that are fetched into a temporary file at most, where its server
-            sends no ranges or it is in SQLite. Default: that of `limit_downloads`, else 4 GiB.
+        url: The complete URL.
+        max_download: Largest download into a temporary file [bytes], which is needed if the server
+            supports no ranges or the file is in SQLite. Default: that of `limit_downloads`, else 4
+            GiB.
     """
 
     url: str
@@ -116,7 +117,7 @@ class RemotePath(_LocalPath):
     _failure: RemoteError | None
 
     def __new__(cls, url: str, *, max_download: int | None = None) -> "RemotePath":  # noqa: ARG004
-        """Make a path of its text."""
+        """Create a path from its text."""
         return super().__new__(cls, show_url(url))
 
     def __init__(self, url: str, *, max_download: int | None = None) -> None:
@@ -127,7 +128,7 @@ class RemotePath(_LocalPath):
 
     @property
     def max_download(self) -> int:
-        """Bytes of it that are fetched into a temporary file at most."""
+        """Largest download into a temporary file [bytes]."""
         return _MAX_DOWNLOAD.get() if self._most is None else self._most
 
     def __str__(self) -> str:
@@ -150,7 +151,7 @@ class RemotePath(_LocalPath):
     def split_topic(self) -> tuple["RemotePath", str | None]:
         """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`.
 
-        A query may stand before or behind the topic; it belongs to the URL.
+        A query may be before or after the topic; it belongs to the URL.
         """
         scheme, mark, rest = self.url.partition("://")
         found = _TOPIC.fullmatch(rest)
@@ -164,7 +165,7 @@ class RemotePath(_LocalPath):
         """File object that fetches the data; kept, so that the ends are not fetched twice.
 
         Raises:
-            RemoteError: If it is not there or cannot be reached.
+            RemoteError: If the file does not exist or cannot be reached.
         """
         if self._failure is not None:
             raise self._failure
@@ -179,10 +180,10 @@ class RemotePath(_LocalPath):
         return self._file
 
     def put(self, source: Path) -> None:
-        """Put a complete local file there, in place of what is.
+        """Upload a complete local file, replacing an existing object.
 
         Raises:
-            RemoteError: If that is not allowed, or fails.
+            RemoteError: If the upload is not permitted or fails.
         """
         from turtlelog.files.requests import put_file
 
@@ -190,17 +191,17 @@ class RemotePath(_LocalPath):
         self._file = self._failure = None
 
     def open(self, mode: str = "r", *args: Any, **options: Any) -> IO[Any]:  # type: ignore[override]  # noqa: ARG002
-        """Open it to read its bytes."""
+        """Open the file for reading bytes."""
         if mode != "rb":
             raise ValueError(f"a URL: expected mode rb, found {mode}")
         return self.file.open()
 
     def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:  # noqa: ARG002
-        """Return its size; it is a file that is never written in place."""
+        """Return the size of the file; it is never written in place."""
         return os.stat_result((stat.S_IFREG | 0o444, 0, 0, 1, 0, 0, self.file.size, 0, 0, 0))
 
     def mkdir(self, *_: Any, **__: Any) -> None:
-        """Refuse: folders are made on disks only.
+        """Refuse to create a folder; folders exist only on disks.
 
         Raises:
             OSError: Always.
@@ -208,11 +209,11 @@ class RemotePath(_LocalPath):
         raise OSError(errno.ENOTSUP, "a URL, where only single files are written", str(self))
 
     def is_dir(self, **_: Any) -> bool:
-        """Return False: a folder of a bag is read from disks alone."""
+        """Return False: folders of bags are read only from disks."""
         return False
 
     def is_file(self, **_: Any) -> bool:
-        """Return True: it is found out when it is read."""
+        """Return True: a missing file is noticed when it is read."""
         return True
 
     def is_symlink(self) -> bool:
@@ -220,37 +221,37 @@ class RemotePath(_LocalPath):
         return False
 
     def exists(self, **_: Any) -> bool:
-        """Return True: it is found out when it is read."""
+        """Return True: a missing file is noticed when it is read."""
         return True
 
     def resolve(self, strict: bool = False) -> "RemotePath":  # noqa: ARG002, FBT001, FBT002
-        """Return it as it is."""
+        """Return the path unchanged."""
         return self
 
     def absolute(self) -> "RemotePath":
-        """Return it as it is."""
+        """Return the path unchanged."""
         return self
 
     def samefile(self, other_path: "str | os.PathLike[str]") -> bool:
-        """Return whether another is the same URL."""
+        """Return whether another path has the same URL."""
         return self == other_path
 
     @property
     def parent(self) -> "RemotePath":
-        """The URL of its folder."""
+        """The URL of the folder."""
         return self._replace(lambda path: path.rpartition("/")[0])
 
     @property
     def parents(self) -> Sequence["RemotePath"]:
-        """None: no output lies within an object."""
+        """Always empty: no output is within an object."""
         return ()
 
     def with_name(self, name: str) -> "RemotePath":
-        """Return its neighbour of another name."""
+        """Return the path with another file name."""
         return self._replace(lambda path: f"{path.rpartition('/')[0]}/{name}")
 
     def with_suffix(self, suffix: str) -> "RemotePath":
-        """Return its neighbour of another ending."""
+        """Return the path with another suffix."""
         return self.with_name(self.stem + suffix)
 
     def __truediv__(self, key: "str | os.PathLike[str]") -> "RemotePath":
@@ -263,7 +264,7 @@ class RemotePath(_LocalPath):
 
 
 def make_path(path: "str | os.PathLike[str]") -> Path:
-    """Return a path of what a user names: a file, or a URL."""
+    """Return the path of a file or URL that a user names."""
     if isinstance(path, RemotePath):
         return path
     if isinstance(path, _ShownUrl):
@@ -273,10 +274,10 @@ def make_path(path: "str | os.PathLike[str]") -> Path:
 
 
 def is_there(path: Path) -> bool:
-    """Return whether a file is there; behind a URL, whether an object is.
+    """Return whether a file, or an object behind a URL, exists.
 
     Raises:
-        RemoteError: If that cannot be told, or the bucket is not there.
+        RemoteError: If this cannot be determined, or the bucket does not exist.
     """
     if not isinstance(path, RemotePath):
         return path.exists()
@@ -286,10 +287,10 @@ def is_there(path: Path) -> bool:
 
 
 def has_files(folder: Path) -> bool:
-    """Return whether there is anything in a folder; below a URL, any object.
+    """Return whether a folder contains anything, or any object exists below a URL.
 
     Raises:
-        RemoteError: If nothing can be written there, or that cannot be told.
+        RemoteError: If the URL is not writable, or this cannot be determined.
     """
     if not isinstance(folder, RemotePath):
         return folder.is_dir() and any(folder.iterdir())
@@ -299,7 +300,7 @@ def has_files(folder: Path) -> bool:
 
 
 def expect_reads(stream: BinaryIO, ranges: Iterable[tuple[int, int]]) -> None:
-    """Tell a stream what will be read; one of a local file needs no telling."""
+    """Announce the ranges to be read to a remote stream; local streams ignore this."""
     expect = getattr(stream, "expect", None)
     if expect is not None:
         expect(ranges)
