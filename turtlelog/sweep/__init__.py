@@ -1,4 +1,4 @@
-"""Many scenarios or files to one table. The names stand in `__init__.pyi` and load on first use."""
+"""One table from many scenarios or files. The names are in `__init__.pyi` and load on first use."""
 
 from turtlelog.libraries import attach_names
 

@@ -1,7 +1,7 @@
-"""Rows that vary a scenario, simulated and measured in compiled code, without trajectories.
+"""Simulation and measurement of varied scenarios in compiled code, without trajectories.
 
-What is not compiled, of a law, a metric or a row that fails, takes the path of a single run.
-Either way a row has the numbers of a single run, bit for bit.
+Laws and metrics that are not compiled, and rows that fail, are computed as single runs. In both
+cases a row has the numbers of a single run, bit for bit.
 """
 
 import math
@@ -62,7 +62,7 @@ _COMPARED: Final[set[CompiledLoops]] = set()
 
 
 class Batch(NamedTuple):
-    """A loop, and what simulates rows by it and measures them."""
+    """A compiled loop with the functions that simulate and measure rows."""
 
     loop: Any
     run_rows: Any
@@ -99,7 +99,7 @@ def _is_kept(kind: Kind) -> bool:
 
 
 def find_batch(base: Scenario) -> CompiledLoops | None:
-    """Return the compiled code for rows that vary keys of a scenario; None: its law has none."""
+    """Return the compiled code for rows that vary keys of a scenario; None if its law has none."""
     try:
         kind = find_column_kind(resolve_scenario(base))
     except TurtlelogError:  # of its own it lacks what the rows give it
@@ -109,17 +109,17 @@ def find_batch(base: Scenario) -> CompiledLoops | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredRows:
-    """What became of rows, in their order.
+    """Results of rows, in their order.
 
     Attributes:
-        values: Of each metric, NaN where there is none, shape (n,).
-        statuses: Of each metric: numbers of `STATUSES`, shape (n,); -1 of rows that failed.
-        stop_reasons: None of rows that failed.
-        failed: Why; None of those that did not.
-        samples: How many each row had, shape (n,).
-        compiled: How many rows the compiled loop simulated and measured.
-        interpreted: How many took the path of a single run.
-        notes: On the compiled code of a law of the user's own, one line each.
+        values: Values by metric, NaN if there is no value, shape (n,) each.
+        statuses: Indices into `STATUSES` by metric, shape (n,) each; -1 for rows that failed.
+        stop_reasons: Stop reason of each row; None for rows that failed.
+        failed: Reason of each failure; None for rows that did not fail.
+        samples: Number of samples of each row, shape (n,).
+        compiled: Number of rows simulated and measured by the compiled loop.
+        interpreted: Number of rows computed as single runs.
+        notes: Notes on the compiled code of a user's law, one line each.
     """
 
     values: Mapping[str, NDArray[np.float64]]
@@ -143,22 +143,22 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     ahead: int = 0,
     step_budget_s: float = STEP_BUDGET_S,
 ) -> MeasuredRows:
-    """Simulate rows that vary a scenario, and return their metrics.
+    """Simulate rows that vary a scenario and return their metrics.
 
     Args:
-        base: What they vary; its law may run.
-        columns: The values of each key that varies, one for each row.
-        metrics: Ids, no patterns.
-        plant: On whose clock; None: each row on that of its own plant.
-        threads: That work at once; None: as many as cores.
-        first: Number of the first row, after which its scenario is named.
-        ahead: How many rows this process has before it, about: whether compiled loops are worth
-            loading.
-        step_budget_s: Time that a law may compute for one answer [s].
+        base: Scenario that the rows vary; its law may run.
+        columns: Values of each varied key, one per row.
+        metrics: Metric ids, no patterns.
+        plant: Plant whose clock is used; None: each row uses its own plant.
+        threads: Number of threads; None: one per core.
+        first: Number of the first row, which its scenario's name contains.
+        ahead: Approximate number of rows still to be done by this process, which decides whether
+            compiled loops are worth loading.
+        step_budget_s: Longest computing time of the law per step [s].
 
     Raises:
-        SweepError: Where columns have different lengths, or there are none.
-        MeasureError: Where one names no metric.
+        SweepError: If columns have different lengths, or there are none.
+        MeasureError: If an id names no metric.
     """
     counts = {len(column) for column in columns.values()}
     if len(counts) != 1:
@@ -184,11 +184,11 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
 
 
 class _Cells(NamedTuple):
-    """What the compiled code enters of rows, in the columns of `batch_columns`.
+    """Results of rows from the compiled code, in the columns of `batch_columns`.
 
     Attributes:
-        values: NaN where nothing was entered, shape (n, columns).
-        reasons: Numbers of the reasons why there is none, shape (n, columns).
+        values: Values, NaN if none was entered, shape (n, columns).
+        reasons: Numbers of the reasons for missing values, shape (n, columns).
     """
 
     values: NDArray[np.float64]
@@ -196,7 +196,7 @@ class _Cells(NamedTuple):
 
 
 class _Work:
-    """Rows on their way through the batch."""
+    """The state of rows while the batch computes them."""
 
     def __init__(
         self,
@@ -223,7 +223,7 @@ class _Work:
         )
 
     def finish(self) -> MeasuredRows:
-        """Return the rows with how many were compiled."""
+        """Return the results with the number of compiled rows."""
         result = self.result
         return MeasuredRows(
             values=result.values,
@@ -261,7 +261,7 @@ class _Work:
     def run_compiled(
         self, batch: CompiledLoops, kernel: Batch, rows: Sequence[int], threads: int
     ) -> Sequence[int]:
-        """Simulate and measure what is compiled; return the rows that are not."""
+        """Simulate and measure compiled rows; return the rows that are not compiled."""
         self._is_own = not is_built_in(kernel.loop.law)
         try:
             if self._is_own and rows and batch not in _COMPARED:
@@ -273,7 +273,7 @@ class _Work:
             return rows
 
     def _compare(self, kernel: Batch, row: int) -> None:
-        """Note by how much a row of a law of the user's own differs when compiled."""
+        """Note how much a row of a user's law differs between compiled and ordinary code."""
         try:
             scenario = self._build_scenario(row)
             plain = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
@@ -305,7 +305,7 @@ class _Work:
         return sorted([*prepared.others, *prepared.rows[~good].tolist()])
 
     def _run_all(self, kernel: Any, prepared: PreparedRows, threads: int) -> _Cells:
-        """Simulate and measure prepared rows from their starts; their states are how they end."""
+        """Simulate and measure prepared rows from their start states; `states` is overwritten."""
         loops = build_loops(self._declaration)
         assert loops is not None
         shape = len(prepared.rows), count_columns(len(loops))
@@ -340,7 +340,7 @@ class _Work:
         return cells
 
     def _call(self, run: Callable[[], Any], states: NDArray[Any]) -> None:
-        """Call compiled code; with a law of the user's own where it may never return."""
+        """Call compiled code; with a user's law it may never return."""
         if not self._is_own:
             run()
             return
@@ -352,7 +352,7 @@ class _Work:
         vars(local).update(kept)
 
     def _find_memory(self, kernel: Batch, prepared: PreparedRows, seed: int) -> tuple[Any, Any]:
-        """Return arrays of this thread: of the loop, with random numbers, and of measuring."""
+        """Return this thread's arrays for the loop, with random numbers, and for measuring."""
         local = self._local
         ticks, samples = prepared.ticks, prepared.samples
         if (
@@ -369,7 +369,7 @@ class _Work:
         return local.rows, local.memory
 
     def _correct_lines(self, prepared: PreparedRows, cells: _Cells) -> NDArray[np.int64]:
-        """Give rows the line from where they were first read; return those that had another."""
+        """Set the line from the first pose that was read; return the rows whose line changed."""
         read = cells.values[:, FIRST_POSE]
         lines = prepared.lines
         other = (read[:, 0] != lines["x_m"]) | (read[:, 1] != lines["y_m"])
@@ -384,7 +384,7 @@ class _Work:
         return moved
 
     def _enter(self, prepared: PreparedRows, cells: _Cells, good: NDArray[np.int64]) -> None:
-        """Enter the metrics of rows that the compiled loop has done."""
+        """Enter the metrics of rows that the compiled loop has simulated."""
         result, rows = self.result, prepared.rows[good]
         if not len(rows):
             return

@@ -1,6 +1,6 @@
-"""Which metrics the batch computes, in which columns, and what compiles them.
+"""The metrics that the batch computes, their columns and their compilation.
 
-They are those of the registry that are functions of numbers: nothing here knows one by name.
+These are the registered metrics that are functions of numbers; no metric is named here.
 """
 
 from collections.abc import Mapping
@@ -73,17 +73,17 @@ FIRST_POSE: Final = slice(-2, None)
 
 
 def is_covered(name: str) -> bool:
-    """Return whether the batch computes a metric, of whatever loop."""
+    """Return whether the batch computes a metric, for any loop."""
     return name in COURSES if name in RUN_METRICS else name.rpartition(".")[2] in CURVES
 
 
 def count_columns(loops: int) -> int:
-    """Return how many columns a row of so many loops has."""
+    """Return the number of columns for a number of loops."""
     return loops * len(CURVES) + len(COURSES) + 2
 
 
 def find_column(name: str, declaration: Declaration) -> int | None:
-    """Return the column of a metric that is covered; None where the law has no such metric."""
+    """Return the column of a covered metric; None if the law has no such metric."""
     if name in COURSES:
         return len(declaration.loops) * len(CURVES) + [*COURSES].index(name)
     loop, _, plain = name.rpartition(".")
@@ -94,14 +94,14 @@ def find_column(name: str, declaration: Declaration) -> int | None:
 
 
 def is_angle(name: str, declaration: Declaration) -> bool:
-    """Return whether a metric's column is in rad, and its values in deg."""
+    """Return whether a metric is computed in rad but reported in deg."""
     loop, _, plain = name.rpartition(".")
     unit = "" if name in COURSES else CURVES[plain].describe_unit(declaration.find_loop(loop))
     return unit == "deg"
 
 
 def build_loops(declaration: Declaration) -> NDArray[Any] | None:
-    """Return the loops of a law as `LOOP`; None where one follows what the batch does not know."""
+    """Return the loops of a law as `LOOP`; None if the batch does not support a reference."""
     phases = declaration.phase_names
     rows = []
     for loop in declaration.loops:
@@ -114,25 +114,25 @@ def build_loops(declaration: Declaration) -> NDArray[Any] | None:
 
 
 def allocate_memory(ticks: int, samples: int, loops: int) -> Memory:
-    """Return arrays for rows of at most so many poses, samples and loops."""
+    """Return arrays for rows with at most these numbers of poses, samples and loops."""
     numbers = np.empty((USES_OF_ROW, max(2 * ticks, samples)))
     return Memory(numbers, np.empty(ticks, np.int64), np.empty(loops, SPAN))
 
 
 def name_measurement() -> str:
-    """Return what the measurement is called in numba's cache."""
+    """Return the name of the measurement in numba's cache."""
     return f"measure_{_bind(tuple(CURVES), tuple(COURSES))[1]}"
 
 
 def compile_measurement(
     entry: Function, curves: tuple[str, ...] = (), courses: tuple[str, ...] = ()
 ) -> Any:
-    """Return what measures a row, compiled: every metric, or some.
+    """Return the compiled function that measures a row: every metric, or some.
 
     Args:
         entry: The outermost function.
-        curves: Metrics of curves; without any at all every one.
-        courses: Metrics of courses.
+        curves: Metrics of curves; if no metric at all is given, every metric is computed.
+        courses: Metrics of the whole run.
     """
     if not curves and not courses:
         curves, courses = tuple(CURVES), tuple(COURSES)
@@ -144,7 +144,7 @@ def compile_measurement(
 
 
 def type_measurement() -> Any:
-    """Return numba's type of what measures a row."""
+    """Return numba's type of the function that measures a row."""
     from numba import typeof, types
 
     entry = np.empty(1, np.bool_), np.empty(1), np.empty(1, np.int16)
@@ -154,7 +154,7 @@ def type_measurement() -> Any:
 
 @cache
 def _bind(curves: tuple[str, ...], courses: tuple[str, ...]) -> tuple[dict[str, Function], str]:
-    """Return what the outermost function calls, and a stamp of all that this reaches."""
+    """Return the functions that the outermost function calls, and a stamp of all their sources."""
     from importlib.metadata import version
 
     of_curve = _chain("curve", {name: CURVES[name] for name in curves})
@@ -173,7 +173,7 @@ def _bind(curves: tuple[str, ...], courses: tuple[str, ...]) -> tuple[dict[str, 
 
 
 def _chain(what: str, kinds: Mapping[str, Any]) -> Function:
-    """Return a function that enters each metric that is asked for."""
+    """Return a function that enters each requested metric."""
     lines = [f"def measure_{what}({what}, asked, values, reasons):"]
     names: dict[str, Any] = {}
     if what == "curve":

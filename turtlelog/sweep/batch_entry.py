@@ -1,7 +1,7 @@
-"""The outermost function of the batch's measurement, compiled where this module is imported.
+"""The outermost function of the batch's measurement, compiled when this module is imported.
 
-Numba's cache looks at the time and size of this file; what it calls is in the stamp of its name.
-The names in capitals are bound to compiled functions.
+Numba's cache checks the time and size of this file; the stamp in the name covers the functions that
+it calls. The names in capitals are bound to compiled functions.
 """
 
 # ruff: noqa: F821, PLR0913, PLR0917
@@ -11,9 +11,9 @@ from turtlelog.sweep.batch_columns import compile_measurement
 
 
 def measure_row(facts, ticks, samples, line, loops, memory, entry):
-    """Measure a row: numbers are entered, or the reasons why there are none.
+    """Measure a row: enter values, or the reasons for missing values.
 
-    `entry` are which columns are asked for, values, and numbers of reasons.
+    `entry` contains the requested columns, the values, and the numbers of reasons.
     """
     asked, values, reasons = entry
     ticks, samples = ticks[: facts[0].ticks], samples[: facts[0].samples]

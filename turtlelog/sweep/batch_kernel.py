@@ -1,8 +1,8 @@
-"""What the batch reads of a simulated row: the curve of each loop, and the course of the run.
+"""The inputs of metrics in the batch: the curve of each loop, and quantities of the whole run.
 
-The functions are compiled, as those of `measure` that they call: the metrics themselves stand
-there. Fields are called as those of `Response` and `RunContext`, and are the same bit for bit. What
-rests on the cosine of a library is left to numpy, as there: the line from start to goal is given.
+The functions are compiled, like the metric functions of `measure` that they call. Fields have the
+names and, bit for bit, the values of `Response` and `RunContext`. The line from start to goal is an
+input because numpy computes its cosine, as for single runs.
 """
 
 import math
@@ -29,12 +29,12 @@ _TURN_RAD: Final = 2.0 * math.pi
 
 
 class Memory(NamedTuple):
-    """Arrays that are filled anew for every row, as long as it may have poses or samples.
+    """Work arrays, refilled for every row, with the largest number of poses or samples.
 
     Attributes:
-        numbers: One row of each use: those of `reductions`, then those that are named here.
-        rows: Numbers of rows.
-        spans: Of `SPAN`, of each loop.
+        numbers: One row per use: those of `reductions`, then those named here.
+        rows: Row numbers.
+        spans: A `SPAN` for each loop.
     """
 
     numbers: Any
@@ -47,14 +47,14 @@ USES_OF_ROW: Final = USES + 7
 
 
 class Commands(NamedTuple):
-    """As of a `CommandStretch`."""
+    """Fields as in `CommandStretch`."""
 
     time_s: Any
     values: Any
 
 
 class LoopCurve(NamedTuple):
-    """As of a `Response`."""
+    """Fields as in `Response`."""
 
     time_s: Any
     step_s: Any
@@ -75,7 +75,7 @@ class LoopCurve(NamedTuple):
 
 
 class Course(NamedTuple):
-    """As of a `RunContext`."""
+    """Fields as in `RunContext`."""
 
     x_m: Any
     y_m: Any
@@ -96,15 +96,15 @@ class Course(NamedTuple):
 
 
 class Row(NamedTuple):
-    """What a row is measured from.
+    """Inputs of the measurement of a row.
 
     Attributes:
-        facts: Of the run.
-        ticks: Its poses.
-        samples: Its samples.
-        line: From start to goal.
-        loops: Of its law.
-        memory: To work in.
+        facts: Facts of the run.
+        ticks: Poses of the run.
+        samples: Samples of the run.
+        line: Line from start to goal.
+        loops: Loops of its law.
+        memory: Work arrays.
         start_ns: Time of the first sample.
         end_ns: Time of the last row of any column.
     """
@@ -120,7 +120,7 @@ class Row(NamedTuple):
 
 
 def is_any(asked: Any, first: int, after: int) -> bool:
-    """Return whether any column is asked for between two."""
+    """Return whether any column in a range is requested."""
     count = 0
     for column in range(first, after):
         count += asked[column]
@@ -128,7 +128,7 @@ def is_any(asked: Any, first: int, after: int) -> bool:
 
 
 def prepare_row(facts: Any, ticks: Any, samples: Any, loops: Any, memory: Any) -> tuple[int, int]:
-    """Unwrap the headings, find the samples of loops; return when the run begins and ends [ns]."""
+    """Unwrap the headings, find the samples of loops; return start and end of the run [ns]."""
     end_ns = max((facts.ticks - 1) * facts.period_ns, samples[-1].time_ns)
     if facts.published > 0:
         end_ns = max(end_ns, samples[facts.published - 1].published_ns)
@@ -138,7 +138,7 @@ def prepare_row(facts: Any, ticks: Any, samples: Any, loops: Any, memory: Any) -
 
 
 def _unwrap(ticks: Any, heading_rad: Any) -> None:
-    """Count the heading through full turns, as numpy's unwrap."""
+    """Unwrap the heading, as numpy's unwrap does."""
     turned = 0.0
     before = heading_rad[0] = ticks[0].heading_rad
     for row in range(1, len(ticks)):
@@ -149,7 +149,7 @@ def _unwrap(ticks: Any, heading_rad: Any) -> None:
 
 
 def _find_turn(step_rad: float) -> float:
-    """Return what numpy's unwrap adds to an angle from a step on."""
+    """Return the angle that numpy's unwrap adds from a step on."""
     if abs(step_rad) <= math.pi:
         return 0.0
     rest: float = fmod(step_rad + math.pi, _TURN_RAD)
@@ -159,7 +159,7 @@ def _find_turn(step_rad: float) -> float:
 
 
 def _find_spans(samples: Any, loops: Any, spans: Any) -> None:
-    """Find the samples of each loop's first stretch, and the last of all its samples."""
+    """Find the samples of each loop's first segment, and the last of all its samples."""
     for number in range(len(loops)):
         spans[number].first = spans[number].after = spans[number].last = _NO_SAMPLES
         spans[number].end = len(samples)
@@ -174,7 +174,7 @@ def _find_spans(samples: Any, loops: Any, spans: Any) -> None:
 
 
 def _add_samples(loop: Any, span: Any, phase: int, begin: int, after: int) -> None:
-    """Add samples of one phase: what follows on those of a loop, or on a pause, belongs to it."""
+    """Add samples of one phase; those right after a loop's samples or a pause belong to it."""
     if loop.phases >> phase & 1 != 0:
         if span.first < 0:
             span.first = begin
@@ -186,7 +186,7 @@ def _add_samples(loop: Any, span: Any, phase: int, begin: int, after: int) -> No
 
 
 def find_stretch(row: Row, number: int) -> tuple[int, int, int]:
-    """Return the first pose of a loop, the one after its last, and why there is no curve, or 0."""
+    """Return a loop's first pose, the pose after its last, and the reason for no curve, or 0."""
     facts, span, period_ns = row.facts, row.memory.spans[number], row.facts.period_ns
     if span.first < 0:
         return 0, 0, NO_PHASE
@@ -256,7 +256,7 @@ def read_loop_curve(row: Row, number: int, first: int, after: int, band: float) 
 
 
 def _ends_blocked(row: Row) -> bool:
-    """Whether the last sample's command went out later than its pose was answered, or never."""
+    """Whether the last sample's command was published after the sample's time, or never."""
     last_ns, published = row.samples[-1].time_ns, row.facts.published
     if published < len(row.samples):
         return row.end_ns > last_ns  # type: ignore[no-any-return]
@@ -277,7 +277,7 @@ def _read_commands(row: Row, loop: Any, span: Any, end_ns: int) -> Commands:
 
 
 def _read_values(row: Row, loop: Any, first: int, after: int) -> Any:
-    """Return what a loop controls at poses; of a moving reference as if it stood still."""
+    """Return the signal of a loop at poses; a moving goal bearing is treated as fixed."""
     memory, ticks, line = row.memory, row.ticks, row.line
     if loop.signal == _HEADING and loop.reference != _BEARING_NOW:
         return memory.numbers[_HEADINGS][first:after]
@@ -305,7 +305,7 @@ def _find_bearing(row: Row, place: int) -> float:
 
 
 def _follow_bearing(row: Row, first: int, values: Any) -> None:
-    """Enter the heading as if the bearing of the goal stood still where it begins."""
+    """Enter the heading as if the goal bearing kept its first value."""
     heading_rad, turned = row.memory.numbers[_HEADINGS], 0.0
     before = wrap_angle(_find_bearing(row, first) - heading_rad[first])
     values[0] = before
@@ -321,7 +321,7 @@ def _follow_bearing(row: Row, first: int, values: Any) -> None:
 
 
 def _read_target(row: Row, loop: Any, first: int, values: Any) -> float:
-    """Return what a curve should come to; of a heading with the turns of the last value."""
+    """Return the target value of a curve; for a heading with the full turns of the last value."""
     if loop.reference == _BEARING_NOW:
         return _find_bearing(row, first)
     wanted = _read_constant(row, loop)
@@ -342,7 +342,7 @@ def _read_constant(row: Row, loop: Any) -> float:
 
 
 def read_course(row: Row) -> Course:
-    """Return the course of a row."""
+    """Return the quantities of the whole run."""
     facts, ticks, line = row.facts, row.ticks, row.line
     last = ticks[-1]
     x_m, y_m = last.x_m - line.x_m, last.y_m - line.y_m
@@ -367,9 +367,9 @@ def read_course(row: Row) -> Course:
 
 
 def _find_heading_error(row: Row) -> float:
-    """Return what the heading should be at the end, by the loop that acted last, minus the heading.
+    """Return the final heading error: reference of the last active heading loop minus heading.
 
-    Before any acts it is the first that is declared.
+    If no such loop acted, the first declared one is used.
     """
     acting, spans = -1, row.memory.spans
     for number in range(len(row.loops)):

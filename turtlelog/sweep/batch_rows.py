@@ -1,4 +1,4 @@
-"""From keys that vary to the arrays of the compiled loop."""
+"""Conversion of varied keys to the arrays of the compiled loop."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -51,20 +51,20 @@ _NOT_COMPARED: Final = (dict, list, tuple)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PreparedRows:
-    """Rows as the compiled loop takes them.
+    """Rows as arrays for the compiled loop.
 
     Attributes:
-        rows: Their numbers, shape (n,).
-        others: Rows that it does not take.
-        settings: Shape (n,).
-        starts: States in which they begin, shape (n,).
-        states: Likewise, which the loop changes.
-        lines: Shape (n,).
-        table: Of the law, which all of them share.
-        seeds: Shape (n,).
-        streams: Names of the random numbers that any of them needs.
-        ticks: Most that any may have.
-        samples: Likewise.
+        rows: Row numbers, shape (n,).
+        others: Rows that the loop cannot simulate.
+        settings: Settings, shape (n,).
+        starts: Start states, shape (n,).
+        states: States that the loop changes, shape (n,).
+        lines: Lines from start to goal, shape (n,).
+        table: Table of the law, shared by all rows.
+        seeds: Seeds, shape (n,).
+        streams: Names of the random streams that any row needs.
+        ticks: Largest possible number of ticks of a row.
+        samples: Largest possible number of samples of a row.
     """
 
     rows: NDArray[np.int64]
@@ -80,7 +80,7 @@ class PreparedRows:
     samples: int
 
     def begin(self) -> None:
-        """Put the states to the start."""
+        """Reset the states to the start states."""
         self.states[:] = self.starts
 
     def take(self, places: NDArray[np.int64]) -> "PreparedRows":
@@ -94,9 +94,9 @@ Kind = tuple[LawPart, PlantPart, tuple[str, ...]]
 
 
 def find_column_kind(scenario: Scenario) -> Kind | None:
-    """Return what compiles rows of a scenario; None: nothing does.
+    """Return the kind of compiled loop for rows of a scenario; None if there is none.
 
-    Its law has a goal and a loop of the heading, follows what the batch knows, and ends as laws do.
+    Its law must have a goal and a heading loop, supported references, and an ordinary end.
     """
     law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
     if not isinstance(law, LawPart):
@@ -138,13 +138,13 @@ class _Case:
 def prepare_rows(
     base: Scenario, columns: Mapping[str, Sequence[Any]], rows: Sequence[int], plant: Plant | None
 ) -> PreparedRows:
-    """Return rows as arrays, those that another loop than that of `base` simulates, or none, apart.
+    """Return rows as arrays; rows that the loop of `base` cannot simulate are listed separately.
 
     Args:
-        base: Its law is resolved.
-        columns: The values of each key that varies, one for each row.
-        rows: Numbers of rows.
-        plant: On whose clock; None: each row on that of its own plant.
+        base: Scenario with a resolved law.
+        columns: Values of each varied key, one per row.
+        rows: Row numbers.
+        plant: Plant whose clock is used; None: each row uses its own plant.
     """
     kind = find_column_kind(base)
     may_be_free = kind is not None and is_free(kind[0]) and "law.kind" not in columns
@@ -218,7 +218,7 @@ def _gather(
 def _judge_case(
     base: Scenario, kind: Kind | None, changes: Mapping[str, Any], plant: Plant | None
 ) -> _Case | None:
-    """Return a combination, None where it is no scenario or not of the kind that is compiled."""
+    """Return a combination; None if it is no valid scenario or has no compiled loop."""
     try:
         scenario = resolve_scenario(build_row_scenario(base, [*changes], [*changes.values()], 0))
     except TurtlelogError:
@@ -237,7 +237,7 @@ def is_batched(scenario: Scenario, plant: Plant) -> bool:
 
 
 def _judge_column(base: Scenario, key: str, column: Sequence[Any]) -> Sequence[Any]:
-    """Return the values of a free key as a scenario has them, None where it cannot have one."""
+    """Return the values of a free key as a scenario stores them; None if a value is invalid."""
     if {*map(type, column)} in ({int}, {float}):
         least, most = min(column), max(column)
         found = _judge_value(base, key, least), _judge_value(base, key, most)
@@ -263,7 +263,7 @@ def _judge_value(base: Scenario, key: str, value: Any) -> Any:
 
 
 def find_line(start_xy_m: tuple[float, float], goal_xy_m: tuple[float, float]) -> dict[str, float]:
-    """Return the line from start to goal as runs have it, and as signals are projected on it."""
+    """Return the line from start to goal as in `Run`, and as used for projecting signals."""
     x_m, y_m = start_xy_m
     ahead_m, left_m = goal_xy_m[0] - x_m, goal_xy_m[1] - y_m
     bearing_rad = math.atan2(left_m, ahead_m)

@@ -1,4 +1,4 @@
-"""Work on a Dask cluster that is there already, handed out as `concurrent.futures` does."""
+"""Work on an existing Dask cluster, with the interface of `concurrent.futures`."""
 
 import logging
 import re
@@ -29,15 +29,15 @@ _ADDRESS: Final = re.compile(r"(?:[a-z]+://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s/:@\[\]]+
 
 @contextmanager
 def connect_cluster(address: str) -> Iterator[Executor]:
-    """Connect to a Dask scheduler, as in `tcp://host:8786`; yield what takes work.
+    """Connect to a Dask scheduler such as `tcp://host:8786` and yield an executor.
 
-    What a worker that ends had done or was doing is done again by others. One with another
-    turtlelog does nothing, also where it joins later.
+    If a worker ends, other workers repeat its work. Workers with another version of turtlelog get
+    no work, even if they join later.
 
     Raises:
-        LibraryError: Where dask.distributed is not installed.
-        ProcessError: Where the address is none, no scheduler or no worker answers, a worker has
-            another turtlelog, or the scheduler ends before the work does.
+        LibraryError: If dask.distributed is not installed.
+        ProcessError: If the address is invalid, no scheduler or worker answers, a worker has
+            another version of turtlelog, or the scheduler ends before the work.
     """
     _require_address(address)
     distributed = load_library("distributed")
@@ -60,10 +60,10 @@ def connect_cluster(address: str) -> Iterator[Executor]:
 
 
 def _require_address(address: str) -> None:
-    """Refuse what is no address before anything is loaded; no password is repeated.
+    """Refuse an invalid address before Dask is loaded; the message contains no password.
 
     Raises:
-        ProcessError: In one line.
+        ProcessError: If it is refused; one line.
     """
     secrets, _, place = address.rpartition("@")
     scheme, mark, _ = secrets.partition("://")
@@ -82,10 +82,10 @@ def _require_address(address: str) -> None:
 
 
 class _Cluster(Executor, Watched):
-    """Hands work to workers, which refuse it where they have another turtlelog.
+    """Executor on workers, which refuse work if their version of turtlelog differs.
 
     Attributes:
-        is_gone: Whether the scheduler has ended, or another one has its address.
+        is_gone: Whether the scheduler has ended or was replaced by another at its address.
     """
 
     def __init__(self, client: Any, address: str) -> None:
@@ -106,16 +106,16 @@ class _Cluster(Executor, Watched):
         """Refuse to wait for a scheduler that has ended.
 
         Raises:
-            ProcessError: In one line.
+            ProcessError: If it is refused; one line.
         """
         if self._client.status != "running" or self._ask_identity() != self._identity:
             raise self._describe_end()
 
     def require_workers(self) -> None:
-        """Refuse a cluster without workers, or with one whose answers may be others.
+        """Refuse a cluster without workers or with a worker of another version.
 
         Raises:
-            ProcessError: In one line.
+            ProcessError: If it is refused; one line.
         """
         try:
             self._client.wait_for_workers(1, timeout=_CONNECT_S)
@@ -138,7 +138,7 @@ class _Cluster(Executor, Watched):
                 )
 
     def _ask_identity(self) -> str | None:
-        """Return the name that a scheduler gave itself when it started; None: it is silent."""
+        """Return the scheduler's own id; None if it does not answer."""
         ask = self._client.scheduler.identity
         try:
             return str(self._client.sync(ask, callback_timeout=_SILENT_S)["id"])
@@ -154,7 +154,7 @@ class _Cluster(Executor, Watched):
 
 
 def _work_as(version: str, work: Callable[..., T], *args: Any, **kwargs: Any) -> T:
-    """Work, on a worker, for a turtlelog of the same version."""
+    """Do work on a worker; refuse if its version of turtlelog differs."""
     if version != __version__:
         raise ProcessError(
             f"expected turtlelog {version} on every worker, found {__version__} on one"
@@ -169,7 +169,7 @@ def _work_as(version: str, work: Callable[..., T], *args: Any, **kwargs: Any) ->
 def _connect(distributed: Any, address: str) -> Any:
     class Client(distributed.Client):  # type: ignore[misc]
         def start(self, **options: Any) -> None:
-            """Connect within some time, or leave nothing behind that waits at the end."""
+            """Connect within a time limit, or clean up so that nothing blocks the exit."""
             try:
                 # Without this limit it waits without end for a server that is no scheduler.
                 super().start(callback_timeout=2 * _CONNECT_S, **options)

@@ -1,4 +1,4 @@
-"""What is known of files, and their rows: of a former table, and of those read since."""
+"""Files and their rows: from an existing table, and from files read since."""
 
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
@@ -42,14 +42,14 @@ Order = Callable[[Set[Key], Set[Key]], Sequence[Key]]
 
 
 class FileState(msgspec.Struct, frozen=True, array_like=True):
-    """What is known of a file.
+    """Known facts of a file.
 
     Attributes:
         size: As in `FoundRecording`.
-        mtime_ns: Likewise.
-        sha256: Of its content; None where it is to be read again in any case.
+        mtime_ns: As in `FoundRecording`.
+        sha256: SHA-256 of its content; None if it must be read again in any case.
         first: Number of its first row.
-        count: Of its rows; 0 where its content is that of the rows known before.
+        count: Number of its rows; 0 if its content is unchanged and its rows are already known.
     """
 
     size: int
@@ -60,12 +60,12 @@ class FileState(msgspec.Struct, frozen=True, array_like=True):
 
 
 class ReadFiles(msgspec.Struct, frozen=True, array_like=True):
-    """What was read of some files.
+    """Rows read from some files.
 
     Attributes:
-        files: Their states by label; rows are numbered from 0.
-        count: Of the rows.
-        columns: Name, type, unit and cells of each.
+        files: States by label; rows are numbered from 0.
+        count: Number of rows.
+        columns: Name, type, unit and cells of each column.
     """
 
     files: dict[str, FileState]
@@ -90,14 +90,14 @@ _COLUMNS_LOOKED: Final = 512
 
 
 class FileRows:
-    """What is known of files; their rows stand in the former table and in the partial file.
+    """Known facts of files; their rows are in the existing table and the partial file.
 
     Attributes:
-        read: How many files were read.
+        read: Number of files that were read.
     """
 
     def __init__(self, kept: KeptParts[ReadFiles], former: StoredTable | None) -> None:
-        """Take what an interrupted call has read, and the table that is there."""
+        """Load the results of an interrupted call and the existing table."""
         self._kept, self._stored = kept, StoredRows()
         self._files: dict[str, FileState] = {}
         self.read = 0
@@ -108,7 +108,7 @@ class FileRows:
             self._enter(kept.read(place), place)
 
     def _enter_former(self, former: StoredTable, group: int) -> None:
-        """Learn what a group of rows of the former table is of."""
+        """Find the files of a group of rows in the existing table."""
         row = self._stored.add(former.group_rows[group], partial(_load_group, former, group))
         heads = map(list_values, former.read([key.name for key in HEAD[:4]], group))
         for label, size, mtime_ns, sha256 in zip(*heads, strict=True):
@@ -120,11 +120,11 @@ class FileRows:
             row += 1
 
     def find(self, label: str) -> FileState | None:
-        """Return what is known of a file."""
+        """Return the known facts of a file."""
         return self._files.get(label)
 
     def add(self, chunk: ReadFiles) -> None:
-        """Take what was found of some recordings, and keep it for the case of an interruption."""
+        """Add results of some recordings, and save them in case of an interruption."""
         self.read += sum(state.count > 0 for state in chunk.files.values())
         self._enter(chunk, self._kept.add(chunk))
 
@@ -143,12 +143,12 @@ class FileRows:
     def assemble(
         self, labels: Sequence[str], kind: str, facts: Mapping[str, str], order: Order
     ) -> "FileTable":
-        """Return the table of files, whose rows are loaded where they are needed.
+        """Return the table of files; its rows are loaded on demand.
 
         Args:
-            labels: Of the files, in their order.
+            labels: Labels of the files, in their order.
             kind: As in `ResultTable`.
-            facts: Likewise.
+            facts: As in `ResultTable`.
             order: As in `RecordingTable`.
         """
         states = [self._files[label] for label in labels]
@@ -172,12 +172,12 @@ class FileRows:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileTable:
-    """A table of files, and which of them cannot be read.
+    """A table of files, and the files that cannot be read.
 
     Attributes:
-        table: With rows that are loaded where they are needed.
-        failed: How many cannot be read.
-        errors: Of the first of them, label and reason.
+        table: Table whose rows are loaded on demand.
+        failed: Number of files that cannot be read.
+        errors: Label and reason of the first of them.
     """
 
     table: ResultTable
@@ -187,7 +187,7 @@ class FileTable:
 
 @dataclass(slots=True)
 class _Looked:
-    """What rows hold: keys of columns, those with a cell that is not None, and errors of files."""
+    """Contents of rows: column keys, keys with a cell that is not None, and errors of files."""
 
     keys: set[Key] = field(default_factory=set)
     used: set[Key] = field(default_factory=set)
@@ -196,7 +196,7 @@ class _Looked:
 
 
 def _look_through(rows: WindowedRows, begins: NDArray[np.intp]) -> _Looked:
-    """Return what rows hold; the error of a file stands in its first row."""
+    """Return the contents of rows; the error of a file is in its first row."""
     looked = _Looked()
     for stretch in cut_groups(len(rows), _COLUMNS_LOOKED):
         cells = rows.load(stretch).cells
@@ -219,7 +219,7 @@ def _repeat(key: Key, cells: Sequence[Cell], which: NDArray[np.intp]) -> ResultC
 
 
 def _load_group(former: StoredTable, group: int) -> Columns:
-    """Return the rows of a group of a former table, without what is known of its files."""
+    """Return the rows of a group of an existing table, without the facts of its files."""
     known = {key.name for key in HEAD[:4]}
     columns = former.read([name for name in former.names if name not in known], group)
     keys = ((parse_key(column), column.cells) for column in columns)

@@ -1,4 +1,4 @@
-"""The recordings below folders: which files and folders count as one, in a steady order."""
+"""The search for recordings below folders: which files and folders are recordings; their order."""
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -33,14 +33,14 @@ _TABLE_HEADS: Final = (b"run,Kp [", b"file,run,", b"verdict,file,check,")
 
 @dataclass(frozen=True, slots=True)
 class FoundRecording:
-    """A recording to be read, as it was when it was found.
+    """A recording to read, with its size and time when it was found.
 
     Attributes:
         path: Path of the file or folder.
-        label: Name in tables: relative to the folder given, with slashes; with several folders, and
-            of a file given by name, as given. What is no Unicode is escaped.
-        size: Size of the file, or of all in the bag's folder [bytes]; -1 where it cannot be seen.
-        mtime_ns: Time of its last change, for a folder that of its newest file [ns]; -1 likewise.
+        label: Name in tables: relative to the folder given, with slashes; the name as given, for
+            several folders or a file given by name. Invalid Unicode is escaped.
+        size: Size of the file, or of all files in the bag's folder [bytes]; -1 if unknown.
+        mtime_ns: Time of its last change, or for a folder of its newest file [ns]; -1 if unknown.
     """
 
     path: str
@@ -52,20 +52,20 @@ class FoundRecording:
 def find_recordings(
     paths: Sequence[str | Path], *, without: Iterable[str | Path] = ()
 ) -> list[FoundRecording]:
-    """Return the recordings that are given and those below folders, each path once.
+    """Return the given recordings and those below given folders, each path once.
 
     Names are sorted in each folder, numbers in them by value. Names that begin with a dot and
-    `__pycache__` are left out. A bag's folder and one of exported tables are one recording. A link
-    to a folder is followed where it leads out of the folders given, and no folder is walked twice.
-    A folder that cannot be listed counts as a recording, which then cannot be read.
+    `__pycache__` are left out. A bag's folder is one recording, and so is a folder of exported
+    tables. A link to a folder outside the given folders is followed; no folder is walked twice. A
+    folder that cannot be listed counts as a recording that cannot be read.
 
     Args:
         paths: Files, bags and folders.
-        without: Files that are no recordings, such as the table that is to be written.
+        without: Files to leave out, such as the table to be written.
 
     Raises:
-        LogError: If a folder holds no recording, or one is a URL: no time shows whether it has
-            changed.
+        LogError: If a folder contains no recording, or a path is a URL, for which no time shows
+            whether it has changed.
     """
     walk = _Walk(paths, without)
     is_one = len({os.path.realpath(path) for path in paths}) == 1
@@ -95,7 +95,7 @@ class _Walk:
         self._seen: set[str] = set()
 
     def list_below(self, root: Path) -> Iterator[Path]:
-        """Yield the paths of recordings; of a file or bag itself."""
+        """Yield the paths of recordings; for a file or bag its own path."""
         self._seen.clear()
         # A stack of its own: folders may be nested deeper than Python calls.
         waiting = [root]
@@ -115,7 +115,7 @@ class _Walk:
                     waiting += filter(self._counts, inside)
 
     def _enter(self, path: Path, *, is_root: bool) -> bool:
-        """Return whether a folder is to be walked: it has not been, nor will be by another name."""
+        """Return whether to walk a folder: it is not walked under another name."""
         real = os.path.realpath(path)
         if real in self._seen:
             return False
@@ -157,7 +157,7 @@ def _is_table_of_runs(path: Path) -> bool:
 
 
 def _is_result_table(path: Path) -> bool:
-    """Return whether a Parquet file says at its end that it is one of turtlelog's results."""
+    """Return whether the footer of a Parquet file marks it as a result table of turtlelog."""
     try:
         with open_file(path) as stream:
             stream.seek(-8, os.SEEK_END)
@@ -169,7 +169,7 @@ def _is_result_table(path: Path) -> bool:
 
 
 def is_one_recording(path: Path) -> bool:
-    """Return whether a path is a file, a bag's folder, or one with the tables of one run."""
+    """Return whether a path is a file, a bag's folder, or a folder with the tables of one run."""
     if not _is_folder(path):
         return True
     place = path / METADATA_FILE
@@ -186,7 +186,7 @@ def is_one_recording(path: Path) -> bool:
 
 
 def _read_start(path: Path) -> bytes:
-    """Return the first bytes of a file, none of a pointer of Git LFS."""
+    """Return the first bytes of a file; empty for a Git LFS pointer."""
     try:
         with open_file(path) as stream:
             return stream.read(_HEAD_BYTES)
@@ -200,7 +200,7 @@ def _label(path: Path, root: Path | None) -> str:
 
 
 def _name_apart(label: str, labels: set[str]) -> str:
-    """Return a label that no other file has: names that are no Unicode may be escaped alike."""
+    """Return a unique label: different names of invalid Unicode may be escaped to the same text."""
     number, tried = 1, label
     while tried in labels:
         number, tried = number + 1, f"{label} ({number + 1})"
@@ -209,7 +209,7 @@ def _name_apart(label: str, labels: set[str]) -> str:
 
 
 def stat_recording(path: Path) -> tuple[int, int]:
-    """Return size and time of the last change of a file, or of the files of a bag; -1: unknown."""
+    """Return size and time of the last change of a file or a bag; -1 if unknown."""
     try:
         found = [one.stat() for one in list_contents(path)]
     except OSError:
@@ -220,7 +220,7 @@ def stat_recording(path: Path) -> tuple[int, int]:
 
 
 def list_contents(path: Path) -> list[Path]:
-    """Return the files whose bytes are a recording: the file itself, or those of a bag's folder.
+    """Return the files of a recording: the file itself, or those of a bag's folder.
 
     Raises:
         OSError: If the folder cannot be listed.

@@ -1,4 +1,4 @@
-"""Theory's limits of a gain in every column of a map, and where the measured border lies."""
+"""Theoretical limits of a gain in every column of a map, and the measured border."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,12 +25,12 @@ _MOST_DRAWN: Final = 48
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnLimits:
-    """Theory's limits of the gain in one column.
+    """Theoretical limits of the gain in one column.
 
     Attributes:
         stable: Intervals of the gain in which the loop is stable.
-        overshoot: Gain from which it overshoots; None if the loop is not proportional alone.
-        grown: The same intervals with the dead time that queues may let grow; None: it cannot.
+        overshoot: Gain from which the loop overshoots; None if it is not purely proportional.
+        grown: The same intervals with the longer dead time of full queues; None if it cannot grow.
     """
 
     stable: tuple[tuple[float, float], ...]
@@ -39,19 +39,19 @@ class ColumnLimits:
 
     @property
     def stability(self) -> float | None:
-        """Gain from which the loop is unstable; None if none is stable."""
+        """Gain from which the loop is unstable; None if no gain is stable."""
         return self.stable[-1][1] if self.stable else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LoopLimits:
-    """Theory's limits of a loop over the axes of a view.
+    """Theoretical limits of a loop over the axes of a view.
 
     Attributes:
-        loop: Its name.
-        gain: The axis of its gain.
-        columns: Limits for each place of the other axis; None if theory gives none.
-        notes: Why it does not, or what it leaves out, in sentences.
+        loop: Name of the loop.
+        gain: Axis of its gain.
+        columns: Limits for each place of the other axis; None if theory gives no limits.
+        notes: Reasons for missing limits, and omissions, in sentences.
     """
 
     loop: str
@@ -66,10 +66,11 @@ class Border:
 
     Attributes:
         place: Place of the column on the other axis.
-        last_stable: Largest gain below the border at which it was measured as stable; None: none.
-        first_unstable: Smallest gain at which it was measured as unstable; None: none.
-        theory: Gain from which theory's loop is unstable; None if theory does not speak.
-        is_near: Whether both are within one cell; None if one is not known.
+        last_stable: Largest gain below the border that was measured as stable; None if there is
+            none.
+        first_unstable: Smallest gain that was measured as unstable; None if there is none.
+        theory: Gain from which the loop is unstable in theory; None if theory gives no limit.
+        is_near: Whether the two borders are within one cell; None if one is unknown.
     """
 
     place: int
@@ -80,12 +81,12 @@ class Border:
 
 
 def list_gain_keys(results: SweptResults) -> tuple[str, ...]:
-    """Return the keys of the gains that the law declares; () of a law whose code is not loaded."""
+    """Return the keys of the gains that the law declares; () if the law's code is not loaded."""
     return tuple(loop.gain for loop in list_declared_loops(results) if loop.gain)
 
 
 def find_loop_limits(view: SweptView) -> list[LoopLimits]:
-    """Return theory's limits of the loops whose gain is an axis of a view."""
+    """Return the theoretical limits of the loops whose gain is an axis of a view."""
     if view.results.is_sampled and len(view.results.axes) > len(view.axes):
         return []
     found = []
@@ -101,7 +102,7 @@ def find_loop_limits(view: SweptView) -> list[LoopLimits]:
 
 
 def choose_limits(limits: Sequence[LoopLimits], metric: SweptMetric) -> LoopLimits | None:
-    """Return the limits that concern a metric: those of its loop; of a run's, of the first."""
+    """Return the limits for a metric: of its loop, or for metrics of the run of the first."""
     own = [one for one in limits if one.loop == metric.loop]
     if own:
         return own[0]
@@ -154,7 +155,7 @@ def _tell_places(axis: SweptAxis, places: Sequence[int]) -> str:
 
 
 def _model(results: SweptResults, rows: NDArray[np.int64], name: str) -> LoopModel | str:
-    """Return the loop in one of the rows, or why theory draws no line for it."""
+    """Return the theoretical loop in one of the rows, or why theory gives no limit for it."""
     reason = "no row makes a scenario"
     for row in rows.tolist():
         try:
@@ -177,7 +178,7 @@ def _model(results: SweptResults, rows: NDArray[np.int64], name: str) -> LoopMod
 
 
 def _hides(text: str, parameters: Mapping[str, Parameter]) -> bool:
-    """Return whether what theory leaves out, as `key = value`, may steady an unstable loop."""
+    """Return whether an omission of the theory, as `key = value`, may stabilise the loop."""
     key = text.partition(" = ")[0]
     return hides_stability({key: parameters[key]})
 
@@ -201,12 +202,12 @@ def _compute(model: LoopModel) -> ColumnLimits:
 def find_borders(
     view: SweptView, metric: SweptMetric, limits: Sequence[LoopLimits]
 ) -> list[Border] | None:
-    """Return where a measured verdict changes along its loop's gain, beside theory.
+    """Return where a measured verdict changes along its loop's gain, with the theoretical limit.
 
     Args:
         view: Rows that are shown.
         metric: One of its results.
-        limits: Limits that `find_loop_limits` returns.
+        limits: Result of `find_loop_limits`.
 
     Returns:
         A border for each value of the other axis. None if the metric is not true or false, if its
@@ -224,7 +225,7 @@ def find_borders(
 
 
 def tell_borders(borders: Sequence[Border]) -> str:
-    """Return how borders lie beside theory, in words."""
+    """Return a comparison of borders with theory, in words."""
     known = [border.is_near for border in borders if border.is_near is not None]
     if not known:
         return "no border beside a limit of theory"
@@ -253,7 +254,7 @@ def _find_border(place: int, verdicts: Values, gains: Values, limit: ColumnLimit
 
 
 def describe_limits(limit: ColumnLimits | None) -> Mapping[str, Any] | None:
-    """Return a column's limits for JSON."""
+    """Return the limits of a column for JSON."""
     if limit is None:
         return None
     return {

@@ -1,7 +1,7 @@
-"""What an interrupted command has done: a partial file beside its table, which one command writes.
+"""The partial file next to a table: the results of an interrupted command, locked by one process.
 
-It begins with what the table is of, and grows by a part at a time. Each part has its length and
-checksum: what was cut off while it was written is left out.
+It begins with the facts of the table and grows part by part. Each part has a length and a checksum:
+an incomplete last part is ignored.
 """
 
 import hashlib
@@ -36,9 +36,10 @@ a file of 10 MB takes 160 MB. What would pack better is not packed."""
 
 
 def name_partial(output: Path) -> Path:
-    """Return the file that holds what was done so far: beside a table, or in the working folder.
+    """Return the path of the partial file: next to a table, or in the working folder.
 
-    There is none beside an object, which cannot grow; its name then tells tables of one name apart.
+    Objects behind URLs cannot grow, so their partial files are in the working folder; the file name
+    distinguishes tables of the same name.
     """
     if not isinstance(output, RemotePath):
         return output.with_name(f"{output.name}.partial")
@@ -47,11 +48,11 @@ def name_partial(output: Path) -> Path:
 
 
 def has_results(output: Path, facts: Mapping[str, str]) -> bool:
-    """Return whether the results of this sweep are there already.
+    """Return whether the results of this sweep already exist.
 
     Raises:
-        SweepError: Where the file holds something else.
-        LogError: Where it cannot be read.
+        SweepError: If the file contains something else.
+        LogError: If it cannot be read.
     """
     if not has_result_file(output):
         return False
@@ -65,16 +66,16 @@ def has_results(output: Path, facts: Mapping[str, str]) -> bool:
 def require_same(
     facts: Mapping[str, str], path: Path, found: Mapping[str, str], *, what: str = "what is done"
 ) -> None:
-    """Refuse what stands in a file of another sweep.
+    """Refuse a file of another sweep.
 
     Args:
-        facts: What this sweep is of.
+        facts: Facts of this sweep.
         path: The file.
-        found: What it is of.
-        what: Stands in it.
+        found: Facts in the file.
+        what: Content of the file, for the message.
 
     Raises:
-        SweepError: Where they differ.
+        SweepError: If the facts differ.
     """
     others = [name for name, text in facts.items() if found.get(name) != text]
     if others:
@@ -98,9 +99,9 @@ class KeptParts(Generic[T]):
     """The partial file of a table, locked while it is open.
 
     Attributes:
-        path: Of the file.
-        places: Where its parts begin.
-        was_begun: Whether it was there, of the same table.
+        path: Path of the file.
+        places: Start of each part in the file [bytes].
+        was_begun: Whether the file existed, for the same table.
     """
 
     def __init__(
@@ -111,16 +112,16 @@ class KeptParts(Generic[T]):
         *,
         require: Callable[[Path, Mapping[str, str]], None] | None = None,
     ) -> None:
-        """Open the file, or begin it.
+        """Open the file, or create it.
 
         Args:
-            output: Where the table is to be.
-            facts: What the table is of.
-            kind: Of a part.
-            require: Raises where the file is of other facts; None: then it is begun anew.
+            output: Path of the table.
+            facts: Facts of the table.
+            kind: Type of a part.
+            require: Called with other facts in the file, and raises; None: such a file is replaced.
 
         Raises:
-            SweepError: Where another process writes to it, or it cannot be written.
+            SweepError: If another process writes to it, or it cannot be written.
         """
         self.path, self._output = name_partial(output), output
         self.places: list[int] = []
@@ -137,7 +138,7 @@ class KeptParts(Generic[T]):
             raise self._describe(err) from err
 
     def _open(self) -> BinaryIO:
-        """Return the file, locked; not one that another command finished and removed meanwhile."""
+        """Return the locked file; open again if another command removed it meanwhile."""
         while True:
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | _BINARY, 0o666)
             stream = os.fdopen(descriptor, "r+b", buffering=0)
@@ -178,7 +179,7 @@ class KeptParts(Generic[T]):
             self._append(_MAGIC + _frame(msgspec.msgpack.encode(facts)))
 
     def _iterate_parts(self) -> Iterator[tuple[int, bytes]]:
-        """Yield whole parts, packed, up to one that was cut or damaged."""
+        """Yield complete packed parts, up to the first truncated or damaged one."""
         while True:
             place = self._stream.tell()
             frame = self._stream.read(_FRAME.size)
@@ -194,7 +195,7 @@ class KeptParts(Generic[T]):
         """Return the part that begins at a place.
 
         Raises:
-            SweepError: Where the disk is gone or lost it meanwhile, or it is no part of this table.
+            SweepError: If the part can no longer be read, or is no part of this table.
         """
         try:
             self._stream.seek(place)
@@ -220,10 +221,10 @@ class KeptParts(Generic[T]):
         )
 
     def add(self, part: T) -> int:
-        """Keep a part, and return where it begins.
+        """Append a part and return its start in the file.
 
         Raises:
-            SweepError: Where the disk is full, or gone.
+            SweepError: If the disk is full or no longer available.
         """
         try:
             self.places.append(self._append(_frame(msgspec.msgpack.encode(part))))
@@ -244,7 +245,7 @@ class KeptParts(Generic[T]):
         )
 
     def close(self, *, is_complete: bool = False) -> None:
-        """Release the file; one that is complete is removed."""
+        """Close the file; remove it if the table is complete."""
         # Under the lock where the system allows it: once it is released the name may be another's.
         if is_complete and sys.platform != "win32":
             self.path.unlink(missing_ok=True)
@@ -261,7 +262,7 @@ def _frame(data: bytes) -> bytes:
 
 
 def _count_most(packed: bytes) -> int:
-    """Return how many bytes a part unpacks to at most."""
+    """Return the largest size of an unpacked part [bytes]."""
     return max(_SMALL_PART, _MOST_PACKED * len(packed))
 
 

@@ -1,4 +1,4 @@
-"""Which rows a sweep has: its keys and their values in every row, by number, and its scenario."""
+"""The rows of a sweep: the keys and their values by row number, and the scenario of a row."""
 
 import json
 import math
@@ -26,12 +26,13 @@ _BELOW_1: Final = math.nextafter(1.0, 0.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sampling:
-    """Rows drawn instead of all combinations.
+    """Settings of rows sampled at random instead of all combinations.
 
     Attributes:
-        count: Number of columns that count.
-        seed: Seed of the numbers drawn.
-        is_latin: Whether each key takes a value of each of `count` equal parts of its range once.
+        count: Number of rows.
+        seed: Seed of the random numbers.
+        is_latin: Whether to use Latin hypercube sampling: each of `count` equal parts of a key's
+            range gets one value.
     """
 
     count: int
@@ -51,13 +52,13 @@ class Sampling:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyValues:
-    """A key and what it is swept over.
+    """A key and its values in a sweep.
 
     Attributes:
-        key: Dotted, of a scenario.
+        key: Dotted scenario key.
         text: As typed, without the key.
-        values: Of one kind: numbers, texts, or truths.
-        is_open: Whether it is `A:B`, of which a sample may draw every number between.
+        values: Values of one kind: numbers, texts, or truth values.
+        is_open: Whether it is a range `A:B`; sampling may choose any number in it.
     """
 
     key: str
@@ -66,7 +67,7 @@ class KeyValues:
     is_open: bool = False
 
     def as_real(self) -> "KeyValues":
-        """Return the same with its numbers as floats."""
+        """Return a copy with numbers as floats."""
         if isinstance(self.values, EqualSteps):
             return replace(self, values=replace(self.values, is_whole=False))
         return replace(self, values=[float(value) for value in self.values])
@@ -76,12 +77,13 @@ class KeyValues:
 class SweepPlan:
     """The rows of a sweep.
 
-    All combinations of `grid` and of the steps of `zipped`, the last key fastest; or a sample.
+    The rows are all combinations of `grid` and of the steps of `zipped`, the last key fastest, or a
+    random sample.
 
     Attributes:
-        grid: Keys that vary by themselves.
-        zipped: Keys that go together, as one that comes last in the grid.
-        sampling: Draws rows; None: all.
+        grid: Keys that vary independently.
+        zipped: Keys that vary together, as the last axis of the grid.
+        sampling: Random sampling of rows; None: all combinations.
     """
 
     grid: tuple[KeyValues, ...]
@@ -103,7 +105,7 @@ class SweepPlan:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The keys that vary, in the order of their columns."""
+        """The varied keys, in the order of their columns."""
         return tuple(one.key for one in (*self.grid, *self.zipped))
 
     @property
@@ -134,7 +136,7 @@ class SweepPlan:
         return choose_type((values[0], values[-1]) if isinstance(values, EqualSteps) else values)
 
     def _find(self, key: str) -> tuple[int, tuple[KeyValues, ...], KeyValues]:
-        """Return the number of a key's axis, the axis, and its values."""
+        """Return the index of a key's axis, the axis, and the key's values."""
         return next(
             (number, axis, one)
             for number, axis in enumerate(self._axes)
@@ -143,11 +145,11 @@ class SweepPlan:
         )
 
     def list_probes(self) -> tuple[int, ...]:
-        """Return the rows that represent all of them: the first, one in the middle, the last."""
+        """Return the numbers of representative rows: the first, one in the middle, the last."""
         return tuple(dict.fromkeys((0, self.row_count // 2, self.row_count - 1)))
 
     def with_reals(self, keys: Container[str]) -> "SweepPlan":
-        """Return the plan with floats for keys that hold them, where whole numbers were typed."""
+        """Return the plan with integers converted to floats for keys that have float values."""
         return replace(
             self,
             grid=tuple(one.as_real() if one.key in keys else one for one in self.grid),
@@ -155,10 +157,10 @@ class SweepPlan:
         )
 
     def spread_gains(self, gains: Sequence[str]) -> "SweepPlan":
-        """Return the plan with the gains of a law, which go together, in the place of `kp`.
+        """Return the plan with the key `kp` replaced by the law's gains, varied together.
 
         Raises:
-            SweepError: The law declares no gain, or other keys go together already.
+            SweepError: If the law declares no gain, or other keys already vary together.
         """
         kp = next((one for one in self.grid if one.key == KP), None)
         if kp is None:
@@ -174,7 +176,7 @@ class SweepPlan:
         return replace(self, grid=others, zipped=tuple(replace(kp, key=key) for key in gains))
 
     def describe(self) -> str:
-        """Return the plan as JSON, as file metadata have it."""
+        """Return the plan as JSON for file metadata."""
         drawn = self.sampling
         return json.dumps(
             {
@@ -190,10 +192,10 @@ class SweepPlan:
 def build_plan(
     grid: Sequence[str], zipped: Sequence[str] = (), sampling: Sampling | None = None
 ) -> SweepPlan:
-    """Return the plan of texts such as `law.kp_linear=0.5:12:0.25`.
+    """Return the plan from texts such as `law.kp_linear=0.5:12:0.25`.
 
     Raises:
-        SweepError: If one cannot be read, or there is nothing to vary.
+        SweepError: If a text cannot be parsed, or there is nothing to vary.
     """
     return SweepPlan(
         grid=tuple(
@@ -224,7 +226,7 @@ def _require_sound(plan: SweepPlan) -> None:
 
 
 def _draw(sampling: Sampling, width: int) -> NDArray[np.float64]:
-    """Return shares from 0 to below 1: a row for each row, a column for each axis."""
+    """Return random fractions in [0, 1): one row per sample, one column per axis."""
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(sampling.seed)))
     drawn = generator.random((sampling.count, width))
     if not sampling.is_latin:
@@ -235,7 +237,7 @@ def _draw(sampling: Sampling, width: int) -> NDArray[np.float64]:
 
 
 def _pick(one: KeyValues, share: float) -> Any:
-    """Return the value at a share of its range."""
+    """Return the value at a fraction of the range."""
     values = one.values
     if one.is_open and isinstance(values, EqualSteps) and not values.is_whole:
         return min(values[0] + (values[-1] - values[0]) * share, values[-1])
@@ -243,7 +245,7 @@ def _pick(one: KeyValues, share: float) -> Any:
 
 
 class PlannedCells(Sequence[Any]):
-    """The values of a key in all rows, of which none is kept in memory."""
+    """The values of a key in all rows, computed on demand."""
 
     def __init__(self, plan: SweepPlan, key: str) -> None:
         """Take the plan, and the key of the column."""
@@ -268,18 +270,18 @@ def build_row_scenario(
     source: str = "grid",
     trust_law: bool | None = None,
 ) -> Scenario:
-    """Return the scenario of a row, named after it. Loads no code.
+    """Return the scenario of a row, named after the row. Loads no code.
 
     Args:
         base: Scenario that the rows vary.
-        keys: That vary.
+        keys: Varied keys.
         values: Values of the row.
-        row: Its number.
-        source: Begins error lines.
+        row: Row number.
+        source: Prefix of error messages.
         trust_law: See `override_scenario`.
 
     Raises:
-        ScenarioError: If the values make no scenario.
+        ScenarioError: If the values do not form a valid scenario.
     """
     changes = dict(zip(keys, values, strict=True))
     if "law.kind" in changes:  # another law has other keys: it is chosen before any of them is set
@@ -300,9 +302,9 @@ _EXPECTED: Final = "KEY=A:B, KEY=A:B:STEP or KEY=VALUE,VALUE"
 
 @dataclass(frozen=True, slots=True)
 class EqualSteps(Sequence[float]):
-    """The numbers from one to another in equal steps, both included; none is kept in memory.
+    """Equally spaced numbers, both ends included, computed on demand.
 
-    Each is the double nearest to the decimal number, as if it had been typed.
+    Each is the double nearest to the decimal number, as if typed.
     """
 
     first: Fraction
@@ -328,15 +330,15 @@ class EqualSteps(Sequence[float]):
 
 
 def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> KeyValues:
-    """Return what a text such as `law.kp_linear=0.5:12:0.25` says.
+    """Parse a text such as `law.kp_linear=0.5:12:0.25`.
 
     Args:
-        text: Key, equals sign, and a range, of which both ends belong to it, or values.
-        source: Begins error lines.
-        is_sampled: Whether any number of `A:B` will do, so that no steps need lead to B.
+        text: A key, an equals sign, and a range with both ends included, or values.
+        source: Prefix of error messages.
+        is_sampled: Whether any number in `A:B` is allowed, so that steps need not end at B.
 
     Raises:
-        SweepError: Where it says nothing to sweep over.
+        SweepError: If the text contains nothing to sweep over.
     """
     key, equals, rest = (part.strip() for part in text.partition("="))
     if not equals or not all(key.split(".")) or not rest:
@@ -358,7 +360,7 @@ def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> Key
 
 
 def _is_meant_as_range(text: str) -> bool:
-    """Return whether one end is a number at least: path.py:Class is a value."""
+    """Return whether at least one end is a number: `path.py:Class` is a value."""
     words = [word.strip() for word in text.split(":")]
     is_number = re.compile(rf"{_NUMBER}|[-+]?(?:nan|inf)", re.IGNORECASE).fullmatch
     return 1 < len(words) < 4 and any(map(is_number, words))

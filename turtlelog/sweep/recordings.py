@@ -1,4 +1,4 @@
-"""Metrics of many recordings to one table: what has not changed since then is not read again."""
+"""One table with the metrics of many recordings; unchanged recordings are not read again."""
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
@@ -43,11 +43,11 @@ class RecordingTable:
 
     Attributes:
         kind: See `ResultTable`.
-        facts: Settings on which rows depend beside the content of files, as texts.
-        work: Makes the rows of a file, at least one; it can be pickled. It answers a file that
-            cannot be read with a row of `ERROR`, and raises what ends the whole work.
-        order: Returns the keys of columns, without those of `HEAD`, from the keys that there are
-            and those of which a cell is not None.
+        facts: Settings on which rows depend, apart from the content of files, as texts.
+        work: Function that returns the rows of a file, at least one; it can be pickled. For a file
+            that cannot be read it returns a row of `ERROR`; errors that it raises end the work.
+        order: Function that returns the keys of columns, without those of `HEAD`, from the existing
+            keys and those with a cell that is not None.
     """
 
     kind: str
@@ -61,11 +61,11 @@ class TabulatedFiles:
     """Table of recordings, and what was read.
 
     Attributes:
-        output: The table.
-        files: Number of files in it.
-        read: Number of those that were read.
-        failed: Number of files that cannot be read; the column `error` says why.
-        errors: Errors of the first of them, label and reason.
+        output: Path of the table.
+        files: Number of files in the table.
+        read: Number of files that were read.
+        failed: Number of files that cannot be read; the column `error` gives the reason.
+        errors: Label and reason of the first of them.
     """
 
     output: Path
@@ -76,10 +76,10 @@ class TabulatedFiles:
 
 
 def describe_former(output: Path, table: RecordingTable) -> str | None:
-    """Return why nothing of the table that is there can be used; None: it can, or there is none.
+    """Return why an existing table cannot be reused; None if it can or does not exist.
 
     Raises:
-        LogError: If the file is no such table, and is not to be replaced.
+        LogError: If the file is no such table and must not be replaced.
         LibraryError: If pyarrow is not installed.
     """
     if not has_result_file(output):
@@ -103,22 +103,22 @@ def tabulate_recordings(
     file_s: float = FILE_S,
     watch: Callable[[Iterator[Any], int], Iterator[Any]] = lambda results, _: results,
 ) -> TabulatedFiles:
-    """Write the rows of recordings as a Parquet table, in their order, and read what is new.
+    """Write the rows of recordings as a Parquet table, in their order; read only new recordings.
 
-    A recording is taken from the table that is there if size and time of the last change are the
-    same, and is not measured again if its content is. What an interrupted call has read is used.
+    Rows are copied from the existing table if a recording's size and modification time are
+    unchanged, and also if only its content is unchanged. Results of an interrupted call are used.
 
     Args:
         found: The recordings.
-        output: The table, which is replaced when the new one is complete.
+        output: Path of the table, which is replaced when the new table is complete.
         table: Kind and columns of the table.
-        jobs: Processes to read in, or what takes the work; None: as many as are quickest.
-        file_s: Time for a file beside that for its bytes [s], to choose the number of processes.
-        watch: Sees the results of chunks on the way, and learns how many files they are of.
+        jobs: Number of processes, or an executor; None: the number that is fastest.
+        file_s: Time per file, apart from that for its bytes [s], to choose the number of processes.
+        watch: Receives the results of chunks as they come, and the number of files in each.
 
     Raises:
-        LogError: If the file there is no such table, or nothing can be written.
-        SweepError: If another command works on it, or there is no room for what is read.
+        LogError: If the existing file is no such table, or the table cannot be written.
+        SweepError: If another command is writing the table, or the disk is full.
         LibraryError: If pyarrow is not installed.
     """
     output = make_path(output)
@@ -152,7 +152,7 @@ _Task = tuple[FoundRecording, str | None]
 
 
 def _list_tasks(found: Sequence[FoundRecording], rows: FileRows) -> Iterator[_Task]:
-    """Yield the recordings that must be looked at, with the hash of what is known."""
+    """Yield the recordings to be checked, with the known hash of their content."""
     for one in found:
         known = rows.find(one.label)
         if known is None or known.sha256 is None:
@@ -162,7 +162,7 @@ def _list_tasks(found: Sequence[FoundRecording], rows: FileRows) -> Iterator[_Ta
 
 
 def _cut(found: Sequence[FoundRecording], tasks: Iterator[_Task]) -> Iterator[list[_Task]]:
-    """Yield chunks of work: few large files, or some small ones."""
+    """Yield chunks of work: a few large files, or more small ones."""
     most = max(1, min(_CHUNK_FILES, len(found) // _CHUNK_FILES))
     chunk: list[_Task] = []
     for task in tasks:
@@ -193,7 +193,7 @@ def _read_chunk(chunk: Sequence[_Task], *, work: Callable[[str], Sequence[Row]])
 def _read_one(
     one: FoundRecording, known: str | None, work: Callable[[str], Sequence[Row]]
 ) -> tuple[str | None, Sequence[Row]]:
-    """Return hash and rows of a file; no rows where its content is known."""
+    """Return the hash and the rows of a file; no rows if its content is known."""
     # The hash comes first: of a file that changes meanwhile it is that of the former content, and
     # the next call finds another.
     try:
@@ -213,11 +213,11 @@ _HASHED_BYTES: Final = 2**20
 
 
 def hash_recording(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the names and contents of the files of a bag.
+    """Return the SHA-256 of a file, or of the names and contents of a bag's files.
 
     Raises:
-        OSError: If one cannot be read.
-        LogError: If one is a pipe or a device.
+        OSError: If a file cannot be read.
+        LogError: If a file is a pipe or a device.
     """
     files, whole = list_contents(path), hashlib.sha256()
     if files == [path]:
@@ -263,11 +263,11 @@ def plan_metric_table(
     only: Sequence[str] | None = None,
     topics: ReadChoice | None = None,
 ) -> RecordingTable:
-    """Return what `tabulate_recordings` needs for a table with a row of metrics for each file.
+    """Return the `RecordingTable` for a table with one row of metrics per file.
 
     Args:
         settings: See `measure_run`.
-        only: Ids and patterns; None: every metric.
+        only: Metric ids and patterns; None: every metric.
         topics: Topics to read from third-party files.
     """
     settings, topics = settings or MeasureSettings(), topics or ReadChoice()
@@ -285,7 +285,7 @@ def plan_metric_table(
 
 
 def _order(keys: Set[Key], used: Set[Key]) -> list[Key]:
-    """Return the columns of texts, then of each metric that a run has the value and the status."""
+    """Return the text columns, then value and status of each metric that a run has."""
     ids = {key.name.removesuffix(_STATUS) for key in used if key.name.endswith(_STATUS)}
     values = {
         name: sorted(key for key in keys if key.name == name and key.type == "real") for name in ids

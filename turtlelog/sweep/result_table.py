@@ -1,4 +1,4 @@
-"""Tables of results in Parquet files: columns with units, and what the file is about."""
+"""Tables of results in Parquet files: columns with units, and facts about the table."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -41,10 +41,10 @@ class ResultColumn:
     """A named column.
 
     Attributes:
-        name: Name in queries: the dotted key of a scenario, or the id of a metric.
+        name: Name of the column: a dotted scenario key, or a metric id.
         type: Type of its cells.
-        cells: One per row; None if there is no value.
-        unit: Unit of its numbers; None of texts, and of numbers that only count or name.
+        cells: Cells, one per row; None for a missing value.
+        unit: Unit of its numbers; None for texts, counts and numbers used as names.
     """
 
     name: str
@@ -55,13 +55,13 @@ class ResultColumn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultTable:
-    """Columns of one length, and what the file says about all of them.
+    """Columns of equal length, and facts about the table.
 
     Attributes:
-        kind: Command that made it, such as `sweep`: a reader of one kind refuses others.
-        columns: In their order; names differ.
-        facts: Texts by name; `kind`, `format` and `version` are the table's own.
-        version: Version of the turtlelog that wrote it.
+        kind: Command that wrote the table, such as `sweep`; readers refuse other kinds.
+        columns: Columns in order, with unique names.
+        facts: Texts by name, without the reserved names `kind`, `format` and `version`.
+        version: Version of turtlelog that wrote the table.
     """
 
     kind: str
@@ -80,7 +80,7 @@ class ResultTable:
 
 
 def choose_type(values: Iterable[Any]) -> ColumnType:
-    """Return the type that holds values without a loss; text where kinds are mixed."""
+    """Return the type that stores values without loss; text if kinds are mixed."""
     kinds = {_find_type(value) for value in values if value is not None}
     if kinds == {"whole", "real"}:
         return "real"
@@ -96,10 +96,10 @@ def _find_type(value: Any) -> ColumnType:
 
 
 def write_result_table(table: ResultTable, path: str | Path) -> None:
-    """Write a table as a Parquet file, which appears under its name when it is complete.
+    """Write a table as a Parquet file, which gets its name when it is complete.
 
     Raises:
-        LogError: If the place cannot be written, as on a full disk.
+        LogError: If the file cannot be written, for example on a full disk.
         LibraryError: If pyarrow is not installed.
     """
     parquet, schema = load_library("pyarrow.parquet"), _build_schema(table)
@@ -117,7 +117,7 @@ def write_result_table(table: ResultTable, path: str | Path) -> None:
 
 
 def build_result_arrow(table: ResultTable) -> Any:
-    """Return a table as the `pyarrow.Table` that its file holds."""
+    """Return a table as the `pyarrow.Table` that its file contains."""
     schema, rows = _build_schema(table), slice(None)
     arrays = [
         _build_array(column, rows, kind)
@@ -127,7 +127,7 @@ def build_result_arrow(table: ResultTable) -> Any:
 
 
 def cut_groups(row_count: int, column_count: int) -> Iterator[slice]:
-    """Yield the groups in which the rows of a table are written, and best made."""
+    """Yield the row groups in which a table is written, and should be computed."""
     size = min(_MOST_GROUPED, max(1, _CELLS_GROUPED // max(1, column_count)))
     for first in range(0, row_count, size):
         yield slice(first, min(first + size, row_count))
@@ -161,22 +161,22 @@ def _build_array(column: ResultColumn, rows: slice, kind: Any) -> Any:
 
 
 def has_result_file(path: Path) -> bool:
-    """Return whether there is a file to begin with, or behind a URL an object.
+    """Return whether a file, or an object behind a URL, already exists.
 
     Raises:
-        LogError: If that cannot be told, or an object's bucket is not there.
+        LogError: If this cannot be determined, or the bucket does not exist.
     """
     with name_file(path, expected="a place that can be looked at"):
         return is_there(path)
 
 
 def read_result_facts(path: str | Path) -> Mapping[str, str] | None:
-    """Return what a file says about itself: `kind`, `version` and the facts of its table.
+    """Return the `kind`, the `version` and the facts of the table in a file.
 
-    None if it is a Parquet file that turtlelog wrote no table of results to.
+    None if the Parquet file is no table of results by turtlelog.
 
     Raises:
-        LogError: If it is no Parquet file, is cut, or a newer turtlelog wrote it.
+        LogError: If the file is no Parquet file, is truncated, or is from a newer turtlelog.
         LibraryError: If pyarrow is not installed.
     """
     with _name_table(path):
@@ -191,27 +191,28 @@ def read_result_table(
     Args:
         path: The file.
         kind: Kind of the expected table, such as `sweep`.
-        columns: Names of those to read; None: all.
+        columns: Names of the columns to read; None: all.
 
     Raises:
-        LogError: If it cannot be read, is no Parquet file, is cut, or holds another table.
+        LogError: If the file cannot be read, is no Parquet file, is truncated, or contains another
+            table.
         LibraryError: If pyarrow is not installed.
     """
     return open_result_table(path, kind=kind).load(columns)
 
 
 def list_values(column: ResultColumn) -> list[Any]:
-    """Return cells of Arrow as values of Python."""
+    """Return Arrow cells as Python values."""
     return list_cells(column.cells)
 
 
 def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
-    """Return the numbers of rows: those of the column `row`, where it tells every row apart.
+    """Return row numbers: those in the column `row` if they are unique, otherwise 0, 1, 2 ...
 
-    A table that others filtered or sorted keeps them.
+    Tables filtered or sorted by other programs keep their row numbers.
 
     Args:
-        cells: Cells of that column; None if there is none.
+        cells: Cells of the column `row`; None if it is missing.
         count: Number of rows.
     """
     if cells is None or len(set(cells)) < count or not all(type(one) is int for one in cells):
@@ -220,11 +221,11 @@ def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
 
 
 def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
-    """Return a table whose groups of rows are read one by one.
+    """Return a table whose row groups are read one by one.
 
     Raises:
-        LogError: As `read_result_table` does.
-        LibraryError: Likewise.
+        LogError: As for `read_result_table`.
+        LibraryError: If pyarrow is not installed.
     """
     stored = StoredTable(path)
     if stored.kind != kind:
@@ -236,18 +237,18 @@ def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
 
 
 class StoredTable:
-    """A table in a file, which is open only while it is read: it may be replaced meanwhile.
+    """A table in a file. The file is open only during reads, so it may be replaced meanwhile.
 
     Attributes:
-        kind: See `ResultTable`; empty if it is none.
-        facts: Likewise.
-        version: Likewise.
+        kind: See `ResultTable`; empty if the file is no such table.
+        facts: As in `ResultTable`.
+        version: See `ResultTable`.
         names: Names of the columns.
         group_rows: Number of rows in each group.
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Read what the file says about itself; what goes wrong is as in `read_result_table`."""
+        """Read the facts of the table; errors are as in `read_result_table`."""
         self._path = path
         with _name_table(path):
             self._file = ParquetFile(path)
@@ -266,26 +267,26 @@ class StoredTable:
     def read(
         self, columns: Sequence[str] | None = None, group: int | None = None
     ) -> list[ResultColumn]:
-        """Return columns whose cells are an array of Arrow.
+        """Return columns with Arrow arrays as cells.
 
         Args:
-            columns: Names of those to read; None: all.
-            group: Group of rows; None: all.
+            columns: Names of the columns to read; None: all.
+            group: Index of a row group; None: all.
 
         Raises:
-            LogError: As `read_result_table` does.
+            LogError: As for `read_result_table`.
         """
         with _name_table(self._path):
             return list(_iterate_columns(self._file.read(columns, group)))
 
     def load(self, columns: Sequence[str] | None = None) -> ResultTable:
-        """Return the table with values of Python as cells.
+        """Return the table with Python values as cells.
 
         Args:
-            columns: Names of those to read; None: all.
+            columns: Names of the columns to read; None: all.
 
         Raises:
-            LogError: As `read_result_table` does.
+            LogError: As for `read_result_table`.
         """
         found = [replace(one, cells=list_values(one)) for one in self.read(columns)]
         return ResultTable(
@@ -293,11 +294,11 @@ class StoredTable:
         )
 
     def read_row(self, row: int, names: Sequence[str]) -> list[Any]:
-        """Return the cells of columns in a row, as values of Python.
+        """Return the cells of columns in a row as Python values.
 
         Raises:
-            KeyError: If a column is not there.
-            LogError: As `read` does.
+            KeyError: If a column does not exist.
+            LogError: As for `read`.
         """
         group = 0
         while row >= self.group_rows[group]:
@@ -306,11 +307,11 @@ class StoredTable:
         return [found[name] for name in names]
 
     def find_row(self, number: int) -> int:
-        """Return where the row with a number in the column `row` stands.
+        """Return the position of the row with a number in the column `row`.
 
         Raises:
-            SweepError: If there is none.
-            LogError: As `read` does.
+            SweepError: If there is no such row.
+            LogError: As for `read`.
         """
         has_numbers = ROW in self.names
         if 0 <= number < self.row_count and (
@@ -329,13 +330,13 @@ class StoredTable:
         raise SweepError(f"{self._path}: expected a row from {ends}, found {number}")
 
     def iterate(self, name: str) -> Iterator[Any]:
-        """Yield the cells of a column group by group, each an array of Arrow."""
+        """Yield the cells of a column group by group, as Arrow arrays."""
         for group in range(len(self.group_rows)):
             for column in self.read([name], group):
                 yield column.cells
 
     def count_values(self, name: str) -> int:
-        """Return how many cells of a column have a value; none of them is read."""
+        """Return the number of cells with a value, without reading the cells."""
         place, groups = self.names.index(name), range(len(self.group_rows))
         chunks = (self._file.metadata.row_group(group).column(place) for group in groups)
         return sum(chunk.statistics.num_values for chunk in chunks)

@@ -1,4 +1,4 @@
-"""Rows of texts and numbers in columns: in parts on a disk, of which a few are in memory."""
+"""Rows of texts and numbers in columns: parts on disk, a few of them in memory."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,12 +15,12 @@ CellType = Literal["text", "real", "whole"]
 
 
 class Key(NamedTuple):
-    """What a column holds.
+    """Key of a column.
 
     Attributes:
-        name: Of the column; keys of one name and several units get a column for each.
-        type: Of its cells.
-        unit: Of its numbers, empty where they have none.
+        name: Name of the column; each unit of a name gets its own column.
+        type: Type of its cells.
+        unit: Unit of its numbers; empty if they have no unit.
     """
 
     name: str
@@ -34,15 +34,15 @@ _NUMBERS: Final = {"text": np.int32, "real": np.float64, "whole": np.int64}
 
 
 class StoredCells(Sequence[Any]):
-    """The cells of one column: 8 bytes for each number, 4 for a text, and each text once or so."""
+    """The cells of one column: 8 bytes per number, 4 per text; repeated texts are mostly shared."""
 
     def __init__(self, kind: CellType, numbers: NDArray[Any], texts: Sequence[str] = ()) -> None:
-        """Take numbers as they are stored; of a text its place among the texts."""
+        """Store numbers; for texts, indices into the list of texts."""
         self._kind, self._numbers, self._texts = kind, numbers, list(texts)
 
     @classmethod
     def pack(cls, kind: CellType, cells: Iterable[Any]) -> "StoredCells":
-        """Return cells of their values."""
+        """Return cells from Python values."""
         none = _NONES[kind]
         if kind != "text":
             numbers = [none if cell is None else cell for cell in cells]
@@ -53,7 +53,7 @@ class StoredCells(Sequence[Any]):
 
     @classmethod
     def pack_arrow(cls, kind: CellType, cells: Any) -> "StoredCells":
-        """Return cells of those of an array of Arrow."""
+        """Return cells from an Arrow array."""
         texts: Sequence[str] = ()
         if kind == "text":
             encoded = cells.combine_chunks().dictionary_encode()
@@ -64,7 +64,7 @@ class StoredCells(Sequence[Any]):
 
     @classmethod
     def fill(cls, kind: CellType, count: int) -> "StoredCells":
-        """Return so many cells without a value."""
+        """Return a number of cells without a value."""
         return cls(kind, np.full(count, _NONES[kind], _NUMBERS[kind]))
 
     def take(self, rows: NDArray[np.intp]) -> "StoredCells":
@@ -72,7 +72,7 @@ class StoredCells(Sequence[Any]):
         return StoredCells(self._kind, self._numbers[rows], self._texts)
 
     def put(self, places: NDArray[np.intp], other: "StoredCells", rows: NDArray[np.intp]) -> None:
-        """Put cells of another column of the same kind at places of this one."""
+        """Copy cells of another column of the same kind to places in this column."""
         numbers = other._numbers[rows]
         if other._texts:
             numbers = np.where(numbers < 0, -1, numbers + len(self._texts))
@@ -92,7 +92,7 @@ class StoredCells(Sequence[Any]):
 
     @property
     def has_value(self) -> NDArray[np.bool_]:
-        """Of which rows a cell is not None."""
+        """Whether the cell of each row is not None."""
         has: NDArray[np.bool_] = self._numbers != _NONES[self._kind]
         return has & ~np.isnan(self._numbers) if self._kind == "real" else has
 
@@ -107,7 +107,7 @@ class StoredCells(Sequence[Any]):
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Some rows; a cell of a key that they lack is None."""
+    """Rows stored as columns; cells of missing keys are None."""
 
     count: int
     cells: Mapping[Key, StoredCells]
@@ -121,7 +121,7 @@ def gather_rows(rows: Sequence[Row]) -> dict[Key, list[Cell]]:
 
 @dataclass(slots=True)
 class StoredRows:
-    """Rows in parts, each of which is loaded where it is needed."""
+    """Rows in parts that are loaded on demand."""
 
     _ends: list[int] = field(default_factory=lambda: [0])
     _loads: list[Callable[[], Columns]] = field(default_factory=list)
@@ -133,7 +133,7 @@ class StoredRows:
         return self._ends[-2]
 
     def gather(self, rows: NDArray[np.intp]) -> Columns:
-        """Return some rows, by their numbers; each part of them is loaded once."""
+        """Return rows by number; each part is loaded once."""
         ends = np.array(self._ends)
         parts = np.searchsorted(ends, rows, "right") - 1
         found: dict[Key, StoredCells] = {}
@@ -147,14 +147,14 @@ class StoredRows:
 
 
 class WindowedRows:
-    """Stored rows in an order, a stretch of which is in memory."""
+    """Stored rows in a given order; one segment is in memory."""
 
     def __init__(self, stored: StoredRows, order: NDArray[np.intp] | range) -> None:
-        """Take both as they are.
+        """Store the rows and their order.
 
         Args:
             stored: The rows.
-            order: Their numbers.
+            order: Row numbers in order.
         """
         self._stored, self._order = stored, order
         self._stretch, self._held = (0, 0), Columns(0, {})
@@ -163,7 +163,7 @@ class WindowedRows:
         return len(self._order)
 
     def load(self, rows: slice) -> Columns:
-        """Return a stretch of the rows."""
+        """Return a segment of the rows."""
         begin, end, _ = rows.indices(len(self))
         if (begin, end) != self._stretch:
             self._held = self._stored.gather(np.asarray(self._order[begin:end], np.intp))
@@ -188,7 +188,7 @@ class _Column(Sequence[Any]):
 
 
 def build_result_columns(rows: WindowedRows, keys: Sequence[Key]) -> Iterator[ResultColumn]:
-    """Yield the columns of keys; the name of one that has several units ends in the unit."""
+    """Yield the columns of keys; if a name has several units, the unit is appended to it."""
     names = [key.name for key in keys]
     for key in keys:
         is_alone = names.count(key.name) == 1

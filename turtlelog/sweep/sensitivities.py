@@ -1,10 +1,10 @@
-"""How far each key of a sweep moves a metric: over its values in a grid, by ranks in a sample.
+"""The sensitivity of a metric to each key of a sweep: ranges in a grid, ranks in a sample.
 
-A grid has the metric along each key with the others held. A sample has Spearman's rank correlation
-of each key with the metric (C. Spearman, American Journal of Psychology 15 (1904) 72-101), and
-how much of the metric's ranks all keys together explain in a linear regression of ranks (R. L. Iman
-and W. J. Conover, Technometrics 21 (1979) 499-509): what is left is interaction, what rises and
-falls again, and noise.
+For a grid, it is the metric along each key with the other keys fixed. For a sample, it is
+Spearman's rank correlation of each key with the metric (C. Spearman, American Journal of Psychology
+15 (1904) 72-101), and the share of the variance of the metric's ranks explained by a linear
+regression on the ranks of all keys (R. L. Iman and W. J. Conover, Technometrics 21 (1979) 499-509):
+the rest is due to interactions, non-monotonic dependence and noise.
 """
 
 import math
@@ -33,15 +33,15 @@ class Sensitivity:
     """Range of a metric along one key.
 
     Attributes:
-        axis: The key, or keys that go together.
-        least: Smallest value of the metric along the key; None of a sample.
+        axis: The key, or keys that vary together.
+        least: Smallest value of the metric along the key; None for a sample.
         most: Largest value; None of a sample.
         least_place: Place of the smallest value on the axis; None for a sample.
         most_place: Place of the largest value; None for a sample.
-        correlation: Spearman's, of a sample; None of a grid.
-        left_out: Rows along the key that have no value.
-        others: Smallest and largest range (most less least) along the key with the others held
-            elsewhere; None if there is no elsewhere, or of a sample.
+        correlation: Spearman's rank correlation; None for a grid.
+        left_out: Number of rows along the key without a value.
+        others: Smallest and largest range (`most` minus `least`) along the key with the others
+            fixed at other values; None if there are no other values, or for a sample.
     """
 
     axis: SweptAxis
@@ -66,14 +66,16 @@ class Sensitivities:
     """Ranges of a metric along each key of a sweep.
 
     Attributes:
-        metric: Metric.
-        keys: Largest first.
-        center: Its value where all keys are held; None of a sample, or where it has none.
+        metric: The metric.
+        keys: Sensitivities, largest first.
+        center: Value of the metric at the fixed values of all keys; None for a sample, or if there
+            is no value.
         held: Values at which all keys are fixed, in words; empty for a sample.
-        chance: Magnitude up to which 95 % of correlations of independent keys lie; None of a grid.
-        explained: Share of the metric's ranks that those of all keys explain together, 0 to 1;
-            None of a grid, or where a key has words.
-        rows: That have a value, of a sample.
+        chance: Magnitude below which 95 % of the correlations of independent keys are; None for a
+            grid.
+        explained: Share of the variance of the metric's ranks explained by the ranks of all keys, 0
+            to 1; None for a grid, or if a key has words.
+        rows: Number of rows with a value, for a sample.
         notes: Omissions, in sentences.
     """
 
@@ -90,13 +92,13 @@ class Sensitivities:
 def find_sensitivities(
     results: SweptResults, metric: SweptMetric, held: dict[SweptAxis, int] | None = None
 ) -> Sensitivities:
-    """Return how far the keys of a sweep move a metric.
+    """Return the sensitivities of a metric to the keys of a sweep.
 
     Args:
         results: Results of a grid or a sample.
         metric: One of its metrics.
-        held: Places at which keys of a grid are held; the others are held at the base's values,
-            else in the middle.
+        held: Places at which keys of a grid are fixed; other keys are fixed at the base's values,
+            otherwise in the middle.
     """
     if results.is_sampled:
         return _correlate(results, metric)
@@ -122,13 +124,13 @@ def find_sensitivities(
 
 
 def list_varied(results: SweptResults) -> list[SweptAxis]:
-    """Return the axes that may move a metric: over seeds of a grid there are means."""
+    """Return the axes that may affect a metric; in a grid, the metric is averaged over seeds."""
     axes = [axis for axis in results.axes if len(axis) > 1]
     return [axis for axis in axes if results.is_sampled or axis.keys != (SEED,)]
 
 
 def _fill_cube(axes: Sequence[SweptAxis], metric: SweptMetric) -> Values:
-    """Return the metric by places of all axes, means over seeds; NaN if there is none."""
+    """Return the metric by places of all axes, averaged over seeds; NaN for missing values."""
     shape = tuple(len(axis) for axis in axes)
     known = np.isfinite(metric.values)
     count = math.prod(shape)
@@ -164,7 +166,7 @@ def _range_along(
 
 
 def _find_other_ranges(lines: Values) -> tuple[float, float] | None:
-    """Return the smallest and largest range over all lines that have a value at every place."""
+    """Return the smallest and largest range over all lines with a value at every place."""
     whole = lines[:, np.isfinite(lines).all(axis=0)]
     if lines.shape[1] < 2 or not whole.shape[1]:
         return None
@@ -213,7 +215,7 @@ def _rank(values: Values) -> Values:
 
 
 def _find_correlation(first: Values, second: Values) -> float:
-    """Return the correlation of ranks; 0 where one is constant."""
+    """Return the correlation of ranks; 0 if one input is constant."""
     a, b = first - first.mean(), second - second.mean()
     scale = math.sqrt(float(a @ a) * float(b @ b))
     return float(a @ b) / scale if scale else 0.0

@@ -1,7 +1,7 @@
-"""The rows of a sweep simulated and measured: a chunk of them in, plain columns out.
+"""Simulation and measurement of chunks of sweep rows.
 
-A chunk holds all that it needs, and what comes of a row does not depend on its chunk: any process,
-on any machine with the same turtlelog, gives the same.
+A chunk contains all its inputs, and the results of a row do not depend on its chunk: any process on
+any machine with the same version of turtlelog returns the same results.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,11 +35,11 @@ from turtlelog.sweep.plan import build_row_scenario
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RowRecords:
-    """Runs of a sweep that are recorded.
+    """Settings of the runs of a sweep to record.
 
     Attributes:
         folder: Folder of the recordings, named like `row-000123.mcap`; a URL is a prefix.
-        where: A condition on metrics, keys and `stop_reason`; None: all.
+        where: Condition on metrics, keys and `stop_reason`; None: all runs are recorded.
     """
 
     folder: str
@@ -51,16 +51,16 @@ class RowChunk:
     """Rows to simulate.
 
     Attributes:
-        base: The scenario that all vary, as text; its law may run.
-        keys: That vary.
+        base: Scenario that the rows vary, as text; its law may run.
+        keys: Varied keys.
         first: Number of the first row.
-        values: Values of the keys, for each row.
-        metrics: Ids or patterns; None: those of `list_row_metrics`.
-        records: None: none.
-        ahead: Approximate number of rows that this process has before it: whether the compiled loop
-            is worth loading.
-        threads: That work on it at once, where it is a batch.
-        step_budget_s: Time that a law may compute for one answer [s].
+        values: Values of the keys, per row.
+        metrics: Metric ids or patterns; None: those of `list_row_metrics`.
+        records: Runs to record; None: no run is recorded.
+        ahead: Approximate number of rows still to be done by this process, which decides whether
+            the compiled loop is worth loading.
+        threads: Number of threads, if the chunk is a batch.
+        step_budget_s: Longest computing time of the law per step [s].
     """
 
     base: str
@@ -76,12 +76,12 @@ class RowChunk:
 
 @dataclass(slots=True, kw_only=True)
 class MetricCells:
-    """A metric of the rows of a chunk.
+    """Values of a metric in the rows of a chunk.
 
     Attributes:
-        units: Those it has there; more than one where laws differ.
-        values: None if there is none.
-        statuses: None if a row's law has no such metric, or the row failed.
+        units: Units of the values; several if laws differ.
+        values: Value per row; None if there is no value.
+        statuses: Status per row; None if the row's law has no such metric, or the row failed.
     """
 
     units: list[str]
@@ -91,16 +91,16 @@ class MetricCells:
 
 @dataclass(slots=True, kw_only=True)
 class RowResults:
-    """What became of a chunk, row by row.
+    """Results of a chunk, row by row.
 
     Attributes:
         first: Number of its first row.
-        stop_reasons: None of rows that failed.
-        failed: Why; None of those that did not.
-        samples: Samples of all its runs together.
-        recorded: Number of those that were recorded.
-        metrics: By id.
-        notes: On the compiled loops, one line each.
+        stop_reasons: Stop reason of each row; None for rows that failed.
+        failed: Reason of each failure; None for rows that did not fail.
+        samples: Total number of samples of its runs.
+        recorded: Number of recorded runs.
+        metrics: Metrics by id.
+        notes: Notes on the compiled loops, one line each.
     """
 
     first: int
@@ -121,7 +121,7 @@ class RowResults:
 
 
 class _Scenarios(Iterator[Scenario]):
-    """The scenarios of a chunk, which say how many come after them in later ones."""
+    """The scenarios of a chunk, with the number of rows in later chunks."""
 
     def __init__(self, scenarios: Sequence[Scenario], ahead: int) -> None:
         self._rest, self._count = iter(scenarios), max(len(scenarios), ahead)
@@ -134,7 +134,7 @@ class _Scenarios(Iterator[Scenario]):
 
 
 def simulate_rows(chunk: RowChunk) -> RowResults:
-    """Simulate and measure the rows of a chunk; a row that fails says why."""
+    """Simulate and measure the rows of a chunk; failed rows get a reason."""
     base = parse_scenario(chunk.base)
     kinds = _list_batch_metrics(base, chunk)
     if kinds:
@@ -170,7 +170,7 @@ def is_batch(chunk: RowChunk) -> bool:
 
 
 def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricKind]:
-    """Return the metrics of a chunk by id where the batch covers all of them, otherwise none."""
+    """Return the metrics of a chunk by id if the batch covers all of them, otherwise nothing."""
     if chunk.records or any(k.startswith(_DECIDING) for k in chunk.keys):
         return {}
     try:
@@ -249,10 +249,10 @@ def _enter_run(results: RowResults, chunk: RowChunk, row: int, run: Run) -> None
 
 
 def list_row_metrics(declaration: Declaration, patterns: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the ids of the metrics of a law that are asked for.
+    """Return the ids of the requested metrics of a law.
 
-    If none are, the essential ones without dead times: looking for these in the log of each run
-    would take most of the time, and the scenario sets what delays there are.
+    Default: the essential metrics without dead times. The scenario already sets the delays, and
+    identifying them from the log of each run would take most of the time.
     """
     if patterns is not None:
         return choose_metrics(patterns, declaration)
@@ -278,7 +278,7 @@ def _enter_metrics(results: RowResults, found: Mapping[str, Metric]) -> None:
 
 
 def name_record(records: RowRecords, row: int) -> Path:
-    """Return the file of a row's recording."""
+    """Return the file name of a row's recording."""
     return make_path(records.folder) / f"row-{row:06d}.mcap"
 
 
@@ -293,11 +293,11 @@ def _list_asked(condition: expressions.Expression) -> list[str]:
 
 
 def judge_condition(condition: expressions.Expression, values: Mapping[str, Any]) -> bool:
-    """Return whether a condition holds; where it needs a value that is not there it does not.
+    """Return whether a condition holds; False if it needs a missing value.
 
     Raises:
-        ExpressionError: If it names what is not there.
-        SweepError: If it is no condition.
+        ExpressionError: If it contains an unknown name.
+        SweepError: If it is not a condition.
     """
     truth = expressions.evaluate_expression(condition, values)
     if truth is not None and not isinstance(truth, bool):
@@ -306,15 +306,15 @@ def judge_condition(condition: expressions.Expression, values: Mapping[str, Any]
 
 
 def require_condition(records: RowRecords | None, parameters: Mapping[str, Any]) -> None:
-    """Refuse a condition that no row could answer.
+    """Refuse a condition that cannot be evaluated for any row.
 
     Args:
-        records: With the condition, if there is one.
+        records: Settings with the condition, if there is one.
         parameters: Parameters of a row, by key.
 
     Raises:
-        ExpressionError: If it does not parse, or names what no row has.
-        SweepError: If it is no condition.
+        ExpressionError: If it cannot be parsed, or contains an unknown name.
+        SweepError: If it is not a condition.
     """
     condition = _parse_condition(records)
     if condition is not None:

@@ -1,4 +1,4 @@
-"""A sweep: its rows prepared, and simulated on all cores into one table."""
+"""Sweeps: preparation of rows, and simulation on all cores into one table."""
 
 import hashlib
 import json
@@ -60,13 +60,13 @@ class SweepSummary:
     """Results of a sweep.
 
     Attributes:
-        output: The results.
+        output: Path of the table.
         rows: Number of rows.
-        failed: Number of those that failed.
-        samples: Samples of all runs together.
+        failed: Number of failed rows.
+        samples: Total number of samples of all runs.
         recorded: Number of recorded runs.
-        first_failure: The first reason with its row; empty if none failed.
-        valueless: Metrics of which no row has a value, with the statuses they have instead.
+        first_failure: Row and reason of the first failure; empty if no row failed.
+        valueless: Metrics without a value in any row, with their statuses.
     """
 
     output: Path
@@ -80,16 +80,17 @@ class SweepSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
-    """A prepared sweep; `prepare_sweep` makes one that can run.
+    """A sweep that can be run; `prepare_sweep` creates it.
 
     Attributes:
         base: The scenario that the rows vary, as text.
-        plan: Its rows.
-        metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
-        records: Runs that are recorded; None: no run.
-        law_code: A checksum of the files of a law that is not built in; empty otherwise.
-        step_budget_s: Time that a law may compute for one answer [s]; another one goes on with the
-            rows that are done.
+        plan: Plan of its rows.
+        metrics: Metric ids or patterns; None: the essential metrics of each row's law except
+            `dead_time`.
+        records: Runs to record; None: no run is recorded.
+        law_code: Checksum of the files of a law that is not built in; empty otherwise.
+        step_budget_s: Longest computing time of the law per step [s]; a sweep may be resumed with
+            another value.
     """
 
     base: str
@@ -100,7 +101,7 @@ class Sweep:
     step_budget_s: float = STEP_BUDGET_S
 
     def list_facts(self) -> dict[str, str]:
-        """Return what makes two sweeps the same, as file metadata have it."""
+        """Return the facts that identify a sweep, for file metadata."""
         where = None if self.records is None else (self.records.folder, self.records.where)
         return {
             "base": self.base,
@@ -112,7 +113,7 @@ class Sweep:
         }
 
     def cut_chunk(self, first: int, count: int, *, ahead: int = 0, threads: int = 1) -> RowChunk:
-        """Return the work on some rows."""
+        """Return a range of rows as a chunk of work."""
         rows = range(first, first + count)
         columns = [self.plan.list_values(rows, key) for key in self.plan.keys]
         return RowChunk(
@@ -136,20 +137,20 @@ def run_sweep(
     watch: Callable[[int], None] | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> SweepSummary:
-    """Simulate all rows of a sweep, write their table and return what came of it.
+    """Simulate all rows of a sweep, write their table and return a summary.
 
-    What is done is kept beside the output as it grows: the same sweep into the same file goes on
-    from there. If the results are there already nothing is simulated.
+    Finished rows are saved next to the output: the same sweep into the same file resumes from
+    there. If the results already exist, nothing is simulated.
 
     Args:
         sweep: Result of `prepare_sweep`.
-        output: The Parquet file.
-        jobs: Processes, or what takes the work; None: as many as cores where that is quicker.
-        watch: Called with the number of rows that are done.
-        tell: Called once, with the first row whose law takes longer than its budget for a step.
+        output: Path of the Parquet file.
+        jobs: Number of processes, or an executor; None: one per core if that is faster.
+        watch: Called with the number of finished rows.
+        tell: Called once, with the first row whose law exceeds the step budget.
 
     Raises:
-        SweepError: If the file is that of another sweep, another process works on it, or the disk
+        SweepError: If the file belongs to another sweep, another process is writing it, or the disk
             is full.
         LogError: If the results cannot be written.
     """
@@ -175,9 +176,9 @@ def _ignore(_: object) -> None:
 
 
 def _begin_records(sweep: Sweep, kept: KeptParts[RowResults]) -> None:
-    """Make the folder of recordings; one with files is refused but where the sweep goes on.
+    """Create the folder of recordings; refuse a folder with files unless the sweep is resumed.
 
-    In that case files that a killed sweep left half written are removed.
+    If it is resumed, incomplete files of a killed sweep are removed.
     """
     if sweep.records is None:
         return
@@ -214,7 +215,7 @@ def _simulate(
     jobs: "int | Executor | None",
     watch: "_Telling",
 ) -> None:
-    """Simulate the rows that are not done, two of them alone to see how long one takes."""
+    """Simulate the remaining rows, the first two alone to measure the time per row."""
     watch(rows.count)
     for _ in range(2):  # the first one takes the time of what is loaded once
         gaps = rows.list_gaps(sweep.plan.row_count)
@@ -250,7 +251,7 @@ def _simulate(
 
 
 class _Telling:
-    """Tells how many rows are done, what compiled loops note, and the first row that is late."""
+    """Reports the number of finished rows, notes of compiled loops, and the first late row."""
 
     def __init__(self, watch: Callable[[int], None], tell: Callable[[str], None]) -> None:
         self._watch, self._tell, self._has_told = watch, tell, False
@@ -269,7 +270,7 @@ class _Telling:
 
 
 class _Chunks(Sequence[RowChunk]):
-    """The work on segments of rows, cut when it is asked for."""
+    """Chunks of work on segments of rows, created on demand."""
 
     def __init__(
         self, cut: Callable[[int, int], RowChunk], gaps: Sequence[tuple[int, int]], size: int
@@ -299,7 +300,7 @@ def _name_chunk(chunk: RowChunk) -> str:
 
 
 def _summarise(output: Path, sweep: Sweep) -> SweepSummary:
-    """Return what a table holds; of its rows no more than a group is in memory."""
+    """Return the summary of a table; at most one row group is in memory."""
     table = open_result_table(output, kind="sweep")
     failed = table.count_values("failed")
     return SweepSummary(
@@ -318,8 +319,8 @@ class SweepEstimate:
     """Estimated cost of a sweep, measured on a few of its rows.
 
     Attributes:
-        seconds: Duration on the given number of processes [s].
-        bytes: Bytes of the table, which may be smaller where values repeat [bytes].
+        seconds: Duration with the given number of processes [s].
+        bytes: Size of the table [bytes]; it may be smaller if values repeat.
     """
 
     seconds: float
@@ -327,7 +328,7 @@ class SweepEstimate:
 
 
 def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:
-    """Simulate a few rows and return what all of them will take."""
+    """Simulate a few rows and return the estimated cost of all rows."""
     count, jobs = sweep.plan.row_count, jobs or count_cores()
     probes = sweep.plan.list_probes()
     for row in probes:  # what is loaded once is not counted for every row
@@ -350,23 +351,23 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
     step_budget_s: float = STEP_BUDGET_S,
     source: str = "grid",
 ) -> Sweep:
-    """Return a sweep of a base scenario, after the first, the middle and the last row were built.
+    """Return a sweep of a base scenario; the first, a middle and the last row are checked.
 
     Args:
         base: Scenario that the rows vary.
-        plan: The rows; the key `kp` means all gains of the law.
-        metrics: Ids or patterns; None: the essential ones of each row's law but `dead_time`.
-        records: Runs that are recorded.
-        trust_law: Whether a law that a recording names may run, too.
-        step_budget_s: Time that a law may compute for one answer [s]; a row whose law takes longer
-            fails.
-        source: Begins error lines about the values of a row.
+        plan: Plan of the rows; the key `kp` means all gains of the law.
+        metrics: Metric ids or patterns; None: the essential metrics of each row's law except
+            `dead_time`.
+        records: Runs to record.
+        trust_law: Whether a law named in a recording may run, too.
+        step_budget_s: Longest computing time of the law per step [s]; rows that exceed it fail.
+        source: Prefix of error messages about the values of a row.
 
     Raises:
-        SweepError: If `kp` varies, and the law declares no gain or other keys go together.
-        ScenarioError: If none of these rows makes a scenario, or the law may not run.
-        MeasureError: If a metric is not known.
-        ExpressionError: If the condition of the recordings cannot be judged.
+        SweepError: If `kp` varies, and the law declares no gain or other keys vary together.
+        ScenarioError: If none of these rows forms a valid scenario, or the law may not run.
+        MeasureError: If a metric is unknown.
+        ExpressionError: If the condition on recordings cannot be evaluated.
     """
     trusted = True if trust_law else None
     if KP in plan.keys:
@@ -402,9 +403,10 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
 
 
 def _sum_up_code(kinds: Sequence[str]) -> str:
-    """Return a checksum of the files of laws and of what they import from beside them.
+    """Return a checksum of the files of laws and of the modules that they import from their folder.
 
-    Of a law that only this session has, of its text. Empty where all are built in or modules.
+    For a law defined in this session it is the checksum of its source text. Empty if all laws are
+    built in or modules.
     """
     texts = [text for kind in kinds if (text := read_law_source(kind)) is not None]
     laws = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
@@ -414,7 +416,7 @@ def _sum_up_code(kinds: Sequence[str]) -> str:
 
 
 def _list_given_laws(sweep: Sweep) -> tuple[str, ...]:
-    """Return the laws of the rows that only this process and its forks find."""
+    """Return the laws of the rows that exist only in this process and its forks."""
     kinds = [parse_scenario(sweep.base).law.kind]
     for one in (*sweep.plan.grid, *sweep.plan.zipped):
         kinds += [*one.values] if one.key == "law.kind" else []

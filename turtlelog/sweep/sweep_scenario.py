@@ -1,4 +1,4 @@
-"""A sweep in one call: arrays in, a table in memory out."""
+"""A sweep in one call: from arrays of values to a table in memory."""
 
 import json
 import tempfile
@@ -33,17 +33,16 @@ _SHOWN_ROWS: Final = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SweepTable(Tabular):
-    """The rows of a sweep: a table for pandas, polars and Arrow.
+    """The results of a sweep: a table for pandas, polars and Arrow.
 
-    Its columns are the number of the row, the keys that vary, each metric and its status, why the
-    run ended, and why a row failed.
+    Its columns are the row number, the varied keys, each metric and its status, the stop reason,
+    and the reason of a failure.
 
     Attributes:
         name: Name of the scenario that the rows vary.
-        keys: That vary.
-        table: All columns, and what the file of such a table says about itself.
-        notes: Notes on laws that were not compiled, or took longer than their budget; one line
-            each.
+        keys: Varied keys.
+        table: All columns and the facts of the table.
+        notes: Notes on laws that were not compiled or exceeded the step budget, one line each.
     """
 
     name: str
@@ -67,7 +66,7 @@ class SweepTable(Tabular):
         return {one.name: one.unit for one in self.table.columns if one.unit}
 
     def to_arrow(self) -> Any:
-        """Return the table as the `pyarrow.Table` that a file of it holds."""
+        """Return the table as the `pyarrow.Table` that its file contains."""
         return build_result_arrow(self.table)
 
     def __repr__(self) -> str:
@@ -101,27 +100,27 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
 ) -> SweepTable:
     """Simulate and measure all combinations of values, the last key fastest.
 
-    A row that fails says why in the column `failed`; that is no error of the sweep.
+    The column `failed` gives the reason of a failed row; a failed row does not end the sweep.
 
     Args:
         scenario: Scenario that the rows vary: a scenario, the name of a preset, or a file.
-        grid: Values by dotted key, as in `{"law.kp_linear": np.linspace(1, 4, 30)}`; those of `kp`
-            are of all gains of the law together.
-        metrics: Id or pattern, or several; None: the essential ones of the law but `dead_time`.
-        law: Law to use instead of the scenario's law, as in `simulate_run`. Processes beside this
-            one find a law of a notebook on Linux; elsewhere there is one process for it. A cluster
-            gets it with the work.
-        changes: Values by dotted key that all rows have.
-        output: The .parquet file, which the same call goes on with where it was interrupted; None:
-            no file is kept.
-        jobs: Processes, or what takes the work; None: as many as cores where that is quicker.
-        step_budget_s: Time that a law may compute for one answer [s].
+        grid: Values by dotted key, as in `{"law.kp_linear": np.linspace(1, 4, 30)}`; the key `kp`
+            sets all gains of the law.
+        metrics: Metric id or pattern, or several; None: the essential metrics except `dead_time`.
+        law: Law to use instead of the scenario's law, as in `simulate_run`. A law defined in a
+            notebook runs in several processes only on Linux, otherwise in one. A cluster receives
+            it with the work.
+        changes: Values by dotted key, the same for all rows.
+        output: Path of the .parquet file; the same call resumes an interrupted sweep. None: no
+            file.
+        jobs: Number of processes, or an executor; None: one per core if that is faster.
+        step_budget_s: Longest computing time of the law per step [s].
 
     Raises:
-        SweepError: If `grid` is nothing to sweep over, or the file is that of another sweep.
-        MeasureError: If `metrics` names what there is not.
-        LawError: If `law` is no law.
-        ScenarioError: If there is no such scenario, or no row makes one.
+        SweepError: If `grid` contains nothing to sweep over, or the file belongs to another sweep.
+        MeasureError: If `metrics` contains an unknown metric.
+        LawError: If `law` is not a valid law.
+        ScenarioError: If the scenario does not exist, or no row forms a valid scenario.
         LogError: If `output` cannot be written.
         LibraryError: If pyarrow is not installed.
     """
@@ -137,7 +136,7 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
 
 
 def read_sweep_table(path: str | Path) -> SweepTable:
-    """Return the table of a sweep that a file holds.
+    """Return the table of a sweep in a file.
 
     Raises:
         LogError: If it is no table of a sweep.
@@ -150,7 +149,7 @@ def read_sweep_table(path: str | Path) -> SweepTable:
 
 
 def read_table_results(table: SweepTable, patterns: Sequence[str] | None = None) -> SweptResults:
-    """Return the rows of a table in memory as pictures show them; see `read_swept_results`."""
+    """Return the rows of a table in memory for charts; see `read_swept_results`."""
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
         file = Path(folder, "sweep.parquet")
         write_result_table(table.table, file)
@@ -158,7 +157,7 @@ def read_table_results(table: SweepTable, patterns: Sequence[str] | None = None)
 
 
 def _read_values(grid: Mapping[str, Iterable[Any]]) -> Iterator[KeyValues]:
-    """Yield the values of each key, numbers of numpy as those of Python."""
+    """Yield the values of each key, numpy numbers converted to Python numbers."""
     example = '{"law.kp_linear": [1.0, 2.0]}'
     if not isinstance(grid, Mapping) or not grid:
         raise SweepError(f"grid: expected values by key, as in {example}, found {grid!r:.60}")

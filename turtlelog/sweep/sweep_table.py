@@ -1,4 +1,4 @@
-"""The results of all chunks as one table, however they were cut; a row of it as a scenario."""
+"""The results of all chunks as one table; a row of the table as a scenario."""
 
 import json
 import re
@@ -34,10 +34,10 @@ _FAILED: Final = Key("failed")
 
 
 class SweptRows:
-    """What is known of the rows that are done, without them: they stand in the partial file."""
+    """Known facts of the finished rows; the rows are in the partial file."""
 
     def __init__(self, kept: KeptParts[RowResults]) -> None:
-        """Take what an interrupted sweep has done."""
+        """Load the results of an interrupted sweep."""
         self._kept = kept
         self._parts: list[tuple[int, int, int]] = []  # first row, how many, and where they are
         self._metrics: dict[str, tuple[int, int]] = {}  # the first row and place of each
@@ -47,7 +47,7 @@ class SweptRows:
             self._enter(kept.read(place), place)
 
     def add(self, results: RowResults) -> None:
-        """Keep the results of a chunk."""
+        """Save the results of a chunk."""
         self._enter(results, self._kept.add(results))
 
     def _enter(self, results: RowResults, place: int) -> None:
@@ -63,7 +63,7 @@ class SweptRows:
                 self._units[name, unit] = min(self._units.get((name, unit), first), first)
 
     def list_gaps(self, count: int) -> list[tuple[int, int]]:
-        """Return the segments of rows not done: the first row and the one after the last."""
+        """Return the segments of unfinished rows: first row, and the row after the last."""
         gaps, row = [], 0
         for first, size, _ in sorted(self._parts):
             if first > row:
@@ -72,7 +72,7 @@ class SweptRows:
         return [*gaps, (row, count)] if row < count else gaps
 
     def list_metrics(self) -> dict[str, str]:
-        """Return the metrics in the order in which rows have them, and their units."""
+        """Return the metrics in their order in the rows, with their units."""
         units = sorted(self._units, key=self._units.__getitem__)
         return {
             name: " or ".join(unit for other, unit in units if other == name)
@@ -80,10 +80,10 @@ class SweptRows:
         }
 
     def order(self, count: int) -> WindowedRows:
-        """Return the rows in their order.
+        """Return the rows in order.
 
         Raises:
-            SweepError: If rows are missing or there twice.
+            SweepError: If rows are missing or duplicated.
         """
         stored, row = StoredRows(), 0
         for first, size, place in sorted(self._parts):
@@ -106,15 +106,15 @@ class SweptRows:
 
 
 def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -> ResultTable:
-    """Return the table of a sweep, whose rows are loaded where they are needed.
+    """Return the table of a sweep; its rows are loaded on demand.
 
     Args:
-        plan: Its rows.
-        facts: What the sweep is of.
-        rows: Their results.
+        plan: Plan of its rows.
+        facts: Facts of the sweep.
+        rows: Results of the rows.
 
     Raises:
-        SweepError: If rows are missing or there twice.
+        SweepError: If rows are missing or duplicated.
     """
     ordered, units = rows.order(plan.row_count), rows.list_metrics()
     keys = [
@@ -150,7 +150,7 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
 
 
 def find_key_unit(key: str) -> str | None:
-    """Return the unit with which the name of a key ends, None if it has none."""
+    """Return the unit at the end of a key's name, None if there is none."""
     found = _UNIT.search(key)
     if found is None:
         return None
@@ -163,7 +163,7 @@ _POWER: Final = re.compile(r"(\d)$")
 
 
 def list_valueless(table: StoredTable, patterns: Sequence[str]) -> dict[str, str]:
-    """Return the metrics of which no row has a value, and what they have instead, in words."""
+    """Return the metrics without a value in any row, with their statuses in words."""
     found: dict[str, str] = {}
     for name in table.names:
         status = f"{name}{STATUS}"
@@ -179,22 +179,22 @@ def list_valueless(table: StoredTable, patterns: Sequence[str]) -> dict[str, str
 
 
 def find_failure(table: StoredTable) -> str:
-    """Return the first row that failed, and why."""
+    """Return the first row that failed, with the reason."""
     texts = (text for cells in table.iterate("failed") for text in cells.to_pylist())
     return next(f"row {row}: {text}" for row, text in enumerate(texts) if text is not None)
 
 
 def load_row_scenario(path: str | Path, row: int) -> Scenario:
-    """Return the scenario of a row in a table of results. Loads no code, and trusts none in it.
+    """Return the scenario of a row in a table of results. Loads no code; its law is not trusted.
 
     Args:
-        path: The table.
-        row: Its number in the column `row`.
+        path: Path of the table.
+        row: Row number, as in the column `row`.
 
     Raises:
         LogError: If the file is no table of a sweep.
-        SweepError: If it has no such row.
-        ScenarioError: If the row makes no scenario, which is why it failed.
+        SweepError: If the table has no such row.
+        ScenarioError: If the row forms no valid scenario; the row then failed for this reason.
     """
     table = open_result_table(path, kind="sweep")
     place = table.find_row(row)

@@ -1,4 +1,4 @@
-"""A table of a sweep as what a picture needs of it: axes on which its rows have places, metrics."""
+"""The table of a sweep prepared for charts: axes with places for its rows, and metrics."""
 
 import json
 import math
@@ -54,12 +54,11 @@ class SweptAxis:
     """One axis of a sweep: a key, or keys that vary together.
 
     Attributes:
-        keys: Dotted; the first gives the axis its numbers.
-        values: Values of each place, one for each key: numbers ascending, words in the order of
-            rows.
-        places: Places of each row, shape (n,).
+        keys: Dotted keys; the first gives the axis its numbers.
+        values: Values at each place, one per key: numbers ascending, words in row order.
+        places: Place of each row, shape (n,).
         unit: Unit of the numbers; None if they have none.
-        is_number: Whether places have numbers, all finite; otherwise they stand side by side.
+        is_number: Whether all places have finite numbers; otherwise they are equally spaced.
     """
 
     keys: tuple[str, ...]
@@ -73,12 +72,12 @@ class SweptAxis:
 
     @property
     def name(self) -> str:
-        """The keys, as the axis is called."""
+        """The name of the axis: its keys."""
         return ", ".join(self.keys)
 
     @property
     def label(self) -> str:
-        """Its name for a picture, with the unit."""
+        """The label of the axis, with the unit."""
         rest = f" (with {', '.join(self.keys[1:])})" if self.keys[1:] else ""
         return f"{self.keys[0]}{f' [{self.unit}]' if self.unit else ''}{rest}"
 
@@ -108,7 +107,7 @@ class SweptMetric:
         name: Its id.
         unit: Unit of its values.
         values: NaN if there is none, shape (n,).
-        reasons: Why there is none, one for each row; None if there is a value.
+        reasons: Reason for a missing value, per row; None if there is a value.
     """
 
     name: str
@@ -118,12 +117,12 @@ class SweptMetric:
 
     @property
     def is_verdict(self) -> bool:
-        """Whether its values are 0 and 1 by its definition: a class, not a size."""
+        """Whether its values are 0 and 1 by definition: a verdict, not a quantity."""
         return self.name.rpartition(".")[2] == _FIRST[0]
 
     @property
     def loop(self) -> str:
-        """The loop that it may be of: what stands before the point."""
+        """The possible loop of the metric: the part of the id before the point."""
         return self.name.rpartition(".")[0]
 
 
@@ -132,14 +131,14 @@ class SweptResults:
     """The rows of a sweep.
 
     Attributes:
-        path: The table.
-        axes: In the order of the plan.
-        metrics: Those that were asked for.
-        others: Ids of the metrics that were not.
-        is_sampled: Whether rows were drawn, so that few share a place.
+        path: Path of the table.
+        axes: Axes in the order of the plan.
+        metrics: The requested metrics.
+        others: Ids of all other metrics.
+        is_sampled: Whether rows were sampled at random, so that few share a place.
         failed: Number of rows without a run.
         row_count: Number of rows.
-        row_numbers: Row numbers of each row, by which `run --from` finds it.
+        row_numbers: Row number of each row, as used by `run --from`.
         base: Scenario that the rows vary.
     """
 
@@ -155,20 +154,20 @@ class SweptResults:
     _known: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def find_axis(self, key: str) -> SweptAxis | None:
-        """Return the axis that a key is on, None if it does not vary."""
+        """Return the axis of a key, None if the key does not vary."""
         return next((axis for axis in self.axes if key in axis.keys), None)
 
     def find_base_value(self, key: str) -> Any:
-        """Return the value of a key in the scenario that the rows vary, None if it has none."""
+        """Return the value of a key in the base scenario, None if it has no value."""
         if not self._known:
             self._known.update(flatten_scenario(self.base))
         return self._known.get(key)
 
     def build_scenario(self, row: int) -> Scenario:
-        """Return the scenario of a row. Loads no code, and trusts none.
+        """Return the scenario of a row. Loads no code; its law is not trusted.
 
         Raises:
-            ScenarioError: If its values make none.
+            ScenarioError: If its values form no valid scenario.
         """
         changes = [
             (key, value)
@@ -186,20 +185,20 @@ class SweptResults:
         )
 
     def tell_row(self, row: int) -> str:
-        """Return what a row has of every key that varies."""
+        """Return the values of all varied keys in a row, in words."""
         return ", ".join(axis.tell_row(row) for axis in self.axes)
 
 
 def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) -> SweptResults:
-    """Return the rows of a table that `turtlelog sweep` wrote, as pictures show them.
+    """Return the rows of a table by `turtlelog sweep`, prepared for charts.
 
     Args:
-        path: The table.
-        patterns: Ids of metrics, or patterns; None: up to four, the usual ones first.
+        path: Path of the table.
+        patterns: Metric ids or patterns; None: up to four metrics, common ones first.
 
     Raises:
-        LogError: If it is no table of a sweep, or has no rows.
-        SweepError: If it has no such metric, or the patterns name too many.
+        LogError: If the file is no table of a sweep, or has no rows.
+        SweepError: If a metric does not exist, or the patterns match too many metrics.
         LibraryError: If pyarrow is not installed.
     """
     stored = open_result_table(path, kind="sweep")
@@ -238,7 +237,7 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
 
 
 def list_declared_loops(results: SweptResults) -> Sequence[ControlLoop]:
-    """Return the loops that the law of the first row declares; () where its code is not loaded."""
+    """Return the loops that the law of the first row declares; () if its code is not loaded."""
     try:
         return declare_scenario(resolve_scenario(results.build_scenario(0))).loops
     except TurtlelogError:
@@ -255,7 +254,7 @@ def format_key_value(value: Any) -> str:
 def _parse_facts(
     path: str | Path, stored: StoredTable
 ) -> tuple[list[tuple[str, ...]], bool, Scenario]:
-    """Return the keys of each axis, whether rows were drawn, and the base scenario."""
+    """Return the keys of each axis, whether rows were sampled at random, and the base scenario."""
     try:
         plan, tables = json.loads(stored.facts["plan"]), parse_toml(stored.facts["base"])
         axes = [*((key,) for key in plan["grid"]), *([tuple(plan["zip"])] if plan["zip"] else [])]
@@ -284,7 +283,7 @@ def _match(path: str | Path, patterns: Sequence[str], known: Sequence[str]) -> l
 
 
 def _choose_usual(metrics: Sequence[SweptMetric]) -> list[SweptMetric]:
-    """Return the metrics that are asked for most, those that vary first; else the first."""
+    """Return the most common metrics, varying ones first; otherwise the first metrics."""
     valued = [metric for metric in metrics if np.isfinite(metric.values).any()]
 
     def rank(metric: SweptMetric) -> tuple[bool, int]:
@@ -297,7 +296,7 @@ def _choose_usual(metrics: Sequence[SweptMetric]) -> list[SweptMetric]:
 
 
 def _find_failed(column: ResultColumn | None, count: int) -> NDArray[np.bool_]:
-    """Return which rows have a reason why there is no run."""
+    """Return which rows failed and have no run."""
     if column is None:
         return np.zeros(count, dtype=bool)
     cells: Any = column.cells
@@ -368,9 +367,9 @@ def _build_axis(columns: Sequence[ResultColumn]) -> SweptAxis:
 
 
 def _list_distinct(column: ResultColumn) -> tuple[list[Any], NDArray[np.int64]]:
-    """Return the values of a column, in the order of rows, and of each row the place of its own.
+    """Return the distinct values of a column in row order, and the index of each row's value.
 
-    Values of Python are made of distinct cells alone: there may be a million rows.
+    Only distinct cells are converted to Python values, as there may be a million rows.
     """
     cells: Any = column.cells
     if column.type == "real":
@@ -383,7 +382,7 @@ def _list_distinct(column: ResultColumn) -> tuple[list[Any], NDArray[np.int64]]:
 
 
 def _number_by_first_row(cells: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return where each distinct cell stands first, ascending, and of each cell its number."""
+    """Return the first row of each distinct cell, ascending, and the index for every cell."""
     _, first, inverse = np.unique(cells, return_index=True, return_inverse=True)
     order = np.argsort(first)
     return first[order], np.argsort(order)[inverse]

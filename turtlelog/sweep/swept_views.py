@@ -1,4 +1,4 @@
-"""What a picture shows of a sweep: two axes, what the others are held at, the value of a cell."""
+"""Views of a sweep for charts: two axes, fixed values of the others, the values of cells."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,12 +27,12 @@ class SweptView:
 
     Attributes:
         results: Sweep that the rows belong to.
-        x: Axis at the bottom.
-        y: Axis at the side; None if one axis is shown.
-        held: Places of axes that are shown at one value alone.
-        seeds: Number of seeds whose mean a cell is; 1 where they are not repeated.
-        rows: Those that are shown, ascending.
-        notes: Choices that the caller left open, in sentences.
+        x: Horizontal axis.
+        y: Vertical axis; None if one axis is shown.
+        held: Fixed places of the axes that are not shown.
+        seeds: Number of seeds that a cell averages; 1 if runs are not repeated.
+        rows: Shown rows, ascending.
+        notes: Choices made for the caller, in sentences.
     """
 
     results: SweptResults
@@ -50,23 +50,23 @@ class SweptView:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Places of y, and of x."""
+        """Number of places of y and of x."""
         return (1 if self.y is None else len(self.y), len(self.x))
 
     @property
     def cells(self) -> Places:
-        """The cell of each row that is shown, counted along x first."""
+        """The index of each shown row's cell, counted along x first."""
         beside = 0 if self.y is None else self.y.places[self.rows] * len(self.x)
         return np.asarray(self.x.places[self.rows] + beside, dtype=np.int64)
 
     def find_first_rows(self) -> Places:
-        """Return the first row of each cell, -1 where there is none, shape as `shape`."""
+        """Return the first row of each cell, -1 for empty cells, shape as `shape`."""
         found = np.full(self.shape[0] * self.shape[1], -1, dtype=np.int64)
         found[self.cells[::-1]] = self.rows[::-1]
         return found.reshape(self.shape)
 
     def tell_held(self) -> str:
-        """Return what is held, as in `loop.transport_delay_ticks = 4`."""
+        """Return the fixed values as text, as in `loop.transport_delay_ticks = 4`."""
         return ", ".join(
             f"{key} = {format_key_value(value)}"
             for axis, place in self.held.items()
@@ -79,11 +79,11 @@ class SweptCells:
     """A metric in the cells of a view.
 
     Attributes:
-        values: Means over the rows that have a value, NaN if none has; shape as the view's.
-        least: The smallest of those.
-        most: The largest of those.
-        counts: Number of rows that have a value.
-        reasons: Why a cell has none, by its number; what no row is in is not there.
+        values: Means over the rows with a value, NaN if there is none, shape as that of the view.
+        least: Smallest value.
+        most: Largest value.
+        counts: Number of rows with a value.
+        reasons: Reason for a missing value, by cell index; without cells that have no row.
     """
 
     values: Values
@@ -102,18 +102,18 @@ def choose_view(
     gains: Sequence[str] = (),
     most_axes: int = 2,
 ) -> SweptView:
-    """Return the rows that a picture of one or two axes shows.
+    """Return the rows to be shown in a chart with one or two axes.
 
     Args:
         results: Results of a sweep.
-        x: Key at the bottom; None: chosen.
-        y: Key at the side; None: chosen.
-        at: Values of keys that are held.
-        gains: Keys that stand at the side where they are shown with another.
-        most_axes: 1 or 2.
+        x: Key of the horizontal axis; None: chosen automatically.
+        y: Key of the vertical axis; None: chosen automatically.
+        at: Values of fixed keys.
+        gains: Keys that get the vertical axis if shown with another key.
+        most_axes: Largest number of axes, 1 or 2.
 
     Raises:
-        SweepError: If a key does not vary, or has no such value.
+        SweepError: If a key does not vary, or a value does not occur.
     """
     held = _hold(results, at or {})
     asked = [
@@ -138,7 +138,7 @@ def _require_axis(results: SweptResults, key: str, option: str) -> SweptAxis:
 
 
 def _hold(results: SweptResults, at: Mapping[str, Any]) -> dict[SweptAxis, int]:
-    """Return the places at which values hold axes."""
+    """Return the fixed places of axes for given values."""
     held: dict[SweptAxis, int] = {}
     for key, value in at.items():
         axis = _require_axis(results, key, "--at")
@@ -160,7 +160,7 @@ def _hold(results: SweptResults, at: Mapping[str, Any]) -> dict[SweptAxis, int]:
 
 
 def _suggest_near(value: Any, values: Sequence[Any]) -> str:
-    """Return the values nearest to a number, or the first of words."""
+    """Return the values nearest to a number, or the first words."""
     is_number = isinstance(value, int | float) and all(isinstance(v, int | float) for v in values)
     listed = sorted(values, key=lambda one: abs(one - value)) if is_number else values
     return " or ".join(format_key_value(one) for one in dict.fromkeys(listed[:3]))
@@ -173,7 +173,7 @@ def _choose_axes(
     gains: Sequence[str],
     most: int,
 ) -> list[SweptAxis]:
-    """Return x, and y if there is one."""
+    """Return the x axis, and the y axis if there is one."""
     first, second = asked
     given = [axis for axis in asked if axis is not None]
     free = [
@@ -199,7 +199,7 @@ def _choose_axes(
 
 
 def is_gain(axis: SweptAxis, gains: Sequence[str]) -> bool:
-    """Return whether an axis is one of gains alone."""
+    """Return whether all keys of an axis are gains."""
     return set(axis.keys) <= set(gains)
 
 
@@ -238,7 +238,7 @@ def _hold_others(
 
 
 def find_usual_place(results: SweptResults, axis: SweptAxis) -> tuple[int, str]:
-    """Return where an axis is held, and why: at the base's values, else in the middle."""
+    """Return the fixed place of an axis and the reason: the base's values, otherwise the middle."""
     base = tuple(results.find_base_value(key) for key in axis.keys)
     if base in axis.values:
         return axis.values.index(base), "as in the base"
@@ -280,10 +280,10 @@ def fill_cells(view: SweptView, metric: SweptMetric) -> SweptCells:
 
 
 def require_values(view: SweptView) -> None:
-    """Refuse metrics of which no row that is shown has a value.
+    """Refuse metrics without a value in any shown row.
 
     Raises:
-        SweepError: If all are such.
+        SweepError: If no metric has a value.
     """
     metrics, path = view.results.metrics, view.results.path
     if view.results.failed == view.results.row_count:
@@ -298,7 +298,7 @@ def require_values(view: SweptView) -> None:
 
 
 def list_shown_values(view: SweptView, metric: SweptMetric) -> tuple[Places, Values]:
-    """Return the rows that are shown and their values; over seeds the first of each mean."""
+    """Return the shown rows and their values; for means over seeds, the first row of each."""
     if view.seeds == 1:
         return view.rows, metric.values[view.rows]
     first = view.find_first_rows()
@@ -306,9 +306,10 @@ def list_shown_values(view: SweptView, metric: SweptMetric) -> tuple[Places, Val
 
 
 def find_best_rows(view: SweptView, metric: SweptMetric) -> list[int]:
-    """Return the rows that are shown whose value is the best; () where no direction is better.
+    """Return the shown rows with the best value; empty if no direction is better.
 
-    Over seeds the first row of each of the best means: of as many seeds as any mean is of.
+    With seeds, it is the first row of each best mean; only means over the largest number of seeds
+    count.
     """
     kind, (rows, values) = find_metric_kind(metric.name), list_shown_values(view, metric)
     if kind is None or kind.better is None or metric.is_verdict or not np.isfinite(values).any():

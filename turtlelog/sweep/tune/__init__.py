@@ -1,4 +1,4 @@
-"""The best values of a scenario's keys. The names stand in `__init__.pyi` and load on first use."""
+"""The best values of a scenario's keys. The names are in `__init__.pyi` and load on first use."""
 
 from turtlelog.libraries import attach_names
 

@@ -1,4 +1,4 @@
-"""Candidates simulated, measured and judged, many at a time and none twice."""
+"""Simulation, measurement and evaluation of candidates, many at a time and none twice."""
 
 import math
 import time
@@ -33,14 +33,14 @@ waits for."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """Values of the keys, and what comes of them.
+    """Values of the keys, with the results.
 
     Attributes:
         point: A value for each key.
-        objective: None where it has no value.
-        constraints: What becomes of each.
-        failed: Why the run failed; empty where it did not.
-        missing: Why the objective has no value, in the words of the metrics; empty where it has.
+        objective: Value of the objective; None if it has no value.
+        constraints: Result of each constraint.
+        failed: Reason of a failed run; empty if the run did not fail.
+        missing: Reason for a missing objective, from the metric; empty if it has a value.
     """
 
     point: Point
@@ -51,12 +51,12 @@ class Candidate:
 
     @property
     def is_feasible(self) -> bool:
-        """Whether it has an objective and every constraint holds."""
+        """Whether the objective has a value and every constraint holds."""
         return self.objective is not None and all(one.holds for one in self.constraints)
 
     @property
     def violation(self) -> float:
-        """How far the constraints that do not hold are from holding, added up."""
+        """Sum of the violations of all constraints."""
         # Not by `sum`, which rounds otherwise from Python 3.12 on.
         total = 0.0
         for one in self.constraints:
@@ -65,11 +65,11 @@ class Candidate:
 
 
 class Candidates:
-    """What is known of the candidates of a scenario.
+    """Evaluated candidates of a scenario.
 
     Attributes:
-        keys: That vary.
-        evaluations: How many different candidates were simulated.
+        keys: Varied keys.
+        evaluations: Number of different candidates that were simulated.
     """
 
     def __init__(  # noqa: PLR0913  (all but the first three have defaults)
@@ -86,24 +86,24 @@ class Candidates:
         tell: Callable[[str], None] | None = None,
         source: str = "grid",
     ) -> None:
-        """Take what the candidates vary.
+        """Set the scenario and keys that the candidates vary.
 
         Args:
-            base: Its law may run.
+            base: Base scenario; its law may run.
             keys: Dotted.
-            goal: What they are judged by.
-            jobs: Processes, or what takes the work; None: as many as cores where that is quicker.
-            expected: How many candidates there will be, about.
-            watch: Called with the number of candidates that are known.
-            trust_law: Whether a law that a recording names may run, too.
-            step_budget_s: Time that the law may compute for one answer [s].
-            tell: Called once, with the first candidate whose law takes longer.
-            source: Begins error lines about the values of a candidate.
+            goal: Objective and constraints.
+            jobs: Number of processes, or an executor; None: one per core if that is faster.
+            expected: Approximate number of candidates.
+            watch: Called with the number of evaluated candidates.
+            trust_law: Whether a law named in a recording may run, too.
+            step_budget_s: Longest computing time of the law per step [s].
+            tell: Called once, with the first candidate whose law exceeds it.
+            source: Prefix of error messages about the values of a candidate.
 
         Raises:
-            ScenarioError: Where the base is no scenario, or its law may not run.
-            ExpressionError: Where the goal names what is not there.
-            TuneError: Where the goal is none.
+            ScenarioError: If the base is no valid scenario, or its law may not run.
+            ExpressionError: If the goal contains an unknown name.
+            TuneError: If the goal is invalid.
         """
         self.keys = tuple(keys)
         self.evaluations = 0
@@ -129,7 +129,7 @@ class Candidates:
         goal.require_sound({**self._parameters, **numbers})
 
     def build_scenario(self, point: Point) -> Scenario:
-        """Return the scenario of a candidate, under the name of the base."""
+        """Return the scenario of a candidate, with the name of the base scenario."""
         trusted = True if self._trusts else None
         keys, values = [*self.keys, "name"], [*point, self._scenario.name]
         return build_row_scenario(
@@ -137,10 +137,10 @@ class Candidates:
         )
 
     def require_bounds(self, points: Sequence[Point]) -> None:
-        """Refuse bounds at none of which there is a scenario.
+        """Refuse bounds if no bound forms a valid scenario.
 
         Raises:
-            ScenarioError: With the reason of the first.
+            ScenarioError: If they are refused; the message gives the reason at the first bound.
         """
         errors = []
         for point in points:
@@ -166,11 +166,11 @@ class Candidates:
         return [self._known[point] for point in points]
 
     def list_known(self) -> list[Candidate]:
-        """Return all candidates, in the order in which they were simulated."""
+        """Return all candidates in the order of simulation."""
         return [*self._known.values()]
 
     def _simulate(self, points: Sequence[Point]) -> Iterator[tuple[int, RowResults]]:
-        """Yield results of stretches of the points, the first alone to see how long one takes."""
+        """Yield results of segments of the points; the first point alone measures the time."""
         if not points:
             return
         done = 0

@@ -1,4 +1,4 @@
-"""What is tuned for: an objective to make small, and constraints that must hold."""
+"""The goal of tuning: an objective to minimise or maximise, and constraints."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,16 +23,16 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConstraintFinding:
-    """What a candidate makes of a constraint.
+    """Result of a constraint for a candidate.
 
     Attributes:
-        expression: As typed.
-        value: Of the left side where it is a comparison with a number on the left; None otherwise,
-            and where there is no value.
-        margin: How far it is from changing its verdict, in the unit of what it compares: positive
-            where it holds with room, negative where it does not hold. inf or -inf where it has no
-            distance, as words have none, and -inf where a value is missing.
-        holds: Whether it does; a missing value is no success.
+        expression: Constraint as typed.
+        value: Value of the left side of a comparison of numbers; None if missing or for other
+            constraints.
+        margin: Distance to the other verdict, in the unit of the compared values: positive if the
+            constraint holds, negative if it does not. inf or -inf if there is no distance, as for
+            words, and -inf if a value is missing.
+        holds: Whether the constraint holds; False if a value is missing.
     """
 
     expression: str
@@ -43,12 +43,12 @@ class ConstraintFinding:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TuningGoal:
-    """What is tuned for.
+    """The goal of tuning.
 
     Attributes:
-        objective: A number of metrics and keys.
-        is_maximised: Whether it should be large, not small.
-        constraints: Truths of metrics and keys.
+        objective: Formula of metrics and keys with a number as result.
+        is_maximised: Whether to maximise the objective instead of minimising it.
+        constraints: Conditions on metrics and keys.
     """
 
     objective: Expression
@@ -57,24 +57,24 @@ class TuningGoal:
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """Ids of the metrics that are needed."""
+        """Ids of the required metrics."""
         names = [name for one in (self.objective, *self.constraints) for name in one.names]
         return tuple(dict.fromkeys(name for name in names if find_metric_kind(name) is not None))
 
     @property
     def metric(self) -> str | None:
-        """Id of the metric that is the objective; None where that is a formula."""
+        """Id of the metric that is the objective; None if that is a formula."""
         name = self.objective.text.strip()
         return None if find_metric_kind(name) is None else name
 
     def compute_objective(self, values: Values) -> float | None:
-        """Return the objective; None where it has no value.
+        """Return the value of the objective; None if it has no value.
 
-        A metric below which nothing is gained, as an overshoot below 0, counts as that.
+        A metric is limited at the value below which nothing is gained, such as 0 for an overshoot.
 
         Raises:
-            ExpressionError: Where it names what is not there.
-            TuneError: Where it is no number.
+            ExpressionError: If it contains an unknown name.
+            TuneError: If the result is not a number.
         """
         found = evaluate_expression(self.objective, values)
         if found is None:
@@ -87,23 +87,23 @@ class TuningGoal:
         return max(float(found), kind.floor)
 
     def judge(self, values: Values) -> tuple[ConstraintFinding, ...]:
-        """Return what becomes of each constraint.
+        """Return the result of each constraint.
 
         Raises:
-            ExpressionError: Where one names what is not there.
-            TuneError: Where one is no condition.
+            ExpressionError: If an expression contains an unknown name.
+            TuneError: If a constraint is not a condition.
         """
         return tuple(_judge(one, values) for one in self.constraints)
 
     def require_sound(self, known: Values) -> None:
-        """Refuse an expression that no candidate could answer.
+        """Refuse an expression that cannot be evaluated for any candidate.
 
         Args:
-            known: Keys with their values, and every metric with a number.
+            known: Values of keys, and a number for every metric.
 
         Raises:
-            ExpressionError: Where one names what is not there.
-            TuneError: Where the objective is no number, or a constraint no condition.
+            ExpressionError: If an expression contains an unknown name.
+            TuneError: If the objective is not a number, or a constraint is not a condition.
         """
         self.compute_objective(known)
         self.judge(known)
@@ -117,10 +117,10 @@ class TuningGoal:
 def parse_goal(
     objective: str, constraints: Sequence[str] = (), *, is_maximised: bool = False
 ) -> TuningGoal:
-    """Return a goal of its texts.
+    """Return the goal from the texts of its expressions.
 
     Raises:
-        ExpressionError: Where one cannot be read.
+        ExpressionError: If an expression cannot be parsed.
     """
     source = "--maximise" if is_maximised else "--minimise"
     return TuningGoal(
@@ -148,10 +148,10 @@ def _judge(expression: Expression, values: Values) -> ConstraintFinding:
 
 
 def _measure_margin(expression: Expression, node: Node, values: Values) -> float | None:
-    """Return how far a truth is from the other verdict; None where that hangs on a missing value.
+    """Return the distance of a condition to the other verdict; None if it needs a missing value.
 
-    The robustness of a formula (A. Donze and O. Maler, "Robust satisfaction of temporal logic over
-    real-valued signals", FORMATS 2010), without time.
+    This is the robustness of a formula (A. Donze and O. Maler, "Robust satisfaction of temporal
+    logic over real-valued signals", FORMATS 2010), without time.
     """
     if isinstance(node, Comparison):
         sides = [evaluate_node(expression, one, values).unpack() for one in node.operands]

@@ -1,4 +1,4 @@
-"""How far the best values can go alone, and how they do where the loop is not quite as thought."""
+"""Ranges of single keys around the best values, and robustness to variations of the scenario."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -43,17 +43,17 @@ End = Literal["objective", "constraint", "no value", "bound"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyRange:
-    """How far a key can go from its best value, with all others at theirs.
+    """Range of a key around its best value, with all other keys at their best values.
 
     Attributes:
-        key: Dotted.
-        low: Least value that is still good.
-        high: Largest.
-        low_end: What ends it below: the objective is worse, a constraint breaks, there is no value,
-            or the bound that was given.
-        high_end: Likewise above.
-        low_constraint: The constraint that breaks below; empty where none does.
-        high_constraint: Likewise above.
+        key: Dotted scenario key.
+        low: Smallest value that is still good.
+        high: Largest value that is still good.
+        low_end: Reason for the lower end: the objective becomes worse, a constraint is violated, a
+            value is missing, or the given bound is reached.
+        high_end: Reason for the upper end, likewise.
+        low_constraint: Constraint that is violated below; empty if there is none.
+        high_constraint: Constraint that is violated above; empty if there is none.
     """
 
     key: str
@@ -67,11 +67,11 @@ class KeyRange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Neighbourhood:
-    """How far each key can move while the others stay.
+    """The range in which each key can change while the others stay fixed.
 
     Attributes:
-        slack: By how much the objective may become worse.
-        ranges: Of each key.
+        slack: Largest accepted loss of the objective.
+        ranges: Range of each key.
     """
 
     slack: float
@@ -80,7 +80,7 @@ class Neighbourhood:
 
 @dataclass(slots=True)
 class _Walk:
-    """From the best to a bound: the last good share of the way, and the first that is not."""
+    """A walk from the best value to a bound: the last good fraction, and the first bad one."""
 
     place: int
     bound: float
@@ -93,13 +93,13 @@ class _Walk:
 def explore_best(
     candidates: Candidates, keys: Sequence[SearchedKey], found: Tuned, *, is_maximised: bool = False
 ) -> tuple[Tuned, Neighbourhood]:
-    """Return the best with its neighbourhood: where that holds a better one, this one's.
+    """Return the best candidate and its neighbourhood; a better candidate found there replaces it.
 
     Args:
-        candidates: Simulates and judges.
-        keys: That vary.
-        found: The best so far, which fulfils the constraints.
-        is_maximised: Whether the objective should be large.
+        candidates: Evaluator of candidates.
+        keys: Varied keys.
+        found: Best candidate so far, which satisfies the constraints.
+        is_maximised: Whether to maximise the objective.
     """
     sign = -1.0 if is_maximised else 1.0
     for _ in range(_ROUNDS):
@@ -113,13 +113,13 @@ def explore_best(
 def explore_neighbourhood(
     candidates: Candidates, keys: Sequence[SearchedKey], best: Candidate, *, sign: float = 1.0
 ) -> Neighbourhood:
-    """Return how far each key can go alone, on the points of a walk to each bound.
+    """Return the range of each key, found by walks from the best value to both bounds.
 
     Args:
-        candidates: Simulates and judges.
-        keys: That vary.
-        best: Whose neighbourhood it is; it fulfils the constraints.
-        sign: 1 where the objective should be small, -1 where it should be large.
+        candidates: Evaluator of candidates.
+        keys: Varied keys.
+        best: Best candidate, which satisfies the constraints.
+        sign: 1 to minimise the objective, -1 to maximise it.
     """
     assert best.objective is not None
     slack = _find_slack(candidates, best.objective)
@@ -174,7 +174,7 @@ def _describe(
 
 
 def _find_slack(candidates: Candidates, best: float) -> float:
-    """Return by how much the objective may become worse than the best."""
+    """Return the accepted loss of the objective relative to the best."""
     values = [
         one.objective
         for one in candidates.list_known()
@@ -184,7 +184,7 @@ def _find_slack(candidates: Candidates, best: float) -> float:
 
 
 def _find_fault(one: Candidate, limit: float, sign: float) -> tuple[End, str] | None:
-    """Return why a candidate is no longer good, None where it is."""
+    """Return why a candidate is not good, None if it is good."""
     broken = [found for found in one.constraints if not found.holds]
     if broken:
         return "constraint", broken[0].expression
@@ -209,13 +209,13 @@ _MOST_BYTES: Final = 2**24
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variation:
-    """A key of the scenario that variants draw.
+    """A key of the scenario that is sampled at random.
 
     Attributes:
-        key: Dotted.
-        low: Least value.
-        high: Largest; every value between, whole ones where it counts, is as likely.
-        is_whole: Whether it counts.
+        key: Dotted scenario key.
+        low: Smallest value.
+        high: Largest value; the distribution is uniform, over whole numbers if `is_whole`.
+        is_whole: Whether values are whole numbers.
     """
 
     key: str
@@ -226,17 +226,17 @@ class Variation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spread:
-    """What variants of a candidate come to.
+    """Results of random variants of a candidate.
 
     Attributes:
-        runs: How many.
-        with_value: In how many the objective has a value.
-        holds: In how many every constraint holds, and the objective has a value.
-        median: Of the objective, of those that have one; None where none has.
-        low: 5 % of them are below, interpolated.
-        high: 5 % are above.
-        worst: The worst of them.
-        varied: What was drawn.
+        runs: Number of variants.
+        with_value: Number of variants in which the objective has a value.
+        holds: Number of variants in which every constraint holds and the objective has a value.
+        median: Median of the objective; None if it has no value in any variant.
+        low: 5th percentile of the objective, interpolated.
+        high: 95th percentile of the objective, interpolated.
+        worst: Worst value of the objective.
+        varied: Keys that were sampled at random.
     """
 
     runs: int
@@ -252,16 +252,16 @@ class Spread:
 def choose_variations(
     scenario: Scenario, runs: int, more: Sequence[Variation] = ()
 ) -> tuple[Variation, ...]:
-    """Return what variants of a scenario draw.
+    """Return the keys to sample at random in variants of a scenario.
 
-    The seed, where the scenario has random effects: without them it changes nothing. The transport
-    delay, by a tick to either side: no program on a clock of ticks is nearer than that to its
-    model. And what else is given, as the intervals of an identified robot.
+    These are the seed, if the scenario has random effects; the transport delay, by one tick up and
+    down, because a program that runs on ticks is not closer than that to its model; and the keys in
+    `more`, for example intervals of an identified robot.
 
     Args:
-        scenario: The best one, whose law may run.
-        runs: How many variants there will be.
-        more: Further keys; one of the two above takes its place.
+        scenario: The best scenario; its law may run.
+        runs: Number of variants.
+        more: Further keys; they replace the keys above.
     """
     given = {one.key: one.high for one in more}
     resolved = resolve_scenario(override_scenario(scenario, given, source="--spread"))
@@ -276,14 +276,14 @@ def choose_variations(
 
 
 def read_intervals(path: Path, scenario: Scenario) -> tuple[Variation, ...]:
-    """Return the intervals of a robot's gains, dead times, lags and limits.
+    """Return the intervals of a robot's gains, dead times, time constants and limits.
 
     Args:
-        path: What `turtlelog identify --json` printed.
-        scenario: Around that robot.
+        path: File with the output of `turtlelog identify --json`.
+        scenario: Scenario with that robot.
 
     Raises:
-        TuneError: Where the file is another, or the scenario has another robot.
+        TuneError: If the file has other content, or the scenario has another robot.
     """
     try:
         text = read_text_file(path, most=_MOST_BYTES)
@@ -332,16 +332,16 @@ def simulate_variants(
     jobs: "int | Executor | None" = None,
     **more: Any,
 ) -> Spread:
-    """Simulate variants of a scenario, and return what they come to.
+    """Simulate variants of a scenario and return their results.
 
     Args:
-        scenario: The best one.
-        goal: What they are judged by.
-        variations: What they draw, each evenly from its range and by itself.
-        runs: How many.
-        seed: Of what is drawn; the seeds of the scenario go on one by one.
+        scenario: The best scenario.
+        goal: Objective and constraints.
+        variations: Keys to sample, each uniformly from its range and independently.
+        runs: Number of variants.
+        seed: Seed of the sampling; the seeds of the scenario increase by one.
         jobs: As in `Candidates`.
-        more: Likewise.
+        more: As in `Candidates`.
     """
     generator = np.random.default_rng(seed)
     columns = [_draw(one, runs, generator) for one in variations]

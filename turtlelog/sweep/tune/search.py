@@ -1,4 +1,4 @@
-"""The search for the best values of keys between bounds: spread, then evolved, then refined.
+"""The search for the best values of keys between bounds, in three steps.
 
 First a scrambled Sobol sequence covers the range evenly. Differential evolution (R. Storn and K.
 Price, J. Global Optimization 11, 1997; as scipy has it) goes on from its best points, whole
@@ -48,16 +48,17 @@ Order = tuple[int, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tuned:
-    """What a search came to.
+    """Result of a search.
 
     Attributes:
-        best: The best candidate: `is_feasible` tells whether it fulfils the constraints.
-        evaluations: How many candidates were simulated.
-        failed: How many of them failed.
-        failure: Why the first of these did; empty where none did.
-        feasible: How many fulfilled the constraints.
-        at_bounds: Keys whose best value is a bound of their range.
-        is_flat: Whether all that fulfilled the constraints, two at least, have the same objective.
+        best: Best candidate; `is_feasible` shows whether it satisfies the constraints.
+        evaluations: Number of simulated candidates.
+        failed: Number of candidates that failed.
+        failure: Reason of the first failure; empty if no candidate failed.
+        feasible: Number of candidates that satisfied the constraints.
+        at_bounds: Keys whose best value is at a bound of their range.
+        is_flat: Whether all candidates that satisfied the constraints, at least two, have the same
+            objective.
     """
 
     best: Candidate
@@ -71,14 +72,14 @@ class Tuned:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchedKey:
-    """A key and where its best value is looked for.
+    """A key and its search range.
 
     Attributes:
-        key: Dotted, of a scenario.
-        low: Least value.
+        key: Dotted scenario key.
+        low: Smallest value.
         high: Largest value.
-        is_whole: Whether it counts, and takes whole numbers alone.
-        steps: The values that it may have; empty where it may have any.
+        is_whole: Whether only whole numbers are allowed.
+        steps: Allowed values; empty if any value is allowed.
     """
 
     key: str
@@ -88,7 +89,7 @@ class SearchedKey:
     steps: Sequence[float] = ()
 
     def round(self, value: float) -> float | int:
-        """Return the nearest value that the key may have."""
+        """Return the nearest allowed value."""
         value = min(max(value, self.low), self.high)
         if self.steps:
             return min(self.steps, key=lambda step: abs(step - value))
@@ -107,15 +108,15 @@ def search_best(
     """Return the best values of keys.
 
     Args:
-        candidates: Simulates and judges.
-        keys: Where to look.
-        evaluations: How many candidates at most, about.
-        is_maximised: Whether the objective should be large.
-        seed: Of the search. The same gives the same.
-        first: Points to begin with, as the values that the scenario has.
+        candidates: Evaluator of candidates.
+        keys: Keys with their search ranges.
+        evaluations: Approximate largest number of candidates.
+        is_maximised: Whether to maximise the objective.
+        seed: Seed of the search; the same seed gives the same result.
+        first: Starting points, such as the values of the scenario.
 
     Raises:
-        TuneError: Where no candidate has an objective.
+        TuneError: If the objective has no value for any candidate.
     """
     search = _Search(candidates, keys, evaluations, -1.0 if is_maximised else 1.0)
     search.spread(seed, first)
@@ -131,7 +132,7 @@ def search_best(
 def sum_up(
     candidates: Candidates, keys: Sequence[SearchedKey], *, is_maximised: bool = False
 ) -> Tuned:
-    """Return what is known of the candidates so far; at least one is."""
+    """Return the result of the candidates so far; there must be at least one."""
     known, best = candidates.list_known(), find_best(candidates, is_maximised=is_maximised)
     feasible = [one.objective for one in known if one.is_feasible]
     return Tuned(
@@ -150,17 +151,17 @@ def sum_up(
 
 
 def find_best(candidates: Candidates, *, is_maximised: bool = False) -> Candidate:
-    """Return the best candidate that is known; of equal ones the first.
+    """Return the best known candidate; of equal ones the first.
 
     Raises:
-        ValueError: Where none is known.
+        ValueError: If no candidate is known.
     """
     sign = -1.0 if is_maximised else 1.0
     return min(candidates.list_known(), key=lambda one: _order(one, sign))
 
 
 def _order(candidate: Candidate, sign: float) -> Order:
-    """Return what sorts candidates, the best first."""
+    """Return the sort key of a candidate; the best candidate is first."""
     if candidate.is_feasible and candidate.objective is not None:
         return 0, sign * candidate.objective
     return (2, 0.0) if candidate.objective is None else (1, candidate.violation)
@@ -179,7 +180,7 @@ class _Search:
         return self._most - self._candidates.evaluations
 
     def _place(self, shares: NDArray[np.float64]) -> list[Point]:
-        """Return the points at shares of the range, shape (n, number of keys)."""
+        """Return the points at fractions of the range, shape (n, number of keys)."""
         values = self._low + shares * self._width
         # What is added up may fall short of a bound by its last digit.
         values = np.where(shares >= 1.0, [key.high for key in self._keys], values)
@@ -189,7 +190,7 @@ class _Search:
         ]
 
     def _score(self, points: Sequence[Point]) -> NDArray[np.float64]:
-        """Return a number for each point that orders candidates alike."""
+        """Return a score for each point with the order of the candidates."""
         orders = map(self._order, self._candidates.evaluate(points))
         return np.array([_number(order) for order in orders])
 
@@ -200,7 +201,7 @@ class _Search:
         return _order(candidate, self._sign)
 
     def spread(self, seed: int, first: Sequence[Point]) -> None:
-        """Cover the range."""
+        """Cover the range evenly."""
         from scipy.stats import qmc
 
         count = len(self._keys)
@@ -238,7 +239,7 @@ class _Search:
         )
 
     def refine(self) -> None:
-        """Walk from the best in steps that halve, in every direction and between two."""
+        """Search around the best point with steps that halve, along keys and diagonals."""
         count = len(self._keys)
         directions = [*np.eye(count), *-np.eye(count)]
         if 1 < count <= _CORNERS:
@@ -266,16 +267,16 @@ _MOST_STEPS: Final = 10_000
 def parse_searched_keys(
     texts: Sequence[str], parameters: Mapping[str, Any], *, source: str = "--grid"
 ) -> tuple[SearchedKey, ...]:
-    """Return what texts such as `law.kp_linear=0.5:12` say.
+    """Parse texts such as `law.kp_linear=0.5:12`.
 
     Args:
-        texts: A key, an equals sign and its bounds, each.
-        parameters: Of the scenario that varies, by key: they tell which keys count.
-        source: Begins error lines.
+        texts: Texts, each with a key, an equals sign and bounds.
+        parameters: Parameters of the scenario by key; they show which keys need whole numbers.
+        source: Prefix of error messages.
 
     Raises:
-        SweepError: Where one cannot be read.
-        TuneError: Where there is none, a key stands twice, or has no range.
+        SweepError: If a text cannot be parsed.
+        TuneError: If there is no text, or a key occurs twice or has no range.
     """
     if not texts:
         raise TuneError(f"{source}: expected a key and its bounds, as in law.kp_linear=0.5:12")

@@ -40,10 +40,10 @@ class TunedScenario:
 
     Attributes:
         scenario: With the best values.
-        keys: Where they were looked for.
-        goal: What they were tuned for.
-        tuned: What the search came to.
-        around: How far each key can go; None where no candidate fulfils the constraints.
+        keys: Keys with their search ranges.
+        goal: Goal of the search.
+        tuned: Result of the search.
+        around: Range of each key; None if no candidate satisfies the constraints.
     """
 
     scenario: Scenario
@@ -59,13 +59,13 @@ class TunedScenario:
 
     @property
     def objective(self) -> float:
-        """What is smallest or largest there."""
+        """The value of the objective at the best values."""
         found = self.tuned.best.objective
         return math.nan if found is None else found
 
     @property
     def is_feasible(self) -> bool:
-        """Whether the constraints hold there."""
+        """Whether the constraints hold at the best values."""
         return self.tuned.best.is_feasible
 
     def _describe(self) -> str:
@@ -103,26 +103,26 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
     jobs: "int | Executor | None" = None,
     step_budget_s: float = STEP_BUDGET_S,
 ) -> TunedScenario:
-    """Look for the values of keys that are best, and for how far each can go alone.
+    """Search for the best values of keys, and for the range of each key around them.
 
     Args:
-        scenario: What varies: a scenario, the name of a preset, or a file.
-        ranges: From where to where by dotted key, as in `{"law.kp_linear": (1, 6)}`.
-        minimise: A metric or a formula of metrics and keys that should be small.
-        maximise: One that should be large, instead.
-        subject_to: What must hold, as in `["rotate.overshoot <= 2"]`.
-        law: What drives instead of the scenario's law, as in `simulate_run`.
-        changes: Values by dotted key that all candidates have.
-        evaluations: How many candidates at most, about; None: 300 for each key.
-        seed: Of the search. The same gives the same.
-        jobs: Processes, or what takes the work; None: as many as cores where that is quicker.
-        step_budget_s: Time that the law may compute for one answer [s].
+        scenario: Scenario to tune: a scenario, the name of a preset, or a file.
+        ranges: Bounds by dotted key, as in `{"law.kp_linear": (1, 6)}`.
+        minimise: Metric, or formula of metrics and keys, to minimise.
+        maximise: Metric or formula to maximise, instead of `minimise`.
+        subject_to: Constraints, as in `["rotate.overshoot <= 2"]`.
+        law: Law to use instead of the scenario's law, as in `simulate_run`.
+        changes: Values by dotted key, the same for all candidates.
+        evaluations: Approximate largest number of candidates; None: 300 per key.
+        seed: Seed of the search; the same seed gives the same result.
+        jobs: Number of processes, or an executor; None: one per core if that is faster.
+        step_budget_s: Longest computing time of the law per step [s].
 
     Raises:
-        TuneError: Where arguments do not go together, or no candidate has a value.
-        ExpressionError: Where a formula cannot be read, or names what is not there.
+        TuneError: If arguments are inconsistent, or the objective has no value for any candidate.
+        ExpressionError: If a formula cannot be parsed, or contains an unknown name.
         LawError: Where `law` is no law.
-        ScenarioError: Where there is no such scenario, or the ranges make none.
+        ScenarioError: If the scenario does not exist, or the ranges form no valid scenario.
     """
     goal = _read_goal(minimise, maximise, subject_to)
     texts = [*_list_ranges(ranges)]
@@ -153,13 +153,13 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
 def complete_searched(
     scenario: Scenario, texts: Sequence[str], *, source: str, trust_law: bool = False
 ) -> tuple[Scenario, tuple[SearchedKey, ...]]:
-    """Return the keys, and the scenario with a value for each: a law need not have defaults.
+    """Return the keys, and the scenario with a value for each key, as laws may have no defaults.
 
     Args:
-        scenario: That varies.
+        scenario: Scenario to tune.
         texts: Keys with their bounds, as `parse_searched_keys` reads them.
-        source: Begins error lines.
-        trust_law: Whether a law that a recording names may run, too.
+        source: Prefix of error messages.
+        trust_law: Whether a law named in a recording may run, too.
     """
     known = flatten_scenario(scenario)
     keys = parse_searched_keys(texts, known, source=source)
