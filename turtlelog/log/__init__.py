@@ -1,6 +1,6 @@
-"""Run <-> files: topics and schemas, writers, readers, columns of any file, importers, recovery.
+"""Reading and writing of runs: formats, columns of any file, importers, recovery, recording.
 
-The names stand in `__init__.pyi` and load on first use.
+The names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

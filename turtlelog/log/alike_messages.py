@@ -1,7 +1,7 @@
-"""Messages of a varied type that differ in numbers alone -> their bytes, all at once.
+"""Encoding of messages that differ only in numbers, all at once.
 
-A type with texts or sequences has no fixed layout. But where every text is the same in all
-messages, and every sequence has as many items, their bytes lie at the same places.
+A type with texts or sequences has no fixed layout. If every text is the same in all messages and
+every sequence has the same length, fields nevertheless have fixed offsets.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from turtlelog.log.engine.message_types import TEXT, Column, Field, name_parts
 
 @dataclass(frozen=True, slots=True)
 class PackedItems:
-    """The items of a sequence, encoded one after the other from a multiple of 8 bytes on."""
+    """The items of a sequence, encoded one after the other, starting at a multiple of 8 bytes."""
 
     count: int
     data: bytes
@@ -24,13 +24,13 @@ class PackedItems:
 
 @dataclass(slots=True)
 class AlikeLayout:
-    """Where the fields of alike messages lie.
+    """The offsets of fields in messages that differ only in numbers.
 
     Attributes:
-        size: Of a message [bytes].
-        numbers: Name, type code, array length and place of each number [bytes].
-        constants: What is the same in all messages, and its place.
-        names: Of all fields.
+        size: Size of a message [bytes].
+        numbers: Name, type code, array length and offset [bytes] of each number.
+        constants: Bytes that are the same in all messages, with their offsets.
+        names: Names of all fields.
     """
 
     size: int = 0
@@ -42,8 +42,9 @@ class AlikeLayout:
         """Return the bytes of messages, shape (rows, size).
 
         Args:
-            rows: How many messages there are.
-            columns: Their numbers by name, each little-endian and of its kind; one left out is 0.
+            rows: Number of messages.
+            columns: Numbers by field name, little-endian and of the field's type; missing fields
+                are 0.
         """
         found = np.zeros((rows, self.size), dtype=np.uint8)
         for data, place in self.constants:
@@ -56,12 +57,12 @@ class AlikeLayout:
 
 
 def lay_out_alike(fields: tuple[Field, ...], columns: Mapping[str, Column]) -> AlikeLayout | None:
-    """Return where the fields of messages lie; None where they differ in more than numbers.
+    """Return the layout of messages; None if they differ in more than numbers.
 
     Args:
-        fields: Of the type.
-        columns: The fields by dotted name. The items of a sequence of messages have names with
-            their number, as in `transforms.0.child_frame_id`.
+        fields: Fields of the type.
+        columns: Columns by dotted field name. Items of a sequence of messages have names with their
+            index, as in `transforms.0.child_frame_id`.
     """
     layout = AlikeLayout()
     try:

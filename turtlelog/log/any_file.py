@@ -1,4 +1,4 @@
-"""Any file -> Run: the kind is told by what is in it."""
+"""Reading of any file as a run; the content of the file determines its kind."""
 
 import warnings
 from dataclasses import replace
@@ -35,14 +35,14 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
     """Return the run in a recording, a third-party bag or .mcap, a paper's log, or a table.
 
     Args:
-        path: A file, or a bag's folder; one that holds a recording of turtlelog's is read as that.
-            FILE:TOPIC, as in `bag:/odom_kf`, reads the poses of that topic, and the run's name then
-            ends in it.
+        path: A file or a bag's folder; a folder with a recording by turtlelog is read as that
+            recording. FILE:TOPIC, as in `bag:/odom_kf`, reads the poses of that topic, which is
+            appended to the run's name.
         options: Fields of a `ReadChoice`: which topics of third-party files to read, and whether an
             unfinished recording may be read, with a `PartialRecordingWarning`.
 
     Raises:
-        LogError: One line with the file and the place.
+        LogError: If the file cannot be read; one line with the file and the place.
     """
     (path, topic), choice = split_topic(path), ReadChoice(**options)
     if topic is None:
@@ -96,10 +96,10 @@ _OWN_ROBOT: Final = POSE.name.split("/")[1]
 
 
 def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
-    """Return a run with the goal that is asked for; one that holds samples had its own.
+    """Return a run with the requested goal; refuse if the run has samples and so a goal of its own.
 
     Raises:
-        LogError: If it had.
+        LogError: If the run has samples.
     """
     if choice.goal is None:
         return run
@@ -112,7 +112,7 @@ def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
 
 
 def read_as_chosen(path: str | Path, choice: ReadChoice) -> "Run":
-    """Return the run in a file as `read_run` does, or of a preset; its notes name what is lost."""
+    """Return the run in a file as `read_run` does, or of a preset; notes describe lost data."""
     if not make_path(path).exists() and (run := _simulate_preset(str(path))) is not None:
         return run
     with warnings.catch_warnings():
@@ -121,7 +121,7 @@ def read_as_chosen(path: str | Path, choice: ReadChoice) -> "Run":
 
 
 def _simulate_preset(name: str) -> "Run | None":
-    """Return the run of a preset, with a note that says so; None for any other name."""
+    """Return the simulated run of a preset, with a note; None for any other name."""
     from turtlelog.scenario import PRESETS, get_preset  # no file needs it
 
     if name not in PRESETS:
@@ -143,15 +143,16 @@ _OPTIONS: Final = tuple(ReadOptions.__annotations__)
 def read_file_info(
     path: str | Path, choice: ReadChoice | None = None, *, allow_partial: bool = False
 ) -> RecordingInfo:
-    """Return what is in any file that `read_run` takes: a recording, a bag's folder, a paper's log.
+    """Return the contents of any file that `read_run` reads.
 
     Args:
-        path: A log is read as a whole; of the others `read_info` and `read_bag_info` describe.
-        choice: Selection as for `read_run`: the columns of a table.
+        path: Path of the file. Logs are read completely; others as by `read_info` and
+            `read_bag_info`.
+        choice: Selection as for `read_run`; only the columns of tables are used.
         allow_partial: See `read_info`.
 
     Raises:
-        LogError: One line with the file and the place.
+        LogError: If the file cannot be read; one line with the file and the place.
     """
     path, topic = split_topic(path)
     choice = choice or ReadChoice(allow_partial=allow_partial)
@@ -191,7 +192,7 @@ def read_file_info(
 
 
 def _note_unused(run: "Run", choice: ReadChoice) -> "Run":
-    """Return a run with a note on columns that were asked for of what is no table."""
+    """Return a run with a note if columns were requested but the file is not a table."""
     if not choice.columns:
         return run
     told = [run.notes[CHOSEN]] if CHOSEN in run.notes else []
@@ -211,21 +212,21 @@ def _require_topic(info: RecordingInfo, topic: str) -> RecordingInfo:
 
 
 def _may_hold_tables(path: Path) -> bool:
-    """Return whether a look for tables pays, which loads all that reads them."""
+    """Return whether a file or folder may contain tables, so that table readers must be loaded."""
     return path.suffix.lower() in LOG_SUFFIXES or path.is_dir()
 
 
 def is_bag_file(path: Path) -> bool:
-    """Return whether a file begins as one of MCAP or SQLite, or as one that is compressed."""
+    """Return whether a file begins like an MCAP, SQLite or compressed file."""
     with name_file(path, expected="a recording, a bag or a log"), open_file(path) as stream:
         return stream.read(len(SQLITE_MAGIC)).startswith(_MAGICS)
 
 
 def _read_own(path: Path, *, allow_partial: bool) -> "Run | None":
-    """Return the run in a file or bag that turtlelog wrote, None in one that somebody else did.
+    """Return the run in a file or bag by turtlelog, None for third-party files.
 
     Raises:
-        LogError: Also where the file is too damaged to say who did.
+        LogError: If the file cannot be read, or is too damaged to show its writer.
     """
     files = ros2.list_bag_files(path) if path.is_dir() else (path,)
     if len(files) != 1:
@@ -239,7 +240,7 @@ def _read_own(path: Path, *, allow_partial: bool) -> "Run | None":
 
 
 def _is_foreign(path: Path) -> bool:
-    """Return whether a file that cannot be read as a recording still says that it is none."""
+    """Return whether a file that is not readable as a recording is clearly a third-party file."""
     try:
         return read_info(path).format_version is None
     except LogError:

@@ -1,4 +1,4 @@
-"""Files and folders that are complete or not there; which file is being recorded live."""
+"""Files and folders that appear only when complete; detection of live recordings."""
 
 import os
 import shutil
@@ -18,15 +18,15 @@ from turtlelog.log.error_boundary import name_file
 
 @contextmanager
 def replace_when_complete(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary name beside `path` to write to; it is renamed when the block ends well.
+    """Yield a temporary name next to `path` for writing; it is renamed when the block succeeds.
 
-    If the block fails the temporary file is removed, and a file that was there stays. A file that
-    is replaced keeps its permissions, and its owner where the system allows it. A link stays, and
-    the file that it leads to is replaced or made. The temporary name ends in `.part`, so nothing
-    that looks for `*.mcap` finds it; a writer that guesses its format from the name must be told.
+    If the block fails, the temporary file is removed and an existing file stays. A replaced file
+    keeps its permissions and, if the system allows it, its owner. A link stays; its target is
+    replaced or created. The temporary name ends in `.part`, so it does not match `*.mcap`; writers
+    that guess the format from the name need it explicitly.
 
     Raises:
-        LogError: In one line, where the place cannot be written, or holds a recording in progress.
+        LogError: If the path cannot be written, or contains a recording in progress; one line.
     """
     path = make_path(path)
     if isinstance(path, RemotePath):
@@ -62,9 +62,9 @@ def _name_beside(target: Path) -> Path:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files that processes left in a folder when they were killed.
+    """Remove the temporary files of killed processes from a folder.
 
-    Only for a folder in which nothing else writes: those of other processes are removed, too.
+    Use it only if no other process writes to the folder: its temporary files are removed, too.
     """
     for leftover in folder.glob(".turtlelog-" + "[0-9a-f]" * 12 + ".part"):
         with suppress(OSError):  # a folder, or it is renamed at this moment
@@ -73,7 +73,7 @@ def remove_leftovers(folder: Path) -> None:
 
 @contextmanager
 def _put_when_complete(path: RemotePath) -> Iterator[Path]:
-    """Yield a temporary name on this computer; the file is put behind the URL at the end."""
+    """Yield a local temporary name; the file is uploaded to the URL at the end."""
     with name_file(path, expected="a place that can be written"):
         from turtlelog.files.requests import require_writable
 
@@ -92,7 +92,7 @@ def _put_when_complete(path: RemotePath) -> Iterator[Path]:
 
 
 def _copy_rights(source: Path, target: Path, *, extra: int = 0) -> None:
-    """Give a file the owner and the permissions of another, if that is there."""
+    """Copy owner and permissions of another file, if it exists."""
     try:
         found = source.stat()
     except FileNotFoundError:
@@ -113,13 +113,13 @@ def _refuse_live(path: Path) -> None:
 
 @contextmanager
 def create_folder(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary folder beside `path` to write into; it is renamed when the block ends well.
+    """Yield a temporary folder next to `path` for writing; it is renamed when the block succeeds.
 
-    A folder that is there is refused, as `ros2 bag` refuses it: what else it holds is not ours to
-    remove. An empty one is taken.
+    An existing folder is refused, as by `ros2 bag`, because it may contain other files. An empty
+    folder is accepted.
 
     Raises:
-        LogError: If there is something, or the place cannot be written, in one line.
+        LogError: If the folder is not empty or cannot be written; one line.
     """
     path = make_path(path)
     is_empty = path.is_dir() and not any(path.iterdir())

@@ -1,8 +1,8 @@
-"""Topics or MCAP records -> file: its head, chunks with their indexes, summary and checksums.
+"""Writing of topics or MCAP records: header, chunks with indexes, summary and checksums.
 
-Every chunk brings the schemas and channels of its messages: any chunk that survives can be read
-alone. The mcap library's writer names them once, and takes messages one by one, so chunks and
-summary are put together here, of its records.
+Every chunk contains the schemas and channels of its messages, so that it can be read alone. The
+mcap library's writer writes them once and takes messages one by one; chunks and summary are
+therefore assembled here from its records.
 """
 
 import os
@@ -70,19 +70,19 @@ def write_columns(
     metadata: Mapping[str, Mapping[str, str]] = _NOTHING,
     attachments: Mapping[str, bytes] = _NO_FILES,
 ) -> None:
-    """Write topics as an MCAP file in order of log time; the same columns give the same bytes.
+    """Write topics as an MCAP file in order of log time; equal columns give identical files.
 
     Args:
-        topics: Topics as `read_columns` returns them; a field left out is 0 or empty. Messages of
-            one time stand in the order of the topics.
-        path: The file, replaced when all is written.
-        definitions: The `ros2msg` text of every message type that occurs; None: they are of the
-            types of our own recordings.
+        topics: Topics as from `read_columns`; missing fields are 0 or empty. Messages with equal
+            times have the order of the topics.
+        path: Path of the file, which is replaced when the new file is complete.
+        definitions: The `ros2msg` text of every message type that occurs; None: the types of
+            turtlelog's recordings.
         metadata: Metadata records by name.
         attachments: Attached files by name.
 
     Raises:
-        LogError: If the place cannot be written, or a column does not fit its type.
+        LogError: If the file cannot be written, or a column does not fit its type.
     """
     try:
         channels = list(_encode_topics(topics, SCHEMAS if definitions is None else definitions))
@@ -100,7 +100,7 @@ def write_columns(
 
 
 def name_write_error(path: str | Path, err: Exception) -> LogError:
-    """Return an error of what cannot be written, with the file's name."""
+    """Return a write error with the file's name."""
     if isinstance(err, UnicodeEncodeError):
         return LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}")
     # What cannot be written is named already.
@@ -144,10 +144,10 @@ class _PackedChunk:
 
 
 class McapFile:
-    """Appends records to a stream that is at its start; each call writes once, and whole.
+    """A writer of MCAP records to a new stream; each call writes complete records at once.
 
     Attributes:
-        end: Bytes written so far, all of them in whole records.
+        end: Number of bytes written so far, all in complete records.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -174,7 +174,7 @@ class McapFile:
         )
 
     def add_attachment_record(self, attachment: Attachment) -> None:
-        """Write an attachment as it is."""
+        """Write an attachment record unchanged."""
         start = self.end
         self._write(_join_records([attachment]))
         index = AttachmentIndex(
@@ -189,7 +189,7 @@ class McapFile:
         self._summary.attachments.append(index)
 
     def describe(self, schemas: Iterable[Schema], channels: Iterable[Channel]) -> None:
-        """Write those schemas and channels that no chunk has brought."""
+        """Write the schemas and channels that no chunk contains yet."""
         known = self._summary
         new_schemas = [schema for schema in schemas if schema.id not in known.schemas]
         new_channels = [channel for channel in channels if channel.id not in known.channels]
@@ -198,11 +198,11 @@ class McapFile:
         known.channels |= {channel.id: channel for channel in new_channels}
 
     def add_chunk(self, rows: ChunkRows) -> None:
-        """Compress messages, and write them as a chunk with its message indexes."""
+        """Compress messages and write them as a chunk with its message indexes."""
         self._append(_pack_chunk(rows))
 
     def add_chunks(self, chunks: Iterable[ChunkRows]) -> None:
-        """Write chunks in their order as `add_chunk` does, byte for byte, compressed on threads."""
+        """Write chunks in order, with the same bytes as `add_chunk`; compression uses threads."""
         for packed in _pack_ahead(iter(chunks)):
             self._append(packed)
 
@@ -248,7 +248,7 @@ class McapFile:
         self._write(data_end + summary + _join_records([footer]) + MCAP0_MAGIC)
 
     def cut_back(self) -> None:
-        """Take away what a failed write left behind the last whole record."""
+        """Remove the bytes of a failed write after the last complete record."""
         self._stream.seek(self.end)
         self._stream.truncate()
 
@@ -271,9 +271,9 @@ class McapFile:
 
 
 def _pack_ahead(chunks: Iterator[ChunkRows]) -> Iterator[_PackedChunk]:
-    """Yield chunks packed, in their order: of several, a few at a time on threads.
+    """Yield packed chunks in order; several chunks are packed on threads, a few at a time.
 
-    zstd and the checksum leave the interpreter to other threads meanwhile.
+    zstd and the checksum release the interpreter lock.
     """
     few = list(islice(chunks, 2))
     if len(few) < 2:

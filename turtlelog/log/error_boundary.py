@@ -1,4 +1,4 @@
-"""Where foreign errors become ours: one line that names the file. And the errors of damage."""
+"""Conversion of library errors to one line with the file's name, and errors for damaged files."""
 
 import stat
 from collections.abc import Iterator
@@ -17,24 +17,24 @@ _POINTER_BYTES: Final = 1024
 
 
 class DamageError(LogError):
-    """A file that is not what its writer wrote, or not all of it."""
+    """A damaged or incomplete file."""
 
 
 class LimitError(DamageError):
-    """A file that asks for more than one of its size may: what follows would be refused as well."""
+    """A file that exceeds the limits for its size; the rest would be refused as well."""
 
 
 class UnfinishedError(DamageError):
-    """A file whose writer never came to its end, or whose end is cut off."""
+    """An unfinished or truncated file."""
 
 
 @contextmanager
 def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
-    """Turn whatever goes wrong while a file is read into one LogError line that names it.
+    """Convert errors during reading into a one-line LogError with the file's name.
 
-    On damaged files the libraries raise nearly everything: struct.error, KeyError, MemoryError,
-    OverflowError, UnicodeDecodeError, RecursionError and their own. What no bytes can cause is a
-    defect of turtlelog, and stays what it is.
+    For damaged files, libraries raise many kinds of errors: struct.error, KeyError, MemoryError,
+    OverflowError, UnicodeDecodeError, RecursionError and their own. Errors that no file content can
+    cause are defects of turtlelog and are not converted.
     """
     try:
         yield
@@ -53,11 +53,11 @@ def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
 
 
 def open_file(path: str | Path) -> BinaryIO:
-    """Open a file to read, but no pipe, which may block forever, and no device, which may not end.
+    """Open a file for reading; refuse pipes, which may block, and devices, which may not end.
 
     Raises:
-        LogError: Where it is one of these, or what Git LFS leaves in the place of a file.
-        OSError: Where it cannot be read.
+        LogError: If it is a pipe, a device or a Git LFS pointer.
+        OSError: If it cannot be read.
     """
     path = make_path(path)
     found = path.stat()
@@ -71,7 +71,7 @@ def open_file(path: str | Path) -> BinaryIO:
 
 
 def _refuse_pointer(stream: BinaryIO) -> None:
-    """Refuse a pointer of Git LFS, and close it; of other files nothing has been read."""
+    """Refuse and close a Git LFS pointer; the position of other files is unchanged."""
     start = stream.read(len(LFS_POINTER))
     if start == LFS_POINTER:
         stream.close()

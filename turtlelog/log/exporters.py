@@ -1,4 +1,4 @@
-"""Run -> files for other programs: rosbag2 folders, CSV and Parquet tables, TUM trajectories."""
+"""Export of runs for other programs: rosbag2 folders, CSV, Parquet, TUM trajectories."""
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
@@ -37,19 +37,18 @@ _Write = Callable[[Run, str, Path], None]
 
 
 def export_rosbag2(run: Run, path: str | Path, *, shares_poses: bool = False) -> tuple[Path, ...]:
-    """Write a run as a rosbag2 folder, which `ros2 bag` and all that builds on it open.
+    """Write a run as a rosbag2 folder, which `ros2 bag` and programs based on it can open.
 
     The folder contains one recording, written by `write_recording` and named like the first file of
     a ROS 2 bag. `turtlelog` reads the folder back as the same run.
 
     Args:
-        run: What is written.
-        path: The folder.
-        shares_poses: As for `write_recording`.
+        run: Run to write.
+        path: Path of the folder.
+        shares_poses: As in `write_recording`.
 
     Raises:
-        LogError: Where the folder exists or cannot be written, or the run holds what a recording
-            cannot.
+        LogError: If the folder exists or cannot be written, or a recording cannot store the run.
     """
     path = make_path(path)
     name = f"{path.resolve().name}_0.mcap"
@@ -70,10 +69,10 @@ def export_rosbag2(run: Run, path: str | Path, *, shares_poses: bool = False) ->
 
 
 def describe_bag(files: Sequence[Path], compression: str = "") -> str:
-    """Return the metadata.yaml of a bag of complete MCAP files.
+    """Return the metadata.yaml text of a bag of complete MCAP files.
 
     Args:
-        files: In order of time.
+        files: Files in order of time.
         compression: As in `format_bag_metadata`.
     """
     topics: dict[tuple[str, str], BagTopic] = {}
@@ -102,41 +101,41 @@ def describe_bag(files: Sequence[Path], compression: str = "") -> str:
 
 
 def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
-    """Write the tables of a run as CSV and return the files; numbers read back to the last bit.
+    """Write the tables of a run as CSV and return the files; numbers can be read back exactly.
 
     Args:
-        run: What to write.
-        path: A name that ends in .csv is a file for one table, and replaces one that is there;
-            any other is a new folder with a file per table.
-        table: Which one (`poses`, `commands`, `samples`, `events`); a file holds `poses` and a
-            folder all of them unless this is given.
+        run: Run to write.
+        path: A name that ends in .csv is one file, which replaces an existing file; any other name
+            is a new folder with one file per table.
+        table: Table to write (`poses`, `commands`, `samples`, `events`). Default: `poses` for a
+            file, all tables for a folder.
 
     Raises:
-        LogError: Where the place cannot be written, a folder exists, or there is no such table.
+        LogError: If the path cannot be written, a folder exists, or there is no such table.
     """
     return _export(run, make_path(path), ".csv", table, _write_csv)
 
 
 def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
-    """Write the tables of a run as Parquet and return the files; as `export_csv`, with types.
+    """Write the tables of a run as Parquet, as `export_csv` does, and return the files.
 
-    The metadata hold the units of the columns, and the name, goal, scenario and declaration of the
-    run.
+    Columns keep their types. The metadata contain the units of the columns, and the name, goal,
+    scenario and declaration of the run.
 
     Raises:
-        LogError: Where the place cannot be written, a folder exists, or there is no such table.
+        LogError: If the path cannot be written, a folder exists, or there is no such table.
     """
     return _export(run, make_path(path), ".parquet", table, _write_parquet)
 
 
 def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
-    """Write the poses of a run as a TUM trajectory and return the file, which it replaces.
+    """Write the poses of a run as a TUM trajectory, replacing the file, and return the file.
 
-    A line per pose, for evo and its like: time [s], x y z [m], and the quaternion x y z w of the
-    heading. Position and time read back to the last bit, the heading to some 1e-15 rad.
+    One line per pose, for programs such as evo: time [s], x y z [m], and the quaternion x y z w of
+    the heading. Position and time can be read back exactly, the heading to about 1e-15 rad.
 
     Raises:
-        LogError: Where the place cannot be written.
+        LogError: If the file cannot be written.
     """
     path = make_path(path)
     with (
@@ -157,7 +156,7 @@ def _format_tum(run: Run) -> Iterator[str]:
 
 
 def _list_rows(columns: Sequence[NDArray[Any]]) -> Iterator[tuple[Any, ...]]:
-    """Yield the rows of columns of one length as values of Python, a few in memory."""
+    """Yield the rows of columns of equal length as Python values, a few in memory."""
     for first in range(0, len(columns[0]), _ROWS):
         parts = (column[first : first + _ROWS].tolist() for column in columns)
         yield from zip(*parts, strict=True)

@@ -1,4 +1,4 @@
-"""What is in a file: from its summary where that tells, else its messages are counted."""
+"""Contents of a file: from its summary if possible, otherwise by counting its messages."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -43,10 +43,10 @@ class TopicInfo:
     """One topic of a file.
 
     Attributes:
-        topic: Its name.
+        topic: Name of the topic.
         type: Type of its messages, as its schema calls it.
         count: Number of messages.
-        reason: Why they cannot become columns; empty if they can.
+        reason: Why the messages cannot become columns; empty if they can.
     """
 
     topic: str
@@ -55,7 +55,7 @@ class TopicInfo:
     reason: str = ""
 
     def describe_reason(self) -> str:
-        """Return the topic with its reason, as errors and notes name it."""
+        """Return the topic with its reason, for errors and notes."""
         return describe_unread(self.topic, self.reason)
 
 
@@ -64,24 +64,23 @@ class RecordingInfo:
     """Contents of a file.
 
     Attributes:
-        file: Its path, as given.
-        format_version: Format version of the recording, None if turtlelog did not write it.
-        source: See `Run`; `mcap`, `sqlite3` or, for messages of ROS 1, `ros1` if turtlelog did not
-            write it.
+        file: Path of the file, as given.
+        format_version: Format version of the recording; None for third-party files.
+        source: See `Run`; for third-party files `mcap`, `sqlite3` or, for ROS 1 messages, `ros1`.
         name: See `Run`; otherwise the file's name.
-        complete: Whether the file was finished; of one that was not, what a walk finds is listed.
+        complete: Whether the file was finished; for other files, the readable contents are listed.
         stop_reason: See `Run`.
-        duration_s: First to last message of any topic, of a table first to last row [s]; None if
-            there is no message. How long its run lasts is `Run.duration_s`, the metric
+        duration_s: Time from first to last message of any topic, or row of a table [s]; None if
+            there is no message. The duration of its run is `Run.duration_s`, the metric
             `run.duration`.
-        span_ns: Least and greatest log time [ns], None if there is no message.
-        scenario: The tables of the whole scenario, None if it is not known.
+        span_ns: Earliest and latest log time [ns]; None if there is no message.
+        scenario: The tables of the complete scenario; None if unknown.
         parameters: Known values of the scenario, by dotted key.
         topics: Topics by name.
         simulated_by: See `Run`.
-        absent: See `Run`; in third-party files, what no topic in it holds.
-        notes: See `Run`; of a recovered file `recovered`, of a damaged one `partial`.
-        not_understood: Topics whose messages cannot become columns, each with the reason.
+        absent: See `Run`; for third-party files, the fields that no topic contains.
+        notes: See `Run`; also `recovered` for a recovered file and `partial` for a damaged one.
+        not_understood: Topics whose messages cannot become columns, with the reason.
     """
 
     file: str
@@ -109,15 +108,15 @@ class RecordingInfo:
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Survey:
-    """What a file holds.
+    """Contents of a file.
 
     Attributes:
-        catalogue: Its channels and schemas.
-        is_finished: Whether its writer came to its end, and it is not damaged.
-        records: Its metadata and attachments, among others.
-        counts: Messages by channel.
-        span_ns: Least and greatest log time, None if there is no message.
-        damages: What could not be read, where the file was walked in spite of that.
+        catalogue: Channels and schemas of the file.
+        is_finished: Whether the file was finished and is not damaged.
+        records: Metadata, attachments and similar records.
+        counts: Number of messages by channel.
+        span_ns: Earliest and latest log time [ns]; None if there is no message.
+        damages: Segments that could not be read, if a damaged file was read.
     """
 
     catalogue: Catalogue
@@ -129,12 +128,12 @@ class Survey:
 
     @property
     def is_own(self) -> bool:
-        """Whether turtlelog wrote it, as far as its records tell."""
+        """Whether its records show that turtlelog wrote it."""
         return any(isinstance(found, Metadata) and found.name == HEAD for found in self.records)
 
     @property
     def is_ros1(self) -> bool:
-        """Whether its messages are as ROS 1 writes them."""
+        """Whether its messages are in the ROS 1 format."""
         kinds = self.catalogue.schemas.values()
         return any(schema.encoding == SchemaEncoding.ROS1 for schema in kinds)
 
@@ -149,15 +148,15 @@ class Survey:
 
 
 def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo:
-    """Return what is in a file, MCAP or SQLite, whoever wrote it; from its summary if it has one.
+    """Return the contents of any MCAP or SQLite file, from its summary if it has one.
 
     Args:
         path: The file.
-        allow_partial: Say what a damaged file still holds; one that was never finished is
-            described in any case. The note `partial` says what is lost.
+        allow_partial: Whether to describe the readable part of a damaged file; unfinished files are
+            described in any case. The note `partial` lists the losses.
 
     Raises:
-        LogError: If it cannot be read, is neither, or is damaged.
+        LogError: If the file cannot be read, is neither MCAP nor SQLite, or is damaged.
     """
     with open_storage(path) as opened:
         is_sqlite = isinstance(opened, SqliteSource)
@@ -184,7 +183,7 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
 
 
 def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
-    """Return the info with what a recording of ours says of itself."""
+    """Return the info with the metadata of a turtlelog recording."""
     metadata = {found.name: found for found in survey.records if isinstance(found, Metadata)}
     if HEAD not in metadata:
         return replace(info, absent=list_absent(info.topics))
@@ -216,10 +215,10 @@ _PLACES: Final = {"poses": POSE, "commands": COMMAND, "samples": CONTROL, "goal_
 
 
 def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
-    """Return what third-party files does not hold, by the names of `Run`.
+    """Return the fields of `Run` that third-party files lack.
 
-    Its scenario and why it ended stand in turtlelog's own record alone. Which of its topics are
-    poses and commands only reading tells; where no message can be understood, there are none.
+    Only turtlelog's metadata contain the scenario and the stop reason. Which topics are poses and
+    commands is known only after reading; if no message can be decoded, there are none.
     """
     present = [found for found in topics if found.count]
     held = {found.topic for found in present}
@@ -244,7 +243,7 @@ def _describe_losses(survey: Survey) -> dict[str, str]:
 
 
 def _list_topics(survey: Survey, reasons: Mapping[str, str]) -> tuple[TopicInfo, ...]:
-    """Return the topics by name; channels of one topic and type are one."""
+    """Return the topics by name; channels with the same topic and type are merged."""
     schemas, counts = survey.catalogue.schemas, Counter[tuple[str, str]]()
     for number, channel in survey.catalogue.channels.items():
         schema = schemas.get(channel.schema_id)
@@ -256,7 +255,7 @@ def _list_topics(survey: Survey, reasons: Mapping[str, str]) -> tuple[TopicInfo,
 
 
 def merge_topics(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
-    """Return topics of one name and type as one, in the order in which they first stand."""
+    """Merge topics with the same name and type, in the order of their first occurrence."""
     merged: dict[tuple[str, str], TopicInfo] = {}
     for found in topics:
         first = merged.setdefault((found.topic, found.type), replace(found, count=0))
@@ -266,20 +265,20 @@ def merge_topics(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
 
 
 def sort_topics(topics: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
-    """Return topics by name, and those of one name by type."""
+    """Return topics sorted by name, then by type."""
     return tuple(sorted(topics, key=lambda found: (found.topic, found.type)))
 
 
 def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
-    """Return what an MCAP file holds; one that was never finished is walked as far as it goes.
+    """Return the contents of an MCAP file; an unfinished file is read as far as possible.
 
     Args:
         stream: The file.
-        allow_partial: Walk a damaged one too.
+        allow_partial: Whether to read a damaged file, too.
 
     Raises:
-        LogError: If it is no MCAP.
-        DamageError: If it is finished but damaged, as far as it is read.
+        LogError: If the file is not MCAP.
+        DamageError: If the file is finished but the part that is read is damaged.
     """
     try:
         return _survey_source(stream)
@@ -322,7 +321,7 @@ def _survey_source(stream: BinaryIO) -> Survey:
 def _walk(
     stream: BinaryIO, survey: Survey, allowance: Allowance, damages: list[Loss] | None
 ) -> None:
-    """Add what a walk finds: of a segment of records that makes no sense, nothing."""
+    """Add the contents of all readable segments; segments with invalid records are skipped."""
 
     def take(section: Section) -> None:
         byte, is_chunk = section.start, section.is_chunk

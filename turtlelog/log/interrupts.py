@@ -1,4 +1,4 @@
-"""What Ctrl-C and a request to end may interrupt, and what not."""
+"""Handling of Ctrl-C and termination signals."""
 
 import signal
 import sys
@@ -13,7 +13,7 @@ Handler = Callable[[int, FrameType | None], object]
 
 
 def _find_signals(*names: str) -> tuple[signal.Signals, ...]:
-    """Return the signals of these names that the system knows; Windows lacks some."""
+    """Return the signals with these names that exist; Windows lacks some."""
     return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
 
 
@@ -24,10 +24,10 @@ _STOPS: Final = (*_KEYBOARD, *_REQUESTS)
 
 @dataclass(slots=True)
 class StopRequest:
-    """Whether somebody has asked the program to end.
+    """A request to end the program.
 
     Attributes:
-        signal_number: By which signal; None while nobody has.
+        signal_number: Number of the signal; None if no signal has arrived.
     """
 
     signal_number: int | None = None
@@ -35,12 +35,12 @@ class StopRequest:
 
 @contextmanager
 def catch_stop() -> Iterator[StopRequest]:
-    """Note SIGINT, SIGTERM, SIGHUP and SIGQUIT instead of ending at once; a second one interrupts.
+    """Record SIGINT, SIGTERM, SIGHUP and SIGQUIT instead of ending; a second one interrupts.
 
-    The block asks the value it is given when it suits it. SIGTERM or SIGHUP stays without effect
-    where it had none, as under `nohup`; of the keyboard's two signals that says nothing, since a
-    shell turns them off for every job in the background of a script. Outside the main thread, where
-    Python delivers no signals, nothing is changed, and nothing noted.
+    The block checks the yielded request at suitable times. If SIGTERM or SIGHUP was ignored before,
+    as under `nohup`, it stays ignored. SIGINT and SIGQUIT are handled even so, because a shell
+    ignores them for every background job of a script. Outside the main thread, where Python
+    delivers no signals, nothing changes.
     """
     request = StopRequest()
 
@@ -56,7 +56,7 @@ def catch_stop() -> Iterator[StopRequest]:
 
 @contextmanager
 def hold_stop() -> Iterator[None]:
-    """Let a block end before the signals of `catch_stop` have the effect they had outside it."""
+    """Delay the signals of `catch_stop` until the block ends."""
     held: list[int] = []
     try:
         with _handle(lambda number, _frame: held.append(number), _STOPS):
@@ -68,10 +68,10 @@ def hold_stop() -> Iterator[None]:
 
 @contextmanager
 def exit_on_terminate() -> Iterator[None]:
-    """Make SIGTERM, SIGHUP and SIGQUIT end the block as an exception does: files are finished.
+    """Make SIGTERM, SIGHUP and SIGQUIT raise an exception in the block, so that files are finished.
 
-    Ctrl-C does so anyway. Where somebody else has a say, as `nohup` or a handler, that stays. On
-    Windows only a console sends SIGTERM; ending a task kills it.
+    Ctrl-C does so by default. Existing settings, by `nohup` or a handler, stay. On Windows only a
+    console sends SIGTERM; ending a task kills the process.
     """
 
     def leave(number: int, _frame: FrameType | None) -> None:
@@ -83,7 +83,7 @@ def exit_on_terminate() -> Iterator[None]:
 
 @contextmanager
 def interrupt_on_quit() -> Iterator[None]:
-    """Let SIGQUIT act as Ctrl-C where it would end the program without a word."""
+    """Make SIGQUIT act like Ctrl-C if its default action is set."""
     with _handle(signal.default_int_handler, _find_defaults(_find_signals("SIGQUIT"))):
         yield
 

@@ -1,4 +1,4 @@
-"""Drives a simulation live: its ticks go into sinks as they come, at wall clock where asked."""
+"""Live simulation: every tick goes to sinks at once, optionally in real time."""
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,26 +18,26 @@ from turtlelog.simulate.step_budget import STEP_BUDGET_S
 
 
 class Sink(Protocol):
-    """Takes ticks while they happen: a recorder, a viewer."""
+    """A receiver of live ticks, such as a recorder or a viewer."""
 
     def receive(self, tick: Tick) -> None:
-        """Take one tick; the last one carries the stop reason."""
+        """Receive one tick; the last tick contains the stop reason."""
         ...
 
     def close(self, notes: Mapping[str, str]) -> None:
-        """Come to an end, also where the run failed; `notes` are those of its `Run`."""
+        """Finish, also after a failed run; `notes` are those of its `Run`."""
         ...
 
 
 class Pacer(Protocol):
-    """What paces a run."""
+    """A clock that paces a run."""
 
     def now(self) -> float:
-        """Return the time since some moment [s], never going back."""
+        """Return the time since a fixed instant [s]; it never decreases."""
         ...
 
     def sleep(self, duration_s: float) -> None:
-        """Wait [s]; it may take longer."""
+        """Wait for at least a time [s]."""
         ...
 
 
@@ -52,25 +52,25 @@ WALL_CLOCK: Final = WallClock()
 
 
 class Pace:
-    """Holds every tick back until its time by the clock has come, counted from the first.
+    """Pacing of ticks: each tick waits for its time on the clock, counted from the first.
 
-    A loop that falls behind goes on without a wait until it has caught up, so that the end of a run
-    does not drift. Ticks that come more than one period late are counted: they are what an observer
-    would have seen at the wrong time, and what the recording cannot show.
+    A late loop continues without waiting until it has caught up, so that the end of a run does not
+    drift. Ticks that are more than one period late are counted, because the recording does not show
+    them.
 
     Attributes:
         late_ticks: Number of ticks that came late.
-        greatest_lag_s: By how much the latest [s].
+        greatest_lag_s: Largest delay of a tick [s].
     """
 
     def __init__(self, clock: Pacer, period_s: float) -> None:
-        """Count a tick that is more than a period of the plant [s] late as late."""
+        """Set the period of the plant [s], above which a delayed tick counts as late."""
         self._period_s = period_s
         self.late_ticks, self.greatest_lag_s = 0, 0.0
         self._clock, self._start_s = clock, 0.0
 
     def wait(self, tick: Tick) -> None:
-        """Return when the tick's time has come."""
+        """Wait until the tick's time has come."""
         now_s = self._clock.now()
         if not tick.time_ns:
             self._start_s = now_s
@@ -82,7 +82,7 @@ class Pace:
             self.greatest_lag_s = max(self.greatest_lag_s, now_s - deadline_s)
 
     def describe(self) -> dict[str, str]:
-        """Return the notes for a run; none where every tick came in time."""
+        """Return the notes for a run; empty if no tick was late."""
         if not self.late_ticks:
             return {}
         return {"late_ticks": f"{self.late_ticks}, by up to {self.greatest_lag_s:.3f} s"}
@@ -96,26 +96,25 @@ def run_live(
     clock: Pacer = WALL_CLOCK,
     step_budget_s: float | None = STEP_BUDGET_S,
 ) -> Run:
-    """Simulate a scenario, hand every tick to the sinks as it comes, and return the run.
+    """Simulate a scenario, pass every tick to the sinks at once, and return the run.
 
     Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end the run with the stop reason `interrupted` at the next
-    tick, a second one at once. The sinks are closed whatever happens.
+    tick; a second signal ends it at once. The sinks are closed in any case.
 
     Args:
         scenario: Scenario to simulate.
-        sinks: Who sees the ticks, in this order.
-        realtime: Whether ticks wait for their time by the clock.
-        clock: The clock that they wait for.
-        step_budget_s: Longest time for one answer of the law, by the computer's clock [s]; None: no
-            limit.
+        sinks: Receivers of the ticks, in this order.
+        realtime: Whether ticks wait for their time on the clock.
+        clock: Clock for `realtime`.
+        step_budget_s: Longest computing time of the law per step [s]; None: no limit.
 
     Raises:
         ScenarioError: If the law cannot be loaded or may not run.
-        SimulationError: If the law fails, with the run so far as `run`. The sinks have seen the
-            tick in which it did, whose stop reason is `law_failed`, or `step_budget` where it
-            computed for too long, and are closed.
-        KeyboardInterrupt: If it was interrupted before the first sample.
-        LogError: If a recorder can take no more.
+        SimulationError: If the law fails; `run` is the run so far. The sinks have received the tick
+            of the failure, with the stop reason `law_failed`, or `step_budget` if the law exceeded
+            its time, and are closed.
+        KeyboardInterrupt: If the run was interrupted before the first sample.
+        LogError: If a recorder cannot write.
     """
     scenario = resolve_scenario(scenario)
     pace = Pace(clock, scenario.plant.facts.period_s) if realtime else None

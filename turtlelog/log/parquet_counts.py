@@ -1,4 +1,4 @@
-"""What a Parquet file claims, counted before Arrow takes memory for it: its footer and its pages.
+"""Checks of a Parquet file's footer and pages before Arrow allocates memory.
 
 Both are structs in Thrift's compact protocol. A footer of 900 kB can name 300,000 columns, which
 take 210 MB in Arrow. A page of 100 bytes can unpack to gigabytes, whatever the footer says.
@@ -103,7 +103,7 @@ def read_footer_claims(
         advice: What to do where it has more bytes; ends the line.
 
     Raises:
-        DamageError: Where it is no footer, or larger than that.
+        DamageError: If it is no footer, or larger than that.
     """
     size = stream.seek(0, 2)
     stream.seek(max(size - _ENDING, 0))
@@ -160,7 +160,7 @@ def iterate_pages(stream: BinaryIO, chunk: ChunkClaim) -> Iterator[PageClaim]:
     """Yield what the pages of a column in a group say about themselves; none is unpacked.
 
     Raises:
-        DamageError: Where the header of one is none, or a page ends behind the file.
+        DamageError: If the header of one is none, or a page ends behind the file.
     """
     place, end = chunk.start, chunk.start + chunk.size
     if chunk.start < len(_MAGIC) or chunk.size < 0 or end > stream.seek(0, 2):
@@ -205,7 +205,7 @@ class _Thrift:
         """Return the wanted fields that are there.
 
         Raises:
-            DamageError: Where the bytes are no struct, or hold too many.
+            DamageError: If the bytes are no struct, or hold too many.
         """
         self._count_part(depth)
         found: dict[int, Any] = {}

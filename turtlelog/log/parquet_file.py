@@ -1,4 +1,4 @@
-"""Parquet files -> Arrow tables: counted before they are read, and read without threads.
+"""Reading of Parquet files as Arrow tables: checked before reading, and without threads.
 
 pyarrow reads a stream of Python in threads of its own unless it is told not to. Such a thread may
 outlive the answer, and then ends the process with SIGABRT when Python exits.
@@ -58,7 +58,7 @@ _NO_DICTIONARY: Final = frozenset({6, _SHARES_PREFIXES})
 
 
 def count_most_rows(size: int) -> int:
-    """Return how many rows a table in a file of so many bytes may have."""
+    """Return the largest number of table rows for a file size [bytes]."""
     return MOST_ROWS if size < SMALL_FILE else max(MOST_ROWS, size // _ROW_BYTES)
 
 
@@ -71,13 +71,13 @@ def describe_rows(found: str, most: int, size: int) -> str:
 
 
 class ParquetFile:
-    """A Parquet file, which is open only while it is read: it may be replaced meanwhile.
+    """A Parquet file. It is open only during reads, so it may be replaced meanwhile.
 
     Attributes:
-        metadata: What Arrow reads in the footer.
-        schema: Arrow's.
-        group_rows: How many rows there are in each group.
-        row_count: How many rows there are.
+        metadata: Arrow's metadata of the footer.
+        schema: Arrow's schema.
+        group_rows: Number of rows in each group.
+        row_count: Number of rows.
         leaves: Arrow's descriptions of the columns of values; paths within structs have dots.
     """
 
@@ -85,8 +85,9 @@ class ParquetFile:
         """Read the footer.
 
         Raises:
-            LogError: Without the file's name, where it is no Parquet file, or claims too much.
-            LibraryError: Where pyarrow is not installed.
+            LogError: If it is no Parquet file, or exceeds limits; the message lacks the file's
+                name.
+            LibraryError: If pyarrow is not installed.
         """
         self._path = make_path(path)
         parquet = load_library("pyarrow.parquet")
@@ -126,11 +127,11 @@ class ParquetFile:
             raise DamageError("expected a complete Parquet file, found less than no rows")
 
     def read(self, names: Sequence[str] | None = None, group: int | None = None) -> Any:
-        """Return columns as a table of Arrow; texts are dictionaries.
+        """Return columns as an Arrow table; texts are dictionary-encoded.
 
         Args:
-            names: Of columns, or of columns within structs with dots; None: all.
-            group: Of rows; None: all.
+            names: Names of columns, with dots for columns within structs; None: all.
+            group: Index of a row group; None: all.
 
         Raises:
             LogError: Without the file's name, where they ask for more memory than they may.
@@ -148,7 +149,7 @@ class ParquetFile:
             return file.read_row_groups([*groups], asked, use_threads=False)
 
     def require_rows(self) -> None:
-        """Refuse a table of more rows than one run may have.
+        """Refuse a table with more rows than a run may have.
 
         Behind a URL a long one is fetched as a whole before its rows are believed.
 
@@ -163,11 +164,11 @@ class ParquetFile:
             self._believed = self._path.file.fetch_whole()
 
     def require_cells(self, columns: int, rows: int | None = None) -> None:
-        """Refuse to read more cells than may be in memory at once.
+        """Refuse to read more cells than the memory limit allows.
 
         Args:
-            columns: How many are read.
-            rows: Of each; None: all.
+            columns: Number of columns to read.
+            rows: Number of rows of each column; None: all.
 
         Raises:
             LogError: Without the file's name.
@@ -191,7 +192,7 @@ class ParquetFile:
         """Return the columns of texts that are read as dictionaries.
 
         Raises:
-            LogError: Where the columns would take more memory than they may.
+            LogError: If the columns would take more memory than they may.
         """
         self.require_cells(len(places), sum(self.group_rows[group] for group in groups))
         size = self._believed
@@ -224,7 +225,7 @@ class _PageCounts:
         """Count the pages of a column, and return whether it is read as a dictionary of texts.
 
         Raises:
-            LogError: Where they ask for too much.
+            LogError: If they ask for too much.
         """
         if leaf.physical_type == "BYTE_ARRAY":
             return self._count_texts([page for one in chunks for page in self._list(stream, one)])

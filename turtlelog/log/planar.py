@@ -1,4 +1,4 @@
-"""Poses in space -> what is lost when only x, y and heading are kept."""
+"""Projection of 3D poses to x, y and heading, and a description of the loss."""
 
 import math
 from typing import Final
@@ -21,11 +21,11 @@ at 85 deg of pitch 1 deg of noise turns it by 11 deg."""
 
 
 def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
-    """Return one sentence on a robot that leaves the plane, None where it stays in it.
+    """Return a sentence on a robot that leaves the plane, None if it stays in the plane.
 
     Args:
-        z_m: Heights [m], shape (n,); None where they are not known. What is not finite is ignored.
-        tilt_rad: Angles between the robot's vertical axis and the world's [rad], likewise.
+        z_m: Heights [m], shape (n,); None if unknown. Values that are not finite are ignored.
+        tilt_rad: Angles between the robot's vertical axis and the world's [rad], shape (n,).
     """
     heights, tilts = _keep_finite(z_m), _keep_finite(tilt_rad)
     found = []
@@ -48,11 +48,11 @@ _SEEN: Final = "most metrics are seen from above"
 
 
 def lift_poses(z_m: Values | None, tilt_rad: Values | None) -> dict[str, Values]:
-    """Return the heights and tilts of a robot that leaves the plane, by the names of its columns.
+    """Return the heights and tilts of a robot that leaves the plane, by column name.
 
     Args:
         z_m: As in `describe_height`.
-        tilt_rad: Likewise.
+        tilt_rad: As in `describe_height`.
     """
     if describe_height(z_m, tilt_rad) is None:
         return {}
@@ -65,15 +65,15 @@ def lift_poses(z_m: Values | None, tilt_rad: Values | None) -> dict[str, Values]
 
 
 def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
-    """Return the heading of the forward axis, seen from above, however the robot leans [rad].
+    """Return the heading of the forward axis projected onto the plane, for any tilt [rad].
 
-    NaN where that axis points up or down (`LEAST_LEVEL`).
+    NaN if that axis points up or down (`LEAST_LEVEL`).
 
     Args:
-        x: Of quaternions of any length but 0, shape (n,), as the others.
-        y: Likewise.
-        z: Likewise.
-        w: Their scalar part.
+        x: x of quaternions of any length except 0, shape (n,), like the others.
+        y: y of the quaternions.
+        z: z of the quaternions.
+        w: Scalar part of the quaternions.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # of lengths beyond 1e154 there is none
         left, ahead = 2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2
@@ -85,10 +85,10 @@ def compute_tilt(x: Values, y: Values, z: Values, w: Values) -> Values:
     """Return the angle between the vertical axes before and after a rotation [rad], in [0, pi].
 
     Args:
-        x: Of quaternions of any length but 0, shape (n,), as the others.
-        y: Likewise.
-        z: Likewise.
-        w: Their scalar part.
+        x: x of quaternions of any length except 0, shape (n,), like the others.
+        y: y of the quaternions.
+        z: z of the quaternions.
+        w: Scalar part of the quaternions.
     """
     return 2.0 * np.arctan2(np.hypot(x, y), np.hypot(w, z))
 

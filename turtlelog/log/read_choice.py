@@ -1,4 +1,4 @@
-"""What to read of a file that may be meant in several ways: topics, frames, clock, goal."""
+"""Choice of the contents to read from a file: topics, frames, clock, goal."""
 
 import math
 from collections.abc import Collection, Mapping
@@ -34,26 +34,26 @@ class ReadOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadChoice:
-    """Topics, frames and times to read from third-party files; permission of unfinished recordings.
+    """Topics, frames and times to read from third-party files; options for incomplete files.
 
     Attributes:
-        pose_topic: Poses; None: what the types and names of the topics suggest, as for the others.
-        command_topic: Commands.
-        path_topic: The path that is to be followed.
-        pose_frame: The robot's frame, of poses from transforms.
-        world_frame: The frame in which poses from transforms are given.
-        goal: x, y [m] and, where one is asked for, heading [rad]; None: as the file says.
+        pose_topic: Topic of the poses; None: chosen by topic types and names, as for the other
+            topics.
+        command_topic: Topic of the commands.
+        path_topic: Topic of the path to follow.
+        pose_frame: The robot's frame, for poses from transforms.
+        world_frame: Reference frame, for poses from transforms.
+        goal: Goal x, y [m] and optionally heading [rad]; None: the goal in the file.
         time: Clock that times the poses.
         robot: Name of one of several robots in a bag, such as `robot2` of `/robot2/odom`.
         wheel_joints: Names of the left and the right wheel in sensor_msgs/JointState, as in
             `wheel_left_joint,wheel_right_joint`: poses are the odometry of these wheels.
-        wheels: Radius of the wheels, and the distance between them [m].
-        wheelbase: Distance of the axles [m], which turns Ackermann commands into turn rates.
-        columns: Columns of a plain table, by what they hold (`t`, `x`, `y`, `heading` ...): the
-            name of the column, with its unit in brackets where the name does not have it (`yaw
-            [deg]`).
-        allow_partial: Read what an unfinished or damaged recording still holds.
-        allow_no_poses: Read a bag of commands alone, as a run without poses.
+        wheels: Radius of the wheels and track between them [m].
+        wheelbase: Distance between the axles [m], for converting Ackermann commands to turn rates.
+        columns: Columns of a plain table, by quantity (`t`, `x`, `y`, `heading` ...): the column
+            name, with a unit in brackets if the name has no unit (`yaw [deg]`).
+        allow_partial: Whether to read the intact part of an unfinished or damaged recording.
+        allow_no_poses: Whether to read a bag that contains only commands as a run without poses.
     """
 
     pose_topic: str | None = None
@@ -72,7 +72,7 @@ class ReadChoice:
     allow_no_poses: bool = False
 
     def override(self, other: "ReadChoice") -> "ReadChoice":
-        """Return this choice with all that another one asks for; columns of both."""
+        """Return this choice with the settings of another choice added; columns are merged."""
         usual = ReadChoice()
         asked = {
             one.name: getattr(other, one.name)
@@ -89,8 +89,8 @@ CHOSEN: Final = "chosen"
 def split_topic(path: str | Path) -> tuple[Path, str | None]:
     """Return the file and the topic of its poses in FILE:TOPIC, as in `bag:/odom_kf`.
 
-    A file of the whole name comes first, and what is no file before the colon is no FILE:TOPIC. The
-    topic may lack its leading slash.
+    A file with the whole name has priority. The part before the colon must be an existing file. The
+    leading slash of the topic is optional.
     """
     path = make_path(path)
     if isinstance(path, RemotePath):
@@ -106,16 +106,16 @@ def split_topic(path: str | Path) -> tuple[Path, str | None]:
 
 
 def match_topic(asked: str, names: Collection[str]) -> str:
-    """Return the topic that is meant by a name with its leading slash or without; else the name."""
+    """Return the topic with a name, with or without leading slash; otherwise the name itself."""
     other = asked.removeprefix("/") if asked.startswith("/") else f"/{asked}"
     return other if asked not in names and other in names else asked
 
 
 def parse_goal_option(goal: tuple[float, ...]) -> tuple[tuple[float, float], float | None]:
-    """Return position [m] and heading [rad] of a goal that is asked for; None without a heading.
+    """Return position [m] and heading [rad] of a requested goal; None for a missing heading.
 
     Raises:
-        LogError: If it is neither two nor three finite numbers.
+        LogError: If the goal is not two or three finite numbers.
     """
     if len(goal) not in {2, 3} or not all(map(math.isfinite, goal)):
         raise LogError(f"goal: expected x, y [m] and perhaps a heading [rad], found {goal!r:.60}")
@@ -127,7 +127,7 @@ def parse_joints(text: str) -> tuple[str, str]:
     """Return the names of the left and the right wheel.
 
     Raises:
-        LogError: If there are not two.
+        LogError: If there are not two names.
     """
     names = [name.strip() for name in text.split(",")]
     if len(names) != 2 or not all(names) or names[0] == names[1]:
@@ -139,7 +139,7 @@ def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
     """Return the radius of wheels and the distance between them [m].
 
     Raises:
-        LogError: If there are not two lengths above 0.
+        LogError: If there are not two lengths > 0.
     """
     if len(values) != 2 or not all(map(is_length, values)):
         raise LogError(
@@ -150,10 +150,10 @@ def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
 
 
 def parse_wheelbase(value: float) -> float:
-    """Return the distance of the axles [m].
+    """Return the distance between the axles [m].
 
     Raises:
-        LogError: If it is no length above 0.
+        LogError: If the value is not a length > 0.
     """
     if not is_length(value):
         raise LogError(f"wheelbase: expected a length above 0 in m, found {value!r:.60}")

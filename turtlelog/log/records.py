@@ -126,7 +126,7 @@ def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> C
         channel: Of the topic.
 
     Raises:
-        LogError: Where a column is not one of the type, has another length, or does not fit.
+        LogError: If a column is not one of the type, has another length, or does not fit.
     """
     kind = read_type(columns.type, schema.data.decode())
     fields, layout = kind.fields, kind.layout

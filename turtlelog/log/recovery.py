@@ -1,4 +1,4 @@
-"""Unfinished or damaged file, or bag of them -> complete one with whatever it still holds."""
+"""Recovery of unfinished or damaged files and bags."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -37,15 +37,15 @@ class RecoveryReport:
 
     Attributes:
         file: The source, as given.
-        complete: Whether the source was finished and undamaged, so that nothing is lost.
-        recovered: Messages by topic.
-        unchecked: Those of them that no checksum vouches for, by topic; a bit of them may have
-            changed unnoticed.
-        missing: Messages by topic that the source's summary counts and that did not come; empty too
-            where it is lost, but the checksum of all data holds; None if nothing shows it.
+        complete: Whether the source was complete and undamaged, so that nothing is lost.
+        recovered: Number of recovered messages by topic.
+        unchecked: Number of recovered messages without a checksum, by topic; these may be corrupted
+            unnoticed.
+        missing: Number of lost messages by topic, according to the source's summary; empty also if
+            the summary is lost but the checksum of all data is correct; None if unknown.
         from_s: Log time of the earliest message recovered [s].
-        to_s: Log time of the latest [s].
-        lost: In the order of the file.
+        to_s: Log time of the latest message recovered [s].
+        lost: Losses in the order of the file.
     """
 
     file: str
@@ -64,11 +64,11 @@ class RecoveryReport:
 
 
 def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
-    """Write what an unfinished or damaged file still holds, MCAP or SQLite, as a complete one.
+    """Write the readable contents of an unfinished or damaged MCAP or SQLite file as a new file.
 
     Profile, schemas, channels, metadata, attachments and messages are kept, in the order of the
-    file. Damaged chunks are left out as a whole, and so are messages whose channel is described
-    nowhere. What was lost is noted in a metadata record `turtlelog_recovery`.
+    file. Damaged chunks are omitted as a whole, and so are messages of unknown channels. The
+    metadata record `turtlelog_recovery` lists the losses.
 
     Args:
         source: The file, or the folder of a bag: a bag that was never closed has no
@@ -77,8 +77,8 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
             folder, for a bag of all its files.
 
     Raises:
-        LogError: If the source cannot be read, or holds no message that can be recovered; where the
-            target is the source, or cannot be written.
+        LogError: If the source cannot be read or has no recoverable message, or if the target is
+            the source or cannot be written.
     """
     source, target = make_path(source), make_path(target)
     if source.is_dir() and target.suffix.lower() != ".mcap":

@@ -134,11 +134,11 @@ class Rewriter:
     """Writes the records of a file to another, a stretch as a chunk, and counts.
 
     Attributes:
-        recovered: Messages by topic.
+        recovered: Number of recovered messages by topic.
         unchecked: Those of them that no checksum of their own stretch vouches for.
         unknown: Messages by the number of a channel that nothing before them describes.
         first_unknown: By the same, the byte of the stretch with the first of them.
-        span_ns: Least and greatest log time, None before the first message.
+        span_ns: Earliest and latest log time [ns]; None before the first message.
         numbering: What the ids of the source mean.
     """
 
@@ -350,7 +350,7 @@ def parse_exact_record(kind: type[Described], body: bytes) -> Described:
     """Return a record whose lengths agree; bytes that a later version appended are ignored.
 
     Raises:
-        LogError: One clause, where they do not.
+        LogError: One clause, if they do not.
     """
     record, size = parse_body(kind, body)
     if isinstance(record, Channel | Schema):

@@ -102,8 +102,8 @@ def copy_ros1_bag(stream: BinaryIO, place: Path, stored_size: int) -> None:
         stored_size: Of the bag, before it is unpacked [bytes]: so much it may ask for.
 
     Raises:
-        LogError: Where it is no bag of version 2.0, is damaged, cut or was never finished, or asks
-            for far more than its size.
+        LogError: If it is no bag of version 2.0, is damaged, cut or was never finished, or asks for
+            far more than its size.
     """
     allowance = Allowance(stored_size)
     if stream.read(len(_START)) != _START:

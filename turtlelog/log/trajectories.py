@@ -62,7 +62,7 @@ def read_trajectory(
         times: File with the time of each pose [s] for a KITTI trajectory, which has none.
 
     Raises:
-        LogError: One line with the file and the place.
+        LogError: If the file cannot be read; one line with the file and the place.
     """
     choice = choice or ReadChoice()
     file, topic = split_topic(path)

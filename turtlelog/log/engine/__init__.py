@@ -1,6 +1,6 @@
-"""Files as columns: chunks walked, gathered and written by the thousand, not message by message.
+"""Reading of files as columns: thousands of messages at once instead of one by one.
 
-The names stand in `__init__.pyi` and load on first use.
+The names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

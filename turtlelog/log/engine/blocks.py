@@ -1,8 +1,8 @@
-"""Blocks: stretches of records in memory, and where in them the messages of each channel stand.
+"""Blocks: segments of records in memory, with the offsets of each channel's messages.
 
-With an index a block is a chunk, and its message indexes say where. They carry no checksum, so
-they are held against the chunk: together the records must fill it without gap or overlap.
-Otherwise the headers of the records are walked one by one.
+In a file with an index, a block is a chunk and the message indexes give the offsets. They have no
+checksum and are checked against the chunk: the records must fill it without gap or overlap.
+Otherwise the record headers are read one by one.
 """
 
 import struct
@@ -58,14 +58,13 @@ class Block:
     """Records in memory.
 
     Attributes:
-        data: Their bytes.
-        byte: Of the file: where they start, or their chunk.
-        offsets: By channel: where its messages start, shape (n,), increasing.
-        rest: The other records among them, in order: schemas and channels, and outside chunks
-            headers, metadata and attachments.
-        before: By topic: how many messages stand in the chunks before it that are read; None where
-            nobody counted.
-        unit: What `byte` counts, where it is not bytes.
+        data: Bytes of the records.
+        byte: Offset in the file of the first record or of its chunk.
+        offsets: Start of each message by channel, shape (n,), increasing.
+        rest: Other records in order: schemas and channels, and outside chunks also headers,
+            metadata and attachments.
+        before: Number of messages by topic in earlier chunks that are read; None if not counted.
+        unit: Unit of `byte`, if it is not bytes.
     """
 
     data: bytes
@@ -85,13 +84,13 @@ def build_indexed_block(
     """Return a chunk as a block.
 
     Args:
-        entry: What the summary says of it.
-        stored: The bytes of the file from the start of the chunk to the end of its indexes.
-        described: Schemas and channels that need not be parsed, by their bytes.
-        largest: What a chunk may hold unpacked [bytes].
+        entry: Entry of the chunk in the summary.
+        stored: Bytes of the file from the start of the chunk to the end of its indexes.
+        described: Known schemas and channels by their bytes, which need not be parsed.
+        largest: Largest size of an unpacked chunk [bytes].
 
     Raises:
-        DamageError: Where chunk, indexes and summary are not sound, or do not agree.
+        DamageError: If chunk, indexes or summary are damaged or inconsistent.
     """
     byte = entry.start
     opcode, length = RECORD.unpack_from(stored) if len(stored) > RECORD.size else (0, 0)
@@ -114,10 +113,10 @@ def build_indexed_block(
 
 
 def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> Block:
-    """Return records as a block; their headers are walked.
+    """Return records as a block by reading their headers.
 
     Raises:
-        DamageError: Where the records do not make sense, or are too many.
+        DamageError: If the records are invalid or too many.
     """
     stretch = take_walked(data, byte, allowance, is_chunk=is_chunk)
     starts, offsets = stretch.starts.astype(np.int64), dict[int, Offsets]()
@@ -138,10 +137,10 @@ def walk_blocks(
     *,
     damages: list[Loss] | None = None,
 ) -> Iterator[Block]:
-    """Yield everything in a file as blocks, in its order, and fill the catalogue meanwhile.
+    """Yield a complete file as blocks, in file order, and fill the catalogue.
 
     Raises:
-        DamageError: Where something is damaged and there is no list that takes the damage.
+        DamageError: If something is damaged and no list for damages was given.
     """
 
     def build(section: Section) -> Block:
@@ -157,10 +156,10 @@ def walk_blocks(
 def walk_through(
     stream: BinaryIO, work: Callable[[Section], T], *, damages: list[Loss] | None = None
 ) -> Iterator[T]:
-    """Yield what `work` makes of every section of a file, in its order.
+    """Yield the result of `work` for every section of a file, in file order.
 
     Raises:
-        DamageError: Where something is damaged and there is no list that takes the damage.
+        DamageError: If something is damaged and no list for damages was given.
     """
     check_start(stream)
     allowance = Allowance(measure_stored(stream))
@@ -187,10 +186,10 @@ def walk_through(
 
 
 def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> RecordStretch:
-    """Return where records stand that must make sense from the first to the last.
+    """Return the offsets of records that must all be valid.
 
     Raises:
-        DamageError: Where they do not, or are too many.
+        DamageError: If a record is invalid, or there are too many.
     """
     left = allowance.count_left(RECORDS)
     stretch = take_apart(data, is_chunk=is_chunk, most_records=left)
@@ -207,10 +206,10 @@ def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool)
 
 
 def parse_others(stretch: RecordStretch, byte: int) -> tuple[Any, ...]:
-    """Return the records of a stretch beside its messages.
+    """Return the records of a segment other than messages.
 
     Raises:
-        DamageError: Where one is not sound.
+        DamageError: If a record is damaged.
     """
     return tuple(
         parse_record(
@@ -223,7 +222,7 @@ def parse_others(stretch: RecordStretch, byte: int) -> tuple[Any, ...]:
 
 
 def count_indexed(data: memoryview) -> Iterator[tuple[int, int]]:
-    """Yield channels and numbers of messages from the message indexes of a chunk, unchecked."""
+    """Yield channels and message counts from the message indexes of a chunk, unchecked."""
     place = 0
     while place + RECORD.size + _INDEX.size <= len(data):
         _, length = RECORD.unpack_from(data, place)
@@ -233,7 +232,7 @@ def count_indexed(data: memoryview) -> Iterator[tuple[int, int]]:
 
 
 def _parse_indexes(data: memoryview, byte: int) -> dict[int, Offsets]:
-    """Return where the messages of each channel start, from the message indexes of a chunk."""
+    """Return the start of each channel's messages, from the message indexes of a chunk."""
     offsets = {}
     for place in iterate_places(data, 0, len(data), byte):
         channel, size = _INDEX.unpack_from(data, place.start) if place.length >= 6 else (0, -1)
@@ -252,10 +251,10 @@ def _parse_indexes(data: memoryview, byte: int) -> dict[int, Offsets]:
 
 
 def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> list[Place]:
-    """Return where the other records of a chunk stand; its messages must fill the rest, each once.
+    """Return the offsets of a chunk's other records; its messages must fill the rest, each once.
 
-    From 0 on the records are a chain: each message ends where one starts that is marked, or where
-    another record does. Lengths that add up leave no message beside the chain.
+    The records form a chain from 0: each message ends at the start of an indexed message or of
+    another record. If the lengths add up, no message is outside the chain.
     """
     starts = np.concatenate([np.empty(0, np.int64), *offsets.values()])
     counts = [len(found) for found in offsets.values()]
@@ -280,7 +279,7 @@ def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> lis
 
 
 def _check_messages(data: bytes, starts: Offsets, channels: NDArray[Any], byte: int) -> Offsets:
-    """Return where messages end; each must be one, of its channel, within the chunk."""
+    """Return the ends of messages; each must be a message of its channel within the chunk."""
     if not len(starts):
         return starts
     if starts.min() < 0 or starts.max() > len(data) - MESSAGE_HEAD:

@@ -1,4 +1,4 @@
-"""The channels of a file -> its topics, and how the messages of each become columns."""
+"""The topics of a file from its channels, and the decoding of their messages."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -49,11 +49,11 @@ Decode = Callable[[int, bytes], dict[str, Any]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectType:
-    """A type whose messages are read as objects.
+    """A message type that is decoded into objects.
 
     Attributes:
-        fields: What each holds.
-        decode: What makes an object of a message; None of JSON.
+        fields: Fields of each message.
+        decode: Function that decodes a message into an object; None for JSON.
     """
 
     fields: tuple[JsonField, ...]
@@ -62,19 +62,18 @@ class ObjectType:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicPlan:
-    """How the messages of a topic are read.
+    """The decoding of a topic's messages.
 
     Attributes:
-        topic: Its name.
-        type: Of its messages; empty where there is no schema.
-        reason: Why they cannot be understood; empty where they can.
-        fields: Of the type.
-        layout: Of the type; None where its messages differ in size.
-        sequence: Dotted name of a sequence of texts or messages in the type, None without one.
-        json: What each message holds, where messages are in JSON or protobuf; None where they are
-            in CDR.
-        decode: What makes an object of a message in protobuf; None of one in JSON.
-        is_ros1: Whether messages are as ROS 1 writes them, and become CDR before they are read.
+        topic: Name of the topic.
+        type: Message type; empty if there is no schema.
+        reason: Why the messages cannot be decoded; empty if they can.
+        fields: Fields of the type.
+        layout: Layout of the type; None if its messages differ in size.
+        sequence: Dotted name of a sequence of texts or messages in the type; None if there is none.
+        json: Fields of each message in JSON or protobuf; None for CDR.
+        decode: Function that decodes a protobuf message into an object; None for JSON.
+        is_ros1: Whether messages are in the ROS 1 format and are converted to CDR first.
     """
 
     topic: str
@@ -88,32 +87,32 @@ class TopicPlan:
     is_ros1: bool = False
 
     def describe_reason(self) -> str:
-        """Return the topic with the reason why it cannot be understood, as errors name it."""
+        """Return the topic with the reason why it cannot be decoded, for errors."""
         return describe_unread(self.topic, self.reason)
 
     @property
     def row_size(self) -> int:
-        """What a message takes in memory, more where it has long texts or sequences [bytes]."""
+        """Memory per message [bytes]; more for long texts or sequences."""
         if self.json is not None:
             return _HEAD + sum(_NUMBER if field.kind in _NUMBERS else _TEXT for field in self.json)
         return _HEAD + (_measure(self.fields) if self.layout is None else self.layout.size)
 
     @property
     def meaning(self) -> object:
-        """What channels of one topic have in common."""
+        """Properties that channels of one topic must share."""
         return self.type, self.fields, self.json, self.is_ros1, self.reason
 
 
 def describe_unread(topic: str, reason: str) -> str:
-    """Return the one sentence about a topic whose messages cannot be understood."""
+    """Return the sentence about a topic whose messages cannot be decoded."""
     return f"topic {topic}: not understood: {reason}"
 
 
 class Catalogue:
-    """The schemas and channels of a file, in the order in which they are found.
+    """The schemas and channels of a file, in the order of discovery.
 
     Attributes:
-        allowance: What the file may still ask for.
+        allowance: Remaining limits of the file.
     """
 
     def __init__(self, allowance: Allowance) -> None:
@@ -127,12 +126,12 @@ class Catalogue:
 
     @property
     def topics(self) -> Collection[str]:
-        """Their names, in no order."""
+        """Names of the topics, unordered."""
         return self._of_topics.keys()
 
     @property
     def types(self) -> dict[str, str]:
-        """Type of the messages, by topic: that of its first channel."""
+        """Message type by topic: that of its first channel."""
         first = {topic: channels[0].schema_id for topic, channels in self._of_topics.items()}
         names = {number: schema.name for number, schema in self.schemas.items()}
         return {topic: names.get(number, "") for topic, number in first.items()}
@@ -141,10 +140,10 @@ class Catalogue:
         return channel in self.channels
 
     def add(self, records: Collection[Any], byte: int) -> None:
-        """Take schemas and channels up; records of other kinds are passed over.
+        """Add schemas and channels; other records are ignored.
 
         Raises:
-            DamageError: Where one differs from another of its id; `byte` is where they stand.
+            DamageError: If a record differs from another with its id; `byte` is their place.
         """
         for record in map(_name_type, records):
             if not isinstance(record, Schema | Channel):
@@ -155,10 +154,10 @@ class Catalogue:
                 self.check((record,), byte)
 
     def check(self, records: Collection[Any], byte: int) -> None:
-        """Hold schemas and channels against those that are known; changes nothing.
+        """Compare schemas and channels with the known ones; nothing is changed.
 
         Raises:
-            DamageError: Where one differs.
+            DamageError: If a record differs.
         """
         for record in map(_name_type, records):
             known = self._find_known(record)
@@ -172,7 +171,7 @@ class Catalogue:
         return self.channels.get(record.id) if isinstance(record, Channel) else None
 
     def list_reasons(self) -> dict[str, str]:
-        """Return why topics cannot be understood, in order of their names; of others nothing."""
+        """Return the reasons why topics cannot be decoded, by topic in order of names."""
         reasons = {}
         for topic, channels in sorted(self._of_topics.items()):
             if len(channels) == 1:
@@ -193,7 +192,7 @@ class Catalogue:
         """Return channels by topic.
 
         Raises:
-            DamageError: Where a channel is not known.
+            DamageError: If a channel is unknown.
         """
         topics: dict[str, list[int]] = {}
         for number in numbers:
@@ -205,7 +204,7 @@ class Catalogue:
         return topics
 
     def _take(self, record: Schema | Channel, byte: int) -> None:
-        """Note what is new."""
+        """Add new schemas and channels."""
         try:
             self.allowance.spend_description(record)
         except LogError as err:
@@ -230,7 +229,7 @@ class Catalogue:
         return TopicPlan(topic=channel.topic, **self._find_reading(channel))
 
     def _find_reading(self, channel: Channel) -> Mapping[str, Any]:
-        """Return the fields of a plan beside its topic: one for a schema and an encoding."""
+        """Return the fields of a plan except its topic, for a schema and an encoding."""
         key = channel.schema_id, channel.message_encoding
         reading = self._readings.get(key)
         if reading is None:
@@ -265,7 +264,7 @@ class Catalogue:
                 return {**found, "json": described.fields, "decode": described.decode}
 
     def _read_type(self, schema: Schema) -> MessageType | ObjectType | str:
-        """Return the type, or why there is none."""
+        """Return the type, or why it cannot be read."""
         if schema.id not in self._types:
             try:
                 self._types[schema.id] = _parse(schema, self.allowance)
@@ -275,7 +274,7 @@ class Catalogue:
 
 
 def _name_type(record: Any) -> Any:
-    """Return a record, a schema of ROS 1 with its type as ROS 2 calls it."""
+    """Return a record; a ROS 1 schema gets the ROS 2 name of its type."""
     if not isinstance(record, Schema) or record.encoding != SchemaEncoding.ROS1:
         return record
     from turtlelog.log.engine.ros1_messages import name_as_ros2  # few files need it
@@ -285,7 +284,7 @@ def _name_type(record: Any) -> Any:
 
 
 def _describe_encoding(encoding: str) -> str:
-    """Return why messages in an encoding are not read, and what to do."""
+    """Return why messages in an encoding are not read, with advice."""
     read = join_words([*_SCHEMAS])
     if not encoding:
         return f"its messages name no encoding, and turtlelog reads {read}; {_ADVICE}"
@@ -337,7 +336,7 @@ def _describe_objects(schema: Schema) -> ObjectType:
 
 
 def _read_text(schema: Schema, known: str | None) -> str:
-    """Return a definition in `ros2msg`: the schema's own, or what is known where it has none."""
+    """Return a definition in `ros2msg`: that of the schema, otherwise a known definition."""
     size = len(schema.data)
     if size > LONGEST_TEXT:
         raise LogError(f"schema {schema.name}: expected up to {LONGEST_TEXT} bytes, found {size}")

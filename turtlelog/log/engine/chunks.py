@@ -1,4 +1,4 @@
-"""The bytes of a chunk record -> what it holds, unpacked in bounded memory and checked."""
+"""Unpacking and checking of chunk records, in bounded memory."""
 
 import struct
 import zlib
@@ -28,16 +28,16 @@ _STEP: Final = 2**22  # bytes unpacked at a time, where the header may lie
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChunkEntry:
-    """What the summary says of a chunk.
+    """Entry of a chunk in the summary.
 
     Attributes:
-        start: Byte in the file.
-        length: Of its record [bytes].
-        index_length: Of the message indexes behind it [bytes].
-        start_ns: Least log time of its messages, 0 where it has none.
-        end_ns: Greatest log time.
-        channels: Ids of the channels of which it holds messages.
-        size: Of the records in it, decompressed [bytes].
+        start: Offset in the file [bytes].
+        length: Length of its record [bytes].
+        index_length: Length of the message indexes after it [bytes].
+        start_ns: Earliest log time of its messages [ns], 0 if it has no messages.
+        end_ns: Latest log time [ns].
+        channels: Ids of the channels of its messages.
+        size: Decompressed size of its records [bytes].
     """
 
     start: int
@@ -50,20 +50,20 @@ class ChunkEntry:
 
     @property
     def end(self) -> int:
-        """The byte behind its message indexes."""
+        """The offset after its message indexes [bytes]."""
         return self.start + self.length + self.index_length
 
 
 def open_chunk(entry: ChunkEntry, body: bytes | memoryview, largest: int = LARGEST_CHUNK) -> bytes:
-    """Return the records in a chunk, decompressed, their checksum checked.
+    """Return the decompressed records of a chunk after checking the checksum.
 
     Args:
-        entry: What the summary says of it.
-        body: Of its record.
-        largest: What it may hold unpacked [bytes].
+        entry: Entry of the chunk in the summary.
+        body: Body of the chunk record.
+        largest: Largest size of an unpacked chunk [bytes].
 
     Raises:
-        DamageError: Where it is too short for what it says, or not what was written or indexed.
+        DamageError: If the chunk is too short, fails its checksum, or disagrees with the index.
     """
     byte = entry.start
     try:
@@ -111,20 +111,20 @@ def unpack_chunk(
     largest: int = LARGEST_CHUNK,
     spend: Callable[[int], None] = lambda _: None,
 ) -> bytes:
-    """Return the bytes of a chunk that claims to unpack to `size`; the claim is not trusted.
+    """Return the unpacked bytes of a chunk; the claimed `size` is not trusted.
 
-    What comes may be longer or shorter than claimed: the checksum decides.
+    The result may be longer or shorter than claimed; the checksum shows whether it is valid.
 
     Args:
         compression: `zstd`, `lz4` or empty.
-        packed: The compressed bytes.
-        size: The claim.
-        largest: What no chunk may exceed [bytes].
-        spend: Called with bytes as they come, of damaged streams too; may refuse them.
+        packed: Compressed bytes.
+        size: Claimed size [bytes].
+        largest: Largest size of any unpacked chunk [bytes].
+        spend: Called with the number of unpacked bytes, also for damaged streams; may raise.
 
     Raises:
-        LogError: One clause, where the stream is damaged, holds far more than it claims, or more
-            than `largest`.
+        LogError: If the stream is damaged, or unpacks to far more than claimed or to more than
+            `largest`; one clause.
     """
     limit = min(max(size, SPARE), largest)
     try:

@@ -1,7 +1,7 @@
-"""Messages that differ in size -> columns: field by field over all at once, or few one by one.
+"""Decoding of messages that differ in size: field by field for all, or one by one if few.
 
-A usual recording has one goal and three events: the some hundred calls of numpy that thousands of
-messages are worth take longer than to read these one by one.
+A typical recording has one goal and three events. For so few messages, about a hundred numpy calls
+take longer than reading them one by one.
 """
 
 import struct
@@ -32,8 +32,8 @@ def decode_messages(
 ) -> dict[str, Column]:
     """Return the fields of messages as columns, by dotted name.
 
-    A sequence of numbers is an array per message; one of texts a list; one of messages a list of
-    dictionaries by dotted name.
+    A sequence of numbers becomes an array per message, a sequence of texts a list, and a sequence
+    of messages a list of dictionaries by dotted name.
 
     Args:
         fields: Fields of the message type.
@@ -43,7 +43,7 @@ def decode_messages(
         order: `<` for little-endian, `>` for big-endian.
 
     Raises:
-        LogError: Where a message is longer or shorter than its type, or a text no UTF-8.
+        LogError: If a message is longer or shorter than its type, or a text is not UTF-8.
     """
     if order == "<" and len(starts) <= FEW_MESSAGES:
         few = decode_few(fields, data, starts, ends, PADDING)
@@ -68,11 +68,11 @@ _MOST_KNOWN: Final = 256
 
 
 class _Cursor:
-    """A place in every message, moved over one field at a time.
+    """A reading position in every message, advanced by one field at a time.
 
     Attributes:
-        places: Where the next field starts, or the one before ends, shape (n,).
-        overestimates: How many bytes too many a writer may have set aside so far, shape (n,).
+        places: Offset of the next field, or of the end of the previous one, shape (n,).
+        overestimates: Number of surplus bytes that a writer may have allocated so far, shape (n,).
     """
 
     def __init__(self, data: bytes, starts: Offsets, ends: Offsets, order: Order) -> None:
@@ -128,7 +128,7 @@ class _Cursor:
         self.places += (self._starts - self.places) % size
 
     def _take_numbers(self, kind: str, count: int) -> Column:
-        """Return `count` numbers of every message, shape (n, count)."""
+        """Read `count` numbers from every message, shape (n, count)."""
         code = np.dtype(kind.replace("?", "u1"))
         self._align(code.itemsize)
         size = code.itemsize * count
@@ -179,9 +179,9 @@ class _Cursor:
         return arrays
 
     def _take_lists(self, kind: str | tuple[Field, ...], lengths: Offsets) -> Column:
-        """Take the k-th value of every message that has one, for k = 0, 1, ...
+        """Read the k-th value of every message that has one, for k = 0, 1, ...
 
-        Where few messages have more, theirs are taken one message after the other.
+        If only a few messages have more values, these are read message by message.
         """
         lists = np.empty(len(lengths), dtype=object)
         lists[:] = [[] for _ in range(len(lengths))]
@@ -212,7 +212,7 @@ class _Cursor:
         rows: Offsets,
         lengths: Offsets,
     ) -> bool:
-        """Take all values that some messages still have; return whether that was possible."""
+        """Read all remaining values of some messages; return whether this was possible."""
         if self._order != "<":
             return False
         within = self._starts[rows], self.places[rows], self._ends[rows], lengths
@@ -225,7 +225,7 @@ class _Cursor:
         return True
 
     def take_values(self, kind: str | tuple[Field, ...]) -> list[object]:
-        """Return one text, or one message as a dictionary, of every message."""
+        """Read one text, or one message as a dictionary, from every message."""
         if isinstance(kind, str):
             return list(self._take_texts())
         columns: dict[str, Column] = {}
@@ -267,8 +267,8 @@ def decode_few(
 ) -> dict[str, Column] | None:
     """Return the fields of little-endian messages, by dotted name.
 
-    None where a type has arrays or sequences, and where a message is not sound: the general way
-    says what is wrong with it.
+    None if the type has arrays or sequences or a message is invalid: `decode_messages` then gives
+    the reason.
 
     Args:
         fields: Fields of the message type.
@@ -312,17 +312,17 @@ def take_few_lists(
     ends: NDArray[np.int64],
     lengths: NDArray[np.int64],
 ) -> tuple[list[list[object]], list[int]] | None:
-    """Return the texts, or messages by dotted name, within little-endian messages; and their ends.
+    """Return the texts or messages nested in little-endian messages, and their ends.
 
-    None as of `decode_few`.
+    None as for `decode_few`.
 
     Args:
-        kind: Text, or the fields of the messages within.
+        kind: `TEXT`, or the fields of the nested messages.
         data: Bytes that contain the messages.
-        starts: Of the messages, which their padding counts from, shape (n,).
-        places: Of the first message within each, shape (n,).
+        starts: Start of each message, from which alignment is counted, shape (n,).
+        places: Offset of the first nested value in each message, shape (n,).
         ends: Offset of each message's end, shape (n,).
-        lengths: How many are within each, shape (n,).
+        lengths: Number of nested values in each message, shape (n,).
     """
     try:
         parts = [("", TEXT, _LENGTH)] if isinstance(kind, str) else _list_numbers(kind, "")
@@ -376,7 +376,7 @@ def _keep_text(known: dict[bytes, str], text: bytes) -> str:
 
 
 def _list_numbers(fields: tuple[Field, ...], prefix: str) -> Iterator[tuple[str, str, int]]:
-    """Yield name, kind and size of every number and text; of a text that of its length."""
+    """Yield name, kind and size of every number and text; for a text the size of its length."""
     for field in fields:
         if field.length is not None or field.is_sequence:
             raise _OtherKindError

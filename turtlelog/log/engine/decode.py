@@ -1,4 +1,4 @@
-"""The messages of a topic in a block -> rows: one size all at once, others field by field."""
+"""Decoding of a topic's messages in a block: fixed size all at once, others field by field."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -46,10 +46,10 @@ _LINE: Final = 64  # bytes; columns start at a multiple
 
 
 def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
-    """Return the messages that start at these places as columns: fields, times and sequence.
+    """Return the messages at these offsets as columns: fields, times and sequence number.
 
     Raises:
-        LogError: Where a message is not of the topic's type.
+        LogError: If a message does not have the topic's type.
     """
     try:
         if plan.json is not None:
@@ -64,12 +64,12 @@ def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
 def unpack_messages(
     block: Block, starts: Offsets, allowance: Allowance, topic: str
 ) -> tuple[Block, Offsets]:
-    """Return messages unpacked that rosbag2 compressed one by one; others as they are.
+    """Decompress messages that rosbag2 compressed one by one; return others unchanged.
 
-    What is compressed tells itself: CDR begins with a zero, zstd does not.
+    Compressed messages are recognised by their first byte: it is 0 for CDR, not for zstd.
 
     Raises:
-        LogError: Where one is not sound, or they hold far more than the file lets expect.
+        LogError: If a message is damaged, or they unpack to far more than the file's size allows.
     """
     if not len(starts) or not block.data.startswith(ZSTD_MAGIC, int(starts[0]) + MESSAGE_HEAD):
         return block, starts
@@ -97,10 +97,10 @@ def unpack_messages(
 
 
 def rewrite_ros1(plan: TopicPlan, block: Block, starts: Offsets) -> tuple[Block, Offsets]:
-    """Return messages of ROS 1 as CDR, others as they are.
+    """Return ROS 1 messages as CDR, others unchanged.
 
     Raises:
-        LogError: Where one is not of the topic's type.
+        LogError: If a message does not have the topic's type.
     """
     if not plan.is_ros1:
         return block, starts
@@ -117,7 +117,7 @@ class FixedColumns:
     """Columns of a topic whose messages have one size."""
 
     def __init__(self, layout: Layout, count: int, kept: Collection[str] | None = None) -> None:
-        """Set columns of so many rows aside: those of these names, None for all."""
+        """Allocate columns with a number of rows: those with these names, None for all."""
         self._layout, self._count, self._used = layout, count, 0
         self._lock = Lock()
         kinds: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
@@ -130,12 +130,12 @@ class FixedColumns:
         self._columns = _allocate(kinds)
 
     def fill(self, data: bytes, starts: Offsets, first: int) -> bool:
-        """Copy messages into the rows from `first` on; return whether there is room for them.
+        """Copy messages into the rows from `first` on; return whether there was room.
 
-        Several threads may fill rows at once, each its own.
+        Several threads may fill different rows at the same time.
 
         Raises:
-            LogError: Where one is not of the topic's type.
+            LogError: If a message does not have the topic's type.
         """
         end = first + len(starts)
         if end > self._count:
@@ -149,11 +149,11 @@ class FixedColumns:
 
     @property
     def has_rows(self) -> bool:
-        """Whether any are filled."""
+        """Whether any rows are filled."""
         return self._used > 0
 
     def finish(self) -> Rows:
-        """Return the rows that are filled."""
+        """Return the filled rows."""
         # A byte that is neither 0 nor 1 is no bool of numpy's.
         return {
             name: column[: self._used] != 0
@@ -164,7 +164,7 @@ class FixedColumns:
 
 
 def _allocate(kinds: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]) -> Rows:
-    """Return columns of these types and shapes; small ones stand in one array together."""
+    """Allocate columns of these types and shapes; small columns share one array."""
     sizes = {name: kind.itemsize * math.prod(shape) for name, (kind, shape) in kinds.items()}
     places, end = {}, 0
     for name, size in sizes.items():
@@ -186,7 +186,7 @@ def fill_rows(
     """Copy messages of a topic into its columns, as `FixedColumns.fill` does.
 
     Raises:
-        LogError: As `decode_rows`.
+        LogError: As for `decode_rows`.
     """
     try:
         return columns.fill(block.data, starts, first)
@@ -208,7 +208,7 @@ def pick_rows(
 
 
 def keep_columns(rows: Rows, kept: Collection[str] | None) -> Rows:
-    """Return the columns of some names, None for all."""
+    """Return the columns with some names, None for all."""
     return rows if kept is None else {name: rows[name] for name in rows if name in kept}
 
 
@@ -219,10 +219,10 @@ def _read_fixed(layout: Layout, data: bytes, starts: Offsets) -> Rows:
 
 
 def _gather_fixed(layout: Layout, data: bytes, starts: Offsets) -> NDArray[np.void]:
-    """Return messages with their heads, one after the other.
+    """Return messages with their headers, one after the other.
 
     Raises:
-        LogError: Where one is not of the topic's type.
+        LogError: If a message does not have the topic's type.
     """
     size = layout.little.itemsize
     if starts[-1] > len(data) - size:
@@ -288,7 +288,7 @@ def _read_objects(
 
 
 def _check_heads(heads: NDArray[np.void]) -> None:
-    """Check that every message is plain CDR, and of a time that 63 bits hold."""
+    """Check that every message is plain CDR and that its times fit into 63 bits."""
     kinds = heads["#encapsulation"]
     wrong = kinds != LITTLE_ENDIAN
     if wrong.any() and (wrong := wrong & (kinds != BIG_ENDIAN)).any():

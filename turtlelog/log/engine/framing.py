@@ -1,7 +1,7 @@
-"""Where bytes are MCAP records or messages that follow each other, and the next after damage.
+"""Detection of consecutive MCAP records and messages, and of the next record after damage.
 
-Topics take turns, so the lengths of messages repeat. A turn is taken from the messages before, and
-all that it foretells is held against the bytes; where it fails, steps are made one by one again.
+Topics alternate, so message lengths repeat. The period is estimated from earlier messages and every
+prediction is checked against the bytes; if it fails, records are read one by one again.
 """
 
 import struct
@@ -89,7 +89,7 @@ def check_start(stream: BinaryIO) -> None:
     """Check the magic bytes at the start.
 
     Raises:
-        LogError: Where the file is no MCAP.
+        LogError: If the file is not MCAP.
     """
     stream.seek(0)
     reason = find_wrong_start(stream.read(START_SIZE))
@@ -98,7 +98,7 @@ def check_start(stream: BinaryIO) -> None:
 
 
 def find_wrong_start(start: bytes) -> str | None:
-    """Return why the first bytes of a file are none of MCAP, and what may help; None if sound."""
+    """Return why a file does not start like MCAP, with advice; None if it does."""
     if start.startswith(MCAP0_MAGIC):
         return None
     found = f"it begins with 0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "it is empty"
@@ -118,11 +118,11 @@ def _is_text(start: bytes) -> bool:
 
 
 class FileWindow:
-    """A file read by place; small reads are served from one window of it, or all of it.
+    """A file with random access; small reads use a cached window, or the whole file.
 
     Attributes:
-        size: Of the file [bytes].
-        allowance: What its chunks may unpack to.
+        size: Size of the file [bytes].
+        allowance: Limits for unpacking its chunks.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -148,22 +148,22 @@ class FileWindow:
         return self._data[:count]
 
     def spend(self, count: int) -> bool:
-        """Return whether so many bytes may be read for their checksum, though no length agrees.
+        """Return whether bytes may be read to try a checksum although no length agrees.
 
-        All together no more than the file has: records that claim each other's bytes would
-        otherwise be read many times over.
+        The total is limited to the file's size: otherwise overlapping records could be read many
+        times.
         """
         self._spare -= count
         return self._spare >= 0
 
 
 def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
-    """Return opcode and end of the record at `place`, whose lengths agree and which is whole.
+    """Return opcode and end of the complete, consistent record at `place`.
 
-    Bytes behind its fields are its own where `is_padding` says so.
+    Bytes after its fields belong to the record if `is_padding` returns True.
 
     Raises:
-        LogError: One clause, where they do not agree, or the file ends within the record.
+        LogError: If its lengths disagree, or the file ends within the record; one clause.
     """
     opcode, length = _read_head(window, place)
     end = place + RECORD.size + length
@@ -181,9 +181,9 @@ def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
 
 
 def is_record_start(window: FileWindow, place: int, *, after: int = 0) -> bool:
-    """Return whether a record can start here; it may be cut off by the end of the file.
+    """Return whether a record can start here; the end of the file may truncate it.
 
-    Only a chunk or another index stands before a message index.
+    A message index can follow only a chunk or another index.
     """
     if window.size - place < RECORD.size:
         head = window.read(place, 1)
@@ -196,7 +196,7 @@ def is_record_start(window: FileWindow, place: int, *, after: int = 0) -> bool:
 
 
 def measure_record(window: FileWindow, place: int, opcode: int, end: int) -> int:
-    """Return where the record ends by the lengths of its fields; `end` is where by its own."""
+    """Return the end of a record by the lengths of its fields; `end` is that by its own length."""
     shape = _SHAPES.get(opcode)
     if shape is None:
         return end
@@ -214,18 +214,18 @@ def measure_record(window: FileWindow, place: int, opcode: int, end: int) -> int
 
 
 def is_padding(window: FileWindow, start: int, end: int, opcode: int) -> bool:
-    """Return whether a record whose fields end at `start` goes on to `end`, as its length says.
+    """Return whether a record whose fields end at `start` extends to `end`, as its length says.
 
-    A later version may append fields, which readers ignore. So the length is believed where a
-    sound record follows it. It is damage where sound records follow the fields: it swallows them.
+    A later version may append fields, which readers ignore. The length is accepted if a valid
+    record follows it. It is damage if valid records directly follow the fields.
     """
     return _is_followed(window, end, opcode) and not _is_chain(window, start, opcode)
 
 
 def _is_followed(window: FileWindow, place: int, after: int) -> bool:
-    """Return whether a record follows whose fields, or the next one, bear its length out.
+    """Return whether a record follows whose fields, or whose successor, confirm its length.
 
-    One that the end of the file cuts off needs no more than its head.
+    For a record truncated by the end of the file, a valid header is enough.
     """
     if not is_record_start(window, place, after=after):
         return False
@@ -241,7 +241,7 @@ def _is_followed(window: FileWindow, place: int, after: int) -> bool:
 
 
 def _is_chain(window: FileWindow, place: int, after: int) -> bool:
-    """Return whether whole records of known kinds follow each other from here, up to the footer."""
+    """Return whether complete records of known kinds follow one another up to the footer."""
     for _ in range(_CHAIN):
         if window.size - place < RECORD.size or not is_record_start(window, place, after=after):
             return False
@@ -272,10 +272,10 @@ def _read_head(window: FileWindow, place: int) -> tuple[int, int]:
 
 
 def find_next_record(window: FileWindow, place: int, *, is_lone: bool) -> int | None:
-    """Return where the next record stands that bears itself out, if any does.
+    """Return the offset of the next record that can be confirmed, if there is one.
 
-    Schemas, channels and messages alone are looked for only where messages stand alone: within a
-    damaged chunk that is not compressed they would look sound, and nothing vouches for them.
+    Schemas, channels and messages outside chunks are searched only in files with such messages:
+    within a damaged uncompressed chunk they would look valid without any confirmation.
     """
     is_wanted = np.zeros(256, dtype=bool)
     is_wanted[[*_BOUND, Opcode.DATA_END, *(_LONE if is_lone else ())]] = True
@@ -291,7 +291,7 @@ def find_next_record(window: FileWindow, place: int, *, is_lone: bool) -> int | 
 def _iterate_candidates(
     window: FileWindow, place: int, is_wanted: NDArray[np.bool_]
 ) -> Iterator[int]:
-    """Yield where an opcode and a length of less than 2 to the 40 may stand."""
+    """Yield the offsets at which an opcode and a length below 2^40 are possible."""
     start, after, step = place, place, _FIRST_STEP
     while after < window.size:
         start, after, step = after, after + step, min(2 * step, _STEP)
@@ -342,10 +342,10 @@ _MOST: Final = 2**14  # messages foretold at a time
 
 
 class MessageWalk:
-    """Foretells where messages start from the steps that were made before.
+    """Prediction of message starts from earlier lengths.
 
     Attributes:
-        is_due: Whether it is time to try.
+        is_due: Whether a prediction should be tried now.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -357,12 +357,12 @@ class MessageWalk:
         self._wait, self._turn, self._reach = _FIRST, 0, 2 * _WORTH
 
     def add(self, step: int) -> None:
-        """Note the bytes from one message to the next."""
+        """Add the distance from one message to the next [bytes]."""
         self._steps.append(step)
         self.is_due = len(self._steps) >= self._wait
 
     def go_on(self, place: int, most: int) -> tuple[NDArray[np.uint32], int]:
-        """Return where whole messages start from `place` on, up to so many, and what comes next."""
+        """Return the starts of complete messages from `place` on, and the next place."""
         length = self._turn or _find_turn(self._steps)
         turn = np.array(self._steps[len(self._steps) - length :], np.int64)
         found = [np.array([place], np.int64)]
@@ -391,7 +391,7 @@ class MessageWalk:
         return places if fits.all() else places[: int(fits.argmin()) + 1]
 
     def _plan(self, count: int, turn: int) -> None:
-        """Say when to try again."""
+        """Set the time of the next try."""
         if count >= _WORTH:
             # The step that was not foretold comes before those of the next turn.
             self._turn, self._wait = turn, turn + 1
@@ -403,7 +403,7 @@ class MessageWalk:
 
 
 def _find_turn(steps: list[int]) -> int:
-    """Return after how many steps they last repeated; 0 where they did not."""
+    """Return the latest period of the steps; 0 if they did not repeat."""
     for turn in range(1, min(len(steps) // 2, _LONGEST_TURN) + 1):
         if steps[-turn:] == steps[-2 * turn : -turn]:
             return turn
@@ -411,9 +411,9 @@ def _find_turn(steps: list[int]) -> int:
 
 
 def skip_followed(data: bytes) -> int:
-    """Return where the last message starts of those that follow each other from the first byte on.
+    """Return the start of the last of the messages that follow one another from the first byte.
 
-    That one may be cut; 0 where there is none.
+    This message may be truncated. 0 if there is none.
     """
     place, last, walk = 0, 0, MessageWalk(data)
     end, unpack = len(data) - RECORD.size, RECORD.unpack_from

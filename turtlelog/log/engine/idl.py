@@ -1,4 +1,4 @@
-"""The text of an IDL schema, as ROS 2 and DDS write it -> the same type as `ros2msg` text."""
+"""Conversion of IDL schemas of ROS 2 and DDS to `ros2msg` text."""
 
 import re
 from collections.abc import Iterator
@@ -55,7 +55,7 @@ _BETWEEN: Final = frozenset({"msg", "srv", "action"})
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """A type as it is written: its name, the module in which it stands, and `[3]`, `[]` or none."""
+    """A type reference: its name, its module, and `[3]`, `[]` or nothing."""
 
     name: str
     scope: tuple[str, ...]
@@ -64,7 +64,7 @@ class _Kind:
 
 @dataclass(slots=True)
 class _Types:
-    """What a text defines, by scoped name."""
+    """The definitions in a text, by scoped name."""
 
     structs: dict[str, list[tuple[_Kind, str]]] = field(default_factory=dict)
     others: dict[str, _Kind] = field(default_factory=dict)
@@ -72,14 +72,14 @@ class _Types:
 
 
 def convert_idl(name: str, text: str) -> str:
-    """Return the `ros2msg` text of a type, with those that it needs.
+    """Return the `ros2msg` text of a type and of the types that it uses.
 
     Args:
         name: `package/msg/Type`, or a scoped name (`package::msg::Type`).
-        text: IDL; one text, or several, each after a line of equals signs and one of `IDL:`.
+        text: IDL text, or several, each after a line of equals signs and a line with `IDL:`.
 
     Raises:
-        LogError: Where the text is no IDL, or says what `ros2msg` cannot.
+        LogError: If the text is not IDL, or cannot be expressed in `ros2msg`.
     """
     if len(text) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(text)}")
@@ -94,7 +94,7 @@ def convert_idl(name: str, text: str) -> str:
 
 
 class _Parser:
-    """Reads one text from the first word to the last."""
+    """Parser of one IDL text."""
 
     def __init__(self, name: str, text: str, types: _Types) -> None:
         self._name, self._types = name, types
@@ -107,7 +107,7 @@ class _Parser:
 
     @property
     def _next(self) -> str:
-        """The next word or sign; empty at the end."""
+        """The next token; empty at the end."""
         return self._tokens[self._place] if self._place < len(self._tokens) else ""
 
     def _take(self, expected: str = "") -> str:
@@ -118,7 +118,7 @@ class _Parser:
         return found
 
     def _skip(self, sign: str) -> bool:
-        """Step over a sign, if it is the next."""
+        """Skip a token if it is the next one."""
         if self._next != sign:
             return False
         self._place += 1
@@ -195,7 +195,7 @@ class _Parser:
             self._types.numbers[name] = self._tokens[first]
 
     def _parse_declarators(self, scope: tuple[str, ...]) -> Iterator[tuple[_Kind, str]]:
-        """Yield type and name of what one line declares: `double x, y[3]`."""
+        """Yield type and name of each declarator in a line such as `double x, y[3]`."""
         kind = self._parse_kind(scope)
         while True:
             name, brackets = self._take_name(), kind.brackets
@@ -260,7 +260,7 @@ class _Parser:
                 self._pass_until(")")
 
     def _pass_until(self, end: str) -> None:
-        """Step behind a sign, over whatever stands in brackets."""
+        """Skip up to and including a token, ignoring anything in brackets."""
         depth = 0
         while True:
             found = self._take()
@@ -284,7 +284,7 @@ def _list_tokens(name: str, text: str) -> Iterator[str]:
 
 
 class _Printer:
-    """Writes a struct as `ros2msg`, and after it each that it needs."""
+    """Writer of a struct as `ros2msg`, followed by the structs that it uses."""
 
     def __init__(self, name: str, types: _Types) -> None:
         self._name, self._types = name, types
@@ -305,7 +305,7 @@ class _Printer:
         return "".join(parts)
 
     def _describe(self, kind: _Kind) -> tuple[str, str]:
-        """Return a type as `ros2msg` writes it, and the struct that it is, if it is one."""
+        """Return the `ros2msg` name of a type, and its struct, if it is one."""
         brackets = kind.brackets
         for _ in range(_DEEPEST):
             if kind.name in _KINDS:
@@ -320,7 +320,7 @@ class _Printer:
         raise LogError(f"schema {self._name}: expected types that end, found one that is itself")
 
     def _find(self, kind: _Kind) -> str:
-        """Return the scoped name of a type, looked for from the module that names it outwards."""
+        """Return the scoped name of a type, searched from the naming module outwards."""
         name, is_absolute = kind.name.removeprefix("::"), kind.name.startswith("::")
         for count in range(0 if is_absolute else len(kind.scope), -1, -1):
             found = "::".join((*kind.scope[:count], name))
@@ -330,7 +330,7 @@ class _Printer:
 
 
 def _rename(scoped: str) -> str:
-    """Return a scoped name as `package/Type`: what is no package of ROS gets a name of its own."""
+    """Return a scoped name as `package/Type`; names outside ROS get a package of their own."""
     *scope, name = scoped.split("::")
     if len(scope) == 2 and scope[1] in _BETWEEN:
         scope.pop()

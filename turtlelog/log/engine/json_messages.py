@@ -1,4 +1,4 @@
-"""Messages in JSON -> rows, by the JSON schema that the file holds."""
+"""Decoding of JSON messages with the JSON schema in the file."""
 
 import json
 import math
@@ -44,9 +44,9 @@ class JsonField:
     """One value in each message.
 
     Attributes:
-        path: Names of the objects around it, then its own.
-        kind: What its schema expects; `any` of arrays, of objects without properties, and where
-            the schema allows several kinds.
+        path: Names of the enclosing objects, then the name of the value.
+        kind: Kind in the schema; `any` for arrays, objects without properties, and several allowed
+            kinds.
     """
 
     path: tuple[str, ...]
@@ -62,7 +62,7 @@ def read_json_schema(name: str, data: bytes) -> tuple[JsonField, ...]:
     """Return the fields of messages that a schema in `jsonschema` describes.
 
     Raises:
-        LogError: Where it is no JSON, or describes no object with properties.
+        LogError: If the schema is not JSON, or does not describe an object with properties.
     """
     if len(data) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(data)}")
@@ -96,15 +96,15 @@ def decode_objects(
     """Return the fields of messages as columns, by dotted name.
 
     Args:
-        fields: What is wanted.
-        messages: One by one.
-        decode: Makes an object of a message, whose number it names in errors; None: it is JSON.
+        fields: Requested fields.
+        messages: Messages, one by one.
+        decode: Function that decodes message and index into an object; None: messages are JSON.
 
-    Numbers that a message lacks are NaN, texts empty, anything else None. Of whole numbers and
-    truth values, of which there is no NaN, the column is then one of floats.
+    Missing numbers are NaN, missing texts empty, other missing values None. Columns of integers or
+    truth values with missing values become float columns.
 
     Raises:
-        LogError: Where a message is no JSON object, or a value is not of its field's kind.
+        LogError: If a message is not a JSON object, or a value does not have its field's kind.
     """
     columns: list[list[Any]] = [[] for _ in fields]
     for row, data in enumerate(messages):  # one at a time: objects are larger than their text
@@ -118,7 +118,7 @@ def decode_objects(
 
 
 class _Schema:
-    """A schema whose parts are looked at a bounded number of times."""
+    """A schema with a limited number of look-ups."""
 
     def __init__(self, name: str, root: Any) -> None:
         self._name, self._root, self._left = name, root, _MOST_PARTS
@@ -127,7 +127,7 @@ class _Schema:
         """Yield the fields of messages, those of objects within them too.
 
         Raises:
-            LogError: Where a type holds itself, or there are too many parts.
+            LogError: If a type contains itself, or there are too many parts.
         """
         schema = self._resolve(schema)
         properties = schema.get("properties")
@@ -141,7 +141,7 @@ class _Schema:
             yield from self.list_fields(inner, (*path, key))
 
     def _resolve(self, schema: Any) -> dict[str, Any]:
-        """Return a schema itself: what a reference names, the one kind beside null."""
+        """Resolve a schema: the target of a reference, or the only kind apart from null."""
         for _ in range(_DEEPEST):
             if not isinstance(schema, dict):
                 return {}
@@ -217,10 +217,10 @@ def _take(field: JsonField, row: int, found: Any) -> Any:
 
 
 def _convert(field: JsonField, row: int, value: Any) -> Any:
-    """Return a value as its column holds it.
+    """Convert a value for its column.
 
     Raises:
-        LogError: Where it is of another kind.
+        LogError: If the value has another kind.
     """
     kind, is_number = field.kind, isinstance(value, int | float) and not isinstance(value, bool)
     if kind == "any":

@@ -1,4 +1,4 @@
-"""The fields of usual ROS 2 types, for files that name a type and do not define it."""
+"""Definitions of common ROS 2 types, for files that name a type without defining it."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -106,7 +106,7 @@ _NESTED: Final = re.compile(r"^(\w+/\w+)", re.MULTILINE | re.ASCII)
 
 @cache
 def find_definition(type_name: str) -> str | None:
-    """Return the `ros2msg` text of a usual type with those that it needs, None of another.
+    """Return the `ros2msg` text of a common type and its nested types; None for other types.
 
     Args:
         type_name: `package/msg/Type` or `package/Type`.

@@ -1,8 +1,8 @@
-"""How much a file may ask for: by its size, before memory and time are spent on it.
+"""Limits on memory and time for a file, in proportion to its size.
 
-A few kilobytes can unpack to gigabytes, or hold millions of records that say nothing. A file of
-less than 10 MB takes less than 256 MB and 10 s in every command, whatever is in it; a larger one
-may take more. Most limits are some ten times what recordings need.
+A few kilobytes can unpack to gigabytes, or contain millions of empty records. A file of less than
+10 MB takes less than 256 MB and 10 s in every command, whatever its content; a larger file may take
+more. Most limits are about ten times the needs of recordings.
 """
 
 from collections.abc import Mapping
@@ -93,10 +93,10 @@ _ENTRY: Final = 200  # the same of an entry of its table
 
 
 class Allowance:
-    """What a pass over a file may still spend.
+    """Remaining limits of a pass over a file.
 
     Attributes:
-        largest_chunk: Bytes that a chunk may hold unpacked.
+        largest_chunk: Largest size of an unpacked chunk [bytes].
     """
 
     def __init__(self, file_size: int) -> None:
@@ -108,11 +108,11 @@ class Allowance:
         self._spending = Lock()
 
     def count_left(self, kind: str) -> int:
-        """Return how many of a kind may still come."""
+        """Return the remaining number of a kind."""
         return max(self._left[kind], 0)
 
     def spend(self, kind: str, count: int = 1) -> None:
-        """Take some of a kind.
+        """Subtract a number of a kind from the limit.
 
         Raises:
             LogError: If there are more values than a file of this size may contain. The line says
@@ -135,10 +135,10 @@ class Allowance:
         )
 
     def spend_description(self, described: Schema | Channel) -> None:
-        """Take a schema or a channel that is not known yet.
+        """Subtract a new schema or channel from the limits.
 
         Raises:
-            LogError: As `spend`.
+            LogError: As for `spend`.
         """
         if isinstance(described, Schema):
             texts = described.data, described.name, described.encoding
@@ -152,13 +152,13 @@ class Allowance:
 
 
 def grow_bound(bound: tuple[int, float], file_size: int) -> int:
-    """Return how many a file may hold: so many in any case, and a share of its bytes."""
+    """Return the limit for a file: a fixed number plus a fraction of its bytes."""
     base, share = bound
     return base + int(share * file_size)
 
 
 def measure_stored(stream: BinaryIO) -> int:
-    """Return how large the file of a stream is, and of one that was unpacked how large it was."""
+    """Return the size of a stream's file; for an unpacked file its packed size [bytes]."""
     stored: int | None = getattr(stream, "stored_size", None)
     if stored is not None:
         return stored

@@ -150,7 +150,7 @@ def read_type(name: str, definition: str) -> MessageType:
     """Return a message type; a usual one is parsed once in the life of the program.
 
     Raises:
-        LogError: Where the text is no `ros2msg`, or a nested type is missing or holds itself.
+        LogError: If the text is no `ros2msg`, or a nested type is missing or holds itself.
     """
     known = _KEPT.get((name, definition))
     if known is None:
@@ -174,7 +174,7 @@ def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
         text: Its definition; those of nested types follow after lines of equals signs.
 
     Raises:
-        LogError: Where the text is no `ros2msg`, or a nested type is missing or holds itself.
+        LogError: If the text is no `ros2msg`, or a nested type is missing or holds itself.
     """
     first, *others = _SEPARATOR.split(text.removesuffix("\n") + "\n")
     definitions = dict(_BUILTIN)
@@ -255,7 +255,7 @@ def shorten_type(name: str, package: str = "") -> str:
 
 
 def _lay_out(fields: tuple[Field, ...]) -> Layout | None:
-    """Return the layout of a type; None where messages of it differ in size.
+    """Return the layout of a type; None if messages of it differ in size.
 
     CDR aligns a number to its own size, and nothing else.
     """

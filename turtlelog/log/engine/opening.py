@@ -112,7 +112,7 @@ def open_damaged(path: Path) -> Iterator[Damaged]:
     """Open a file to recover; what goes wrong does not name it yet.
 
     Raises:
-        LogError: Where nothing of it can be read.
+        LogError: If nothing of it can be read.
     """
     faults: list[str] = []
     with ExitStack() as closing:
@@ -143,7 +143,7 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
         faults: Takes what is wrong with the compression, instead of raising it.
 
     Raises:
-        LogError: Where it cannot be unpacked, is of ROS 1, or is named as SQLite and empty.
+        LogError: If it cannot be unpacked, is of ROS 1, or is named as SQLite and empty.
     """
     with ExitStack() as closing:
         stream, place = closing.enter_context(open_file(path)), path
@@ -228,7 +228,7 @@ def _unpack_file(stream: BinaryIO, place: Path) -> None:
     """Unpack a file; what it says of its size is not trusted.
 
     Raises:
-        LogError: Where it is damaged or cut, or far larger than its size lets expect.
+        LogError: If it is damaged or cut, or far larger than its size lets expect.
     """
     size = stream.seek(0, 2)
     stream.seek(0)

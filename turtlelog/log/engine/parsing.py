@@ -118,7 +118,7 @@ def iterate_places(data: bytes | memoryview, start: int, end: int, byte: int) ->
         byte: Of the file, for the error: where the stretch of records starts, or its chunk.
 
     Raises:
-        DamageError: Where one goes over the end.
+        DamageError: If one goes over the end.
     """
     while start < end:
         if start + RECORD.size > end:
@@ -144,7 +144,7 @@ def parse_record(place: Place, body: bytes, byte: int) -> Any:
     """Return a record of a rare kind from its bytes, checksums checked; None for another kind.
 
     Raises:
-        DamageError: Where they are no such record; `byte` is where it stands in the file.
+        DamageError: If they are no such record; `byte` is where it stands in the file.
     """
     kind = _RARE.get(place.opcode)
     if kind is None:
@@ -163,7 +163,7 @@ def parse_body(kind: type[Rare], body: bytes) -> tuple[Rare, int]:
     """Return a record and how many bytes it takes; bytes that a later version appended follow.
 
     Raises:
-        LogError: One clause, where there are fewer than it claims.
+        LogError: One clause, if there are fewer than it claims.
     """
     try:
         if kind in _FREQUENT:
@@ -263,7 +263,7 @@ class RecordStretch:
     """Records that stand one after the other, taken apart as far as they make sense.
 
     Attributes:
-        data: Their bytes.
+        data: Bytes of the records.
         starts: Where each message record starts, shape (n,), increasing, of 4 bytes each.
         others: The other records that carry something, in their order: place, opcode, end.
         fault: One clause, where a length makes no sense; everything before it has come.
@@ -353,7 +353,7 @@ def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) 
     by field.
 
     Raises:
-        LogError: Where a place is not followed by so many bytes.
+        LogError: If a place is not followed by so many bytes.
     """
     if not len(starts):
         return np.empty(0, f"V{size}")

@@ -91,7 +91,7 @@ class ProtobufType:
         """Return a message as an object.
 
         Raises:
-            LogError: Where it is no message of the type.
+            LogError: If it is no message of the type.
         """
         if len(data) > LONGEST_MESSAGE:
             most = LONGEST_MESSAGE
@@ -138,7 +138,7 @@ def read_protobuf_type(name: str, data: bytes) -> ProtobufType:
     """Return a type by the FileDescriptorSet that defines it.
 
     Raises:
-        LogError: Where it is no such set, or does not define the type.
+        LogError: If it is no such set, or does not define the type.
     """
     if len(data) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(data)}")
@@ -231,7 +231,7 @@ def iterate_fields(data: bytes) -> Iterator[tuple[int, int, Any]]:
     """Yield number, wire type and value of each field of a message: a number, or its bytes.
 
     Raises:
-        LogError: Where the bytes are no message.
+        LogError: If the bytes are no message.
     """
     place, end = 0, len(data)
     while place < end:

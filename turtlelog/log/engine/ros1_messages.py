@@ -63,7 +63,7 @@ def convert_ros1(fields: tuple[Field, ...], data: bytes, starts: Places) -> tupl
         starts: Of their records.
 
     Raises:
-        LogError: Where one is not of that type.
+        LogError: If one is not of that type.
     """
     heads = gather_heads(data, starts)
     ends = starts + RECORD.size + heads["length"].astype(np.int64)

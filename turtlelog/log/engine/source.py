@@ -69,7 +69,7 @@ class Source:
         statistics: None where there are none.
         ends: Where its parts are.
         allowance: What may be asked for.
-        size: Of the file [bytes].
+        size: Size of the file [bytes].
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -225,7 +225,7 @@ class Selection:
         """Return the plans of the topics asked for, as far as they are known so far.
 
         Raises:
-            LogError: Where one that is asked for by name cannot be understood.
+            LogError: If one that is asked for by name cannot be understood.
         """
         plans = {}
         known = catalogue.topics
@@ -236,10 +236,10 @@ class Selection:
         return plans
 
     def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
-        """Return the plan of a topic, None where it is not asked for.
+        """Return the plan of a topic, None if it is not asked for.
 
         Raises:
-            LogError: Where it is asked for by name and cannot be understood.
+            LogError: If it is asked for by name and cannot be understood.
         """
         if self.topics is not None and topic not in self.topics:
             return None
@@ -259,7 +259,7 @@ class Selection:
         """Check that every topic asked for by name is there; where none is, that one can be read.
 
         Raises:
-            LogError: Where one is not, or no topic of the file can be understood.
+            LogError: If one is not, or no topic of the file can be understood.
         """
         if self.topics is None and not self.is_lenient:
             plans = [catalogue.find_plan(topic) for topic in sorted(catalogue.topics)]
@@ -281,8 +281,8 @@ def iterate_pieces(
     Those of topics in `wholes` go there, and not into pieces, as long as there is room.
 
     Raises:
-        LogError: Where a topic asked for is not there or not understood.
-        DamageError: Where something read is damaged, or more or less than the statistics say.
+        LogError: If a topic asked for is not there or not understood.
+        DamageError: If something read is damaged, or more or less than the statistics say.
     """
     catalogue, channels = source.catalogue, None
     if source.is_indexed:
@@ -333,7 +333,7 @@ def read_piece(
     """Return those of the messages at some places of a block that are asked for.
 
     Raises:
-        LogError: Where one is not of its topic's type.
+        LogError: If a message does not have its topic's type.
     """
     found = {}
     for topic, channels in catalogue.group_channels(offsets, block.byte).items():

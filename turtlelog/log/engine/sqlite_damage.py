@@ -132,7 +132,7 @@ def _build_query(source: SqliteSource) -> str:
 
 
 def _read_row(source: SqliteSource, after: int) -> Row | None:
-    """Return the first row behind another, () behind the last; None where it cannot be read."""
+    """Return the first row behind another, () behind the last; None if it cannot be read."""
     if after == _MOST:
         return ()
     try:

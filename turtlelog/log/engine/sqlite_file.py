@@ -51,7 +51,7 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.
         is_damaged: Read one that is cut as far as it goes.
 
     Raises:
-        LogError: One clause, where it cannot be read, also for what SQLite finds while it is open.
+        LogError: One clause, if it cannot be read, also for what SQLite finds while it is open.
     """
     import sqlite3  # files of MCAP spare both
 
@@ -106,7 +106,7 @@ def _take_sides_in(place: Path, *, is_damaged: bool) -> None:
     """Have SQLite bring a copy up to date with what is beside it, without reading a table.
 
     Raises:
-        DamageError: Where the file becomes larger than all that it was made of.
+        DamageError: If the file becomes larger than all that it was made of.
     """
     most = sum(found.stat().st_size for found in place.parent.iterdir())
     connection = _connect(place, "mode=rw", is_damaged=is_damaged)
@@ -192,7 +192,7 @@ def list_tables(execute: _Execute) -> dict[str, BagTable]:
     """Return the tables of a bag by their names.
 
     Raises:
-        LogError: Where one that is needed is missing, or is no plain table.
+        LogError: If one that is needed is missing, or is no plain table.
     """
     kinds = {}
     for kind, name, sql in execute("SELECT type, name, sql FROM sqlite_master"):
@@ -251,7 +251,7 @@ def read_channels(
         allowance: Of which each topic is spent.
 
     Raises:
-        LogError: Where a row of `topics` or `message_definitions` is wrong, or there are too many.
+        LogError: If a row of `topics` or `message_definitions` is wrong, or there are too many.
     """
     numbers: dict[int, int] = {}
     described = tables.get("message_definitions")

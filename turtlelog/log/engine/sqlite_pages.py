@@ -61,7 +61,7 @@ def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
             definitions of tables must be sound in any case.
 
     Raises:
-        LogError: Where pages stand in two trees, or rows claim more bytes than there are.
+        LogError: If pages stand in two trees, or rows claim more bytes than there are.
     """
     with path.open("rb") as stream:
         usable = page_size - stream.read(_FILE_HEAD)[_RESERVED]
@@ -140,7 +140,7 @@ class _Pages:
         """Return the first page of every tree that the table of tables names.
 
         Raises:
-            DamageError: Where that is damaged, or far larger than that of a bag.
+            DamageError: If that is damaged, or far larger than that of a bag.
         """
         roots, defined, tables = [], 0, 0
         for batch in self._walk(1):
@@ -183,7 +183,7 @@ class _Pages:
         """Add what the rows of a tree claim.
 
         Raises:
-            LogError: Where that is too much.
+            LogError: If that is too much.
         """
         for batch in self._walk(root):
             lengths = batch.read_varints(batch.find_rows())
@@ -248,7 +248,7 @@ def _find_root(row: bytes) -> int:
     """Return the page that a row of the table of tables names; 0 for a view or a trigger.
 
     Raises:
-        DamageError: Where it is no number.
+        DamageError: If it is no number.
     """
     place, at = _read_varint(row, 0)
     kinds = list[int]()

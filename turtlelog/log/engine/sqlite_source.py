@@ -64,7 +64,7 @@ class SqliteRows:
         """Add some rows; return the bytes of their blobs.
 
         Raises:
-            TypeError: Where a column holds something else than it should.
+            TypeError: If a column holds something else than it should.
         """
         ids, times, blobs = zip(*rows, strict=True)
         self.ids.extend(ids)
@@ -88,7 +88,7 @@ class SqliteSource:
         catalogue: Its topics as channels, their types as schemas.
         is_indexed: Always: the catalogue is complete before the first message is read.
         statistics: None; `count_messages` counts.
-        size: Of the file [bytes].
+        size: Size of the file [bytes].
         row_number: The name of the numbers of the rows of `messages`.
     """
 
@@ -120,7 +120,7 @@ class SqliteSource:
         """Return messages by channel, and least and greatest log time; None without a message.
 
         Raises:
-            DamageError: Where a message has no topic, or a time that is none.
+            DamageError: If a message has no topic, or a time that is none.
         """
         counts, times = Counter[int](), list[int]()
         query = (
@@ -197,7 +197,7 @@ class SqliteSource:
         """Return rows as a block; `first` is the number of the first one, from 1 on.
 
         Raises:
-            DamageError: Where one has no topic, or a time below 0.
+            DamageError: If one has no topic, or a time below 0.
         """
         time_ns, ids = np.frombuffer(rows.times, np.int64), np.frombuffer(rows.ids, np.int64)
         known = np.array(sorted(self._numbers), np.int64)
@@ -215,7 +215,7 @@ class SqliteSource:
         return Block(data=bytes(data), byte=first, offsets=offsets, rest=(), unit="rows from")
 
     def find_fault_of(self, row: Row) -> str | None:
-        """Return what is wrong with a topic, a time and data; None where they are sound."""
+        """Return what is wrong with a topic, a time and data; None if they are sound."""
         topic_id, timestamp, data = row
         if not isinstance(topic_id, int):
             return f"topic_id: expected a whole number, found {_name_kind(topic_id)}"
@@ -271,7 +271,7 @@ def open_sqlite(
         is_damaged: Read one that is cut as far as it goes.
 
     Raises:
-        LogError: One clause, where it cannot be read or is no bag.
+        LogError: One clause, if it cannot be read or is no bag.
     """
     with open_connection(path, is_damaged=is_damaged) as (connection, size):
         yield SqliteSource(connection, size, stored_size)

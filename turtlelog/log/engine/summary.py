@@ -52,7 +52,7 @@ class Ends:
 
     Attributes:
         data_end: Byte of the record that ends the data section.
-        data_crc: Checksum of all bytes before it, 0 where there is none.
+        data_crc: Checksum of all bytes before it, 0 if there is none.
         summary_start: Byte of the summary section; where it is empty, that of the footer.
         summary: Its records, summary offsets included.
     """
@@ -88,8 +88,8 @@ def read_ends(stream: BinaryIO) -> Ends:
     """Check the magic bytes at both ends, the footer and the summary.
 
     Raises:
-        LogError: Where the file is no MCAP.
-        DamageError: Where it is cut short, or its summary is damaged.
+        LogError: If the file is not MCAP.
+        DamageError: If it is cut short, or its summary is damaged.
     """
     check_start(stream)
     place, start, checksum = _read_footer(stream)
@@ -102,7 +102,7 @@ def read_summary(stream: BinaryIO) -> tuple[int, bytes]:
     """Return start and records of the summary section of a file, whatever its data are like.
 
     Raises:
-        DamageError: Where the file is cut short, or its footer or summary is damaged.
+        DamageError: If the file is cut short, or its footer or summary is damaged.
     """
     place, start, checksum = _read_footer(stream)
     if not checksum:  # then only this bears out where it starts
@@ -114,7 +114,7 @@ def check_data(stream: BinaryIO, ends: Ends) -> None:
     """Check all bytes before the end of the data section; costs one pass over the file.
 
     Raises:
-        DamageError: Where they are not those that were written.
+        DamageError: If they are not those that were written.
     """
     found = _compute_checksum(stream, 0, ends.data_end if ends.data_crc else 0)
     if found != ends.data_crc:
@@ -177,7 +177,7 @@ def parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
     """Return what the summary section says; `byte` is where it starts in the file.
 
     Raises:
-        DamageError: Where a record in it makes no sense, or there are too many.
+        DamageError: If a record in it makes no sense, or there are too many.
     """
     chunks: list[ChunkEntry] = []
     statistics, named = None, dict[int, tuple[int, str]]()
@@ -218,7 +218,7 @@ def _spend(allowance: Allowance, opcode: int, byte: int) -> None:
 def find_lone_records(
     stream: BinaryIO, ends: Ends, summary: FileSummary, allowance: Allowance
 ) -> tuple[Place, ...] | None:
-    """Return the records that stand between the chunks; None where the index does not tell all.
+    """Return the records that stand between the chunks; None if the index does not tell all.
 
     It tells all where what lies between the chunks that it names holds no message and no further
     chunk, and every chunk has message indexes, of channels that are known

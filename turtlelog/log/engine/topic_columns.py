@@ -1,4 +1,4 @@
-"""File -> columns, topic by topic: the one way to read messages."""
+"""Reading of the messages of a file as columns, topic by topic."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -41,16 +41,16 @@ class TopicColumns(Tabular):
     """The messages of one topic, as columns in order of log time; equal times as in the file.
 
     Attributes:
-        topic: Its name.
-        type: Of its messages, as its schema calls it.
-        log_time_ns: When each was recorded [ns], shape (n,).
-        publish_time_ns: When each was published [ns], shape (n,).
-        sequence: Number that the publisher gave each, shape (n,).
-        fields: By dotted name in the order of the schema. A fixed array of k numbers has shape
-            (n, k); a text is a `str`, a sequence of numbers an array, a sequence of texts a list,
-            one of messages a list of dictionaries by dotted name, each in a column of objects. Of
-            messages in JSON an array is a list, and what a message lacks NaN, an empty text or
-            None.
+        topic: Name of the topic.
+        type: Message type, as named in its schema.
+        log_time_ns: Log time of each message [ns], shape (n,).
+        publish_time_ns: Publish time of each message [ns], shape (n,).
+        sequence: Sequence number set by the publisher, shape (n,).
+        fields: Columns by dotted name, in the order of the schema. A fixed array of k numbers has
+            shape (n, k); a text is a `str`, a sequence of numbers an array, a sequence of texts a
+            list, a sequence of messages a list of dictionaries by dotted name, in columns of
+            objects. For JSON messages, an array is a list, and missing values are NaN, an empty
+            text or None.
     """
 
     topic: str
@@ -64,7 +64,7 @@ class TopicColumns(Tabular):
         return len(self.log_time_ns)
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> "TopicColumns":
-        """Return some of the messages, or all of them in another order."""
+        """Return selected messages, in the given order."""
         return replace(
             self,
             log_time_ns=self.log_time_ns[rows],
@@ -92,20 +92,21 @@ def read_columns(
     start_ns: int | None = None,
     end_ns: int | None = None,
 ) -> Mapping[str, TopicColumns]:
-    """Return the messages of a file, MCAP or SQLite, as columns: by topic, in order of names.
+    """Return the messages of an MCAP or SQLite file as columns, by topic in order of names.
 
-    Where the file has an index, only chunks that hold something asked for are read. Every chunk
-    that is read is held against its checksum, and the summary against its own.
+    If the file has an index, only chunks with requested messages are read. The checksums of these
+    chunks and of the summary are checked.
 
     Args:
         path: The file.
-        topics: Names of topics; None for all that can be understood, `read_info` lists the others.
-        start_ns: Least log time [ns], inclusive.
-        end_ns: Greatest log time [ns], exclusive.
+        topics: Names of topics; None: all that can be decoded. `read_info` lists the others.
+        start_ns: Start of the log time [ns], inclusive.
+        end_ns: End of the log time [ns], exclusive.
 
     Raises:
-        LogError: One line with the file and the place, where it cannot be read, is neither, was
-            never finished or is damaged, or a topic asked for is not there or not understood.
+        LogError: One line with the file and the place, if the file cannot be read, is neither MCAP
+            nor SQLite, is unfinished or damaged, or a requested topic is missing or cannot be
+            decoded.
     """
     with open_source(path) as source:
         return collect_columns(source, _select_topics(topics, start_ns, end_ns))
@@ -114,15 +115,16 @@ def read_columns(
 def read_some_columns(
     path: str | Path, topics: Collection[str], *, is_flat: bool
 ) -> Mapping[str, TopicColumns]:
-    """Return some topics as `read_columns` does, where they take no more than the file's size lets.
+    """Return some topics as `read_columns` does, with memory limited by the file's size.
 
     Args:
         path: The file.
-        topics: Their names.
-        is_flat: Whether their types must have no sequences of texts or messages.
+        topics: Names of the topics.
+        is_flat: Whether to refuse types with sequences of texts or messages.
 
     Raises:
-        LogError: As `read_columns`, and where a type has such a sequence or there are too many.
+        LogError: As for `read_columns`, and if a type has such a sequence or there are too many
+            messages.
     """
     with open_source(path) as source:
         selection = Selection(topics=frozenset(topics), is_flat=is_flat, is_counted=True)
@@ -137,12 +139,12 @@ def iter_columns(
     start_ns: int | None = None,
     end_ns: int | None = None,
 ) -> Iterator[Mapping[str, TopicColumns]]:
-    """Yield the messages of a file, MCAP or SQLite, as columns, batch by batch, in bounded memory.
+    """Yield the messages of an MCAP or SQLite file as columns, in batches with bounded memory.
 
-    Batches come in the order of the file, and each is sorted by log time within itself: where the
-    times of chunks overlap, so do those of batches. A batch holds up to about `rows` messages of a
-    topic, or fewer where messages are large, and only topics of which it has messages. Arguments
-    and errors are those of `read_columns`.
+    Batches have the order of the file, and each is sorted by log time: if the times of chunks
+    overlap, those of batches overlap too. A batch contains up to about `rows` messages per topic,
+    fewer if messages are large, and only topics with messages. Arguments and errors are those of
+    `read_columns`.
     """
     if rows < 1:
         raise LogError(f"{path}: expected batches of at least one row, found {rows}")
@@ -164,7 +166,7 @@ def iter_columns(
 def collect_columns(
     source: Source | SqliteSource, selection: Selection
 ) -> Mapping[str, TopicColumns]:
-    """Return the columns of an open file, those of topics without messages included."""
+    """Return the columns of an open file, including topics without messages."""
     found = collect_parts(source, selection)
     plans = selection.choose_plans(source.catalogue)
     parts = {topic: found.get(topic) or [make_empty_rows(plan)] for topic, plan in plans.items()}
@@ -176,7 +178,7 @@ def collect_parts(
     selection: Selection,
     look: Callable[[Piece], object] = lambda _: None,
 ) -> dict[str, list[Rows]]:
-    """Return the rows of topics that have some, in parts; `look` is called with every piece."""
+    """Return the rows of topics with messages, in parts; `look` is called with every piece."""
     expected = count_rows(source, selection)
     wholes = _set_aside(source, selection, expected)
     stores: dict[str, _RowStore] = {}
@@ -199,7 +201,7 @@ def collect_parts(
 def _set_aside(
     source: Source | SqliteSource, selection: Selection, expected: Mapping[str, int]
 ) -> Mapping[str, FixedColumns]:
-    """Return columns for topics whose messages have one size and whose number is promised."""
+    """Allocate columns for topics with messages of fixed size and a known count."""
     try:
         plans = selection.choose_plans(source.catalogue)
     except LogError:  # said where they are read
@@ -216,7 +218,7 @@ def _set_aside(
 
 
 def _join_rows(parts: list[Rows]) -> Rows:
-    """Return the rows of all parts in order of log time; those of one time keep their order."""
+    """Return the rows of all parts in order of log time; equal times keep their order."""
     if len(parts) == 1:
         rows = parts[0]
     else:
@@ -230,7 +232,7 @@ def _join_rows(parts: list[Rows]) -> Rows:
 def build_columns(
     parts: Mapping[str, list[Rows]], types: Mapping[str, str]
 ) -> Mapping[str, TopicColumns]:
-    """Return rows of topics as columns, in order of the topics' names; `types` says theirs."""
+    """Return rows of topics as columns, in order of topic names; `types` are the message types."""
     topics = {}
     for topic in sorted(parts):
         rows = _join_rows(parts[topic])
@@ -248,7 +250,7 @@ def build_columns(
 def _select_topics(
     topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
 ) -> Selection:
-    """Return a selection; None takes all."""
+    """Return a selection; None selects all."""
     names = [topics] if isinstance(topics, str) else topics
     return Selection(
         topics=None if names is None else frozenset(names),
@@ -258,7 +260,7 @@ def _select_topics(
 
 
 def _is_over(batch: Mapping[str, list[Rows]], piece: Piece, most_rows: int) -> bool:
-    """Return whether a topic would have too many rows with this piece."""
+    """Return whether this piece would give a topic too many rows."""
     return any(
         sum(len(part[LOG_TIME]) for part in batch.get(topic, [])) + len(found[LOG_TIME]) > most_rows
         for topic, found in piece.rows.items()
@@ -266,7 +268,7 @@ def _is_over(batch: Mapping[str, list[Rows]], piece: Piece, most_rows: int) -> b
 
 
 class _RowStore:
-    """Rows of one topic, part by part; where their number is known, each is copied only once."""
+    """Rows of one topic, part by part; if their number is known, each is copied only once."""
 
     def __init__(self, expected: int) -> None:
         self._expected, self._used = expected, 0
@@ -274,7 +276,7 @@ class _RowStore:
         self._others: list[Rows] = []
 
     def take(self, part: Rows) -> None:
-        """Add rows behind those that are there."""
+        """Append rows."""
         end = self._used + len(part[LOG_TIME])
         # Of JSON a block may have floats where others have whole numbers.
         is_new = any(
@@ -295,6 +297,6 @@ class _RowStore:
 
     @property
     def parts(self) -> list[Rows]:
-        """All rows, in one part where their number was right."""
+        """All rows, in one part if their number was right."""
         whole = [pick_rows(self._whole, slice(self._used))] if self._used else []
         return [*whole, *self._others]

@@ -1,7 +1,7 @@
-"""A file walked record by record from its start, whatever state it is in.
+"""Reading of a file record by record from its start, even if damaged.
 
-Finished files are read by their indexes; this is for those that have none, were never finished, or
-are damaged.
+Finished files are read by their indexes; this is for files without an index and for unfinished or
+damaged files.
 """
 
 import zlib
@@ -46,17 +46,16 @@ _LONE: Final = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """One segment of records, sound as far as can be told.
+    """A segment of records without known damage.
 
     Attributes:
-        data: Records one after the other: opcode u8, length u64, body. The whole of an unpacked
-            chunk; or records that stand alone in the data section (header, schemas, channels,
+        data: Records one after the other: opcode u8, length u64, body. All records of an unpacked
+            chunk, or records outside chunks in the data section (header, schemas, channels,
             messages, metadata, one attachment, the end of the data).
-        start: Byte in the file.
+        start: Offset in the file [bytes].
         is_chunk: Whether it is a chunk.
-        is_checked: Whether a checksum vouches for it: a chunk's or an attachment's own. For the
-            end of the data, that the checksum of the whole data section holds, which then vouches
-            for everything before it.
+        is_checked: Whether a checksum confirms it: that of the chunk or attachment. For the end of
+            the data, whether the checksum of the whole data section is correct.
     """
 
     data: bytes
@@ -70,9 +69,9 @@ class Loss:
     """A segment of a file that could not be read.
 
     Attributes:
-        start: First byte in the file.
-        end: Byte after the last one; where it equals `start`, something is missing there.
-        reason: One clause: what was expected, what was found.
+        start: Offset of the first byte in the file.
+        end: Offset after the last byte; if equal to `start`, something is missing at this place.
+        reason: One clause with the expectation and the finding.
     """
 
     start: int
@@ -81,13 +80,13 @@ class Loss:
 
 
 def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
-    """Yield everything in the data section in the order of the file, and what could not be read.
+    """Yield the data section in the order of the file, and the segments that cannot be read.
 
-    Walking goes on after damage: where a header makes no sense, at the next record that bears
-    itself out (a chunk, a message index, an attachment with its checksum; single messages only
-    where messages stood alone before). Chunks that fail their checksum are damage as a whole: of
-    what they hold nothing can be told apart. A file that was never finished ends in damage. The
-    summary is not walked. Needs memory for a chunk, packed and unpacked, at a time.
+    Reading continues after damage: if a header is invalid, at the next record that can be confirmed
+    (a chunk, a message index, an attachment with its checksum; single messages only if earlier
+    messages were outside chunks). A chunk that fails its checksum counts as damaged as a whole. An
+    unfinished file ends in damage. The summary is not read. Memory is needed for one chunk at a
+    time, packed and unpacked.
     """
     window, damaged = FileWindow(stream), False
     for found in _walk_records(window):
@@ -100,10 +99,10 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
 
 
 def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None, int]]:
-    """Yield what stands whole from `place`, the start of a record, and where to go on after it.
+    """Yield complete records from `place`, the start of a record, and the place to continue.
 
-    For files that are being written: it ends before the first record that is not whole yet, or
-    never will be. After the end of the data, where to go on is the end of the file.
+    For files that are being written: it ends before the first incomplete record. After the end of
+    the data, the place to continue is the end of the file.
     """
     window = FileWindow(stream)
     while place < window.size:
@@ -156,10 +155,10 @@ def _is_attachment(section: Section) -> bool:
 def _read_record(
     window: FileWindow, place: int, kind: int
 ) -> tuple[list[Section | Loss], int | None]:
-    """Return what stands at `place`, and where to go on, if anywhere.
+    """Return the record at `place` and the place to continue, if there is one.
 
     Raises:
-        LogError: One clause, where no record stands there that can be stepped over.
+        LogError: If there is no record that can be skipped; one clause.
     """
     if place >= window.size:
         reason = "expected the end of the data, found that of the file: cut short, or not finished"
@@ -186,7 +185,7 @@ def _read_record(
 
 
 def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
-    """Return the records of one kind that follow each other from `place`, up to a batch."""
+    """Return consecutive records of one kind from `place`, up to a batch."""
     end = find_record_end(window, place)[1]
     if opcode == Opcode.MESSAGE:
         end = max(end, place + skip_followed(window.read(place, _BATCH)))
@@ -292,7 +291,7 @@ def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
 
 
 def _check_data(window: FileWindow, end: Section) -> Iterator[Section | Loss]:
-    """Hold the checksum of the data section, where there is one, against the file."""
+    """Check the checksum of the data section, if there is one."""
     expected, found = int.from_bytes(end.data[-4:], "little"), 0
     for place in range(0, end.start if expected else 0, _BATCH):
         found = zlib.crc32(window.read(place, min(_BATCH, end.start - place)), found)

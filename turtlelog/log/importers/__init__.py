@@ -1,6 +1,6 @@
 """Third-party logs -> Run, one layout per file.
 
-The names stand in `__init__.pyi` and load on first use.
+The names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

@@ -1,4 +1,4 @@
-"""A log or table of others -> Run: the layout is told by its name and its content."""
+"""Import of third-party logs and tables; name and content determine the layout."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -26,14 +26,15 @@ _IMPORTERS: Final[Mapping[str, Callable[[str, Path], PaperLog]]] = MappingProxyT
 
 
 def import_other(path: Path, columns: Mapping[str, str]) -> Run:
-    """Return the run in a log of the paper's, or else in a plain table.
+    """Return the run in a log of the paper, or otherwise in a plain table.
 
     Args:
         path: The file.
-        columns: Of the table, as the user maps them; then it is none of the paper's logs.
+        columns: The user's mapping of table columns; with it, the file is not read as a paper's
+            log.
 
     Raises:
-        LogError: One line with the file and the place, where it is neither or is wrong.
+        LogError: One line with the file and the place, if it is neither or is invalid.
     """
     if path.suffix.lower() == ".json" or (not columns and is_papers(path)):
         return import_log(path)
@@ -41,7 +42,7 @@ def import_other(path: Path, columns: Mapping[str, str]) -> Run:
 
 
 def is_papers(path: Path) -> bool:
-    """Return whether a CSV has the columns that only the paper's logs have."""
+    """Return whether a CSV file has the columns of the paper's logs."""
     return path.suffix.lower() == ".csv" and not PAPER_MARKS.isdisjoint(read_header(path))
 
 
@@ -49,11 +50,11 @@ def import_log(path: str | Path, *, sort: bool = False) -> Run:
     """Return the run in a log of the paper's controller, JSON or CSV.
 
     Args:
-        path: The log; a name that ends otherwise is told by its content.
-        sort: Sort rows by time and drop exact duplicates; both are counted in the run's notes.
+        path: Path of the log; for other suffixes the content determines the format.
+        sort: Whether to sort rows by time and drop exact duplicates; notes give both counts.
 
     Raises:
-        LogError: One line with the file, the list and the index, where the log is wrong.
+        LogError: If the log is invalid; one line with the file, the list and the index.
     """
     path = make_path(path)
     with name_file(path, expected="a log of the paper's layout, .json or .csv"):

@@ -1,4 +1,4 @@
-"""Tables that turtlelog wrote, CSV or Parquet -> Run; what was written, read back."""
+"""Import of CSV and Parquet tables by turtlelog; check of written files by reading them back."""
 
 import csv
 import io
@@ -56,12 +56,12 @@ _CLASSES: Final[Mapping[str, Any]] = {"poses": PoseColumns, "commands": CommandC
 
 
 def find_table(columns: Sequence[str]) -> str | None:
-    """Return which table of a run has these columns, None where it is none of ours."""
+    """Return which table of a run has these columns; None for other tables."""
     return next((name for name, marks in _MARKS.items() if marks <= {*columns}), None)
 
 
 def list_table_files(folder: Path) -> tuple[Path, ...]:
-    """Return the tables that `turtlelog convert` wrote into a folder, none in any other folder."""
+    """Return the table files by `turtlelog convert` in a folder; empty for other folders."""
     for suffix in TABLE_SUFFIXES:
         if (folder / f"poses{suffix}").is_file():
             files = (folder / f"{name}{suffix}" for name in TABLES)
@@ -70,7 +70,7 @@ def list_table_files(folder: Path) -> tuple[Path, ...]:
 
 
 def holds_tables(path: Path) -> bool:
-    """Return whether a folder or a file holds tables that turtlelog wrote, by its first line."""
+    """Return whether a folder or file contains tables by turtlelog, judged by the first line."""
     if path.is_dir():
         return bool(list_table_files(path))
     if path.suffix.lower() not in TABLE_SUFFIXES:
@@ -84,10 +84,10 @@ def holds_tables(path: Path) -> bool:
 def import_tables(path: str | Path) -> Run:
     """Return the run from exported CSV or Parquet tables: a folder, or the table of poses.
 
-    CSV does not hold the scenario, the goal, the loops of the law and the stop reason.
+    CSV lacks the scenario, the goal, the loops of the law and the stop reason.
 
     Raises:
-        LogError: One line with the file and the column, where a table is wrong.
+        LogError: If a table is invalid; one line with the file and the column.
     """
     path = make_path(path)
     files = list_table_files(path) if path.is_dir() else (path,)
@@ -107,15 +107,15 @@ def import_tables(path: str | Path) -> Run:
 
 
 def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> None:
-    """Refuse files that hold other rows than the run that was written.
+    """Raise an error if the written files do not contain the rows of the run.
 
     Args:
-        run: What was written.
-        written: The files; tables among them are read here.
-        read: The run that was read back from a recording or a bag; None where tables were written.
+        run: Run that was written.
+        written: Written files; tables among them are read here.
+        read: Run read back from a recording or a bag; None if tables were written.
 
     Raises:
-        LogError: With the file, the table and the column.
+        LogError: If rows differ; the message gives file, table and column.
     """
     if read is not None:
         for name in TABLES:
@@ -127,12 +127,12 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
 
 
 def require_same_poses(path: Path, run: Run) -> None:
-    """Refuse a trajectory that holds other poses than the run that was written.
+    """Raise an error if the written trajectory does not contain the poses of the run.
 
-    Headings come back from a quaternion.
+    Headings are computed from quaternions.
 
     Raises:
-        LogError: With the file and the column.
+        LogError: If poses differ; the message gives file and column.
     """
     poses, first = run.poses, 0
     for time_ns, xy_m, heading_rad in _iterate_trajectory(path):
@@ -149,7 +149,7 @@ def require_same_poses(path: Path, run: Run) -> None:
 
 
 def _iterate_trajectory(path: Path) -> Iterator[tuple[list[int], NDArray[Any], NDArray[Any]]]:
-    """Yield times [ns], places [m] and headings [rad] of a trajectory as `export_tum` writes it."""
+    """Yield times [ns], positions [m] and headings [rad] of a trajectory by `export_tum`."""
     with (
         name_file(path, expected="a trajectory"),
         open_file(path) as stream,
@@ -163,7 +163,7 @@ def _iterate_trajectory(path: Path) -> Iterator[tuple[list[int], NDArray[Any], N
 
 
 def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
-    """Return the name of the one table in a file, its columns, and what is told of the run."""
+    """Return the name of the table in a file, its columns, and facts of the run."""
     with name_file(path, expected="a table of a run"):
         is_parquet = path.suffix.lower() == ".parquet"
         table, facts = _open_parquet(path) if is_parquet else (_read_csv(path), {})
@@ -237,7 +237,7 @@ def _require_rows(part: Sequence[Sequence[str]], before: int, width: int, size: 
 
 
 def _parse(name: str, cells: Sequence[str], first: int) -> NDArray[Any]:
-    """Return cells as an array; `first` is the number of the first one's row."""
+    """Return cells as an array; `first` is the row number of the first cell."""
     if name in _TEXTS:
         return np.array([_release(cell) for cell in cells], dtype=object)
     kind = np.int64 if name in _WHOLE else np.float64
@@ -252,7 +252,7 @@ def _parse(name: str, cells: Sequence[str], first: int) -> NDArray[Any]:
 
 
 def _release(cell: str) -> str:
-    """Return a text without the apostrophe that `guard_cell` put before it."""
+    """Return a text without the leading apostrophe of `guard_cell`."""
     inner = cell.removeprefix("'")
     return inner if guard_cell(inner) == cell else cell
 
@@ -271,7 +271,7 @@ def _open_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
 
 
 class _ParquetTable(Mapping[str, NDArray[Any]]):
-    """The columns of a Parquet file; each is read when it is asked for, and not kept."""
+    """The columns of a Parquet file, read on demand and not cached."""
 
     def __init__(self, path: Path, file: ParquetFile, names: Sequence[str]) -> None:
         self._path, self._file, self._names = path, file, names
@@ -294,7 +294,7 @@ class _ParquetTable(Mapping[str, NDArray[Any]]):
 
 
 def _list_known(table: str | None, columns: Sequence[str]) -> set[str]:
-    """Return the columns that are read of a table, of those that it has."""
+    """Return the existing columns of a table that are to be read."""
     if table is None or table not in _CLASSES:
         return {*columns}
     names = _CLASSES[table].__dataclass_fields__
@@ -335,10 +335,10 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
 
 
 def _parse_fact(facts: Mapping[str, str], name: str, kind: Any) -> Any:
-    """Return what the metadata of a Parquet file say of the run, None where they do not.
+    """Return a fact of the run from the metadata of a Parquet file; None if missing.
 
     Raises:
-        LogError: Where they say something else than was written.
+        LogError: If the entry is not as turtlelog writes it.
     """
     try:
         return msgspec.convert(json.loads(facts.get(name, "null")), type=kind)
@@ -388,7 +388,7 @@ def _build_samples(
 
 
 def _gather(table: Table, kind: type) -> dict[str, NDArray[Any]]:
-    """Return the columns of a table as the fields of a run's, pairs put together."""
+    """Return the columns of a table as the fields of a run; x and y are joined to pairs."""
     names = kind.__dataclass_fields__  # type: ignore[attr-defined]
     values = {name: np.array(column) for name, column in table.items() if name in names}
     for name, (first, second) in PAIRS.items():

@@ -1,4 +1,4 @@
-"""The paper's logs -> Run: JSON with `metadata` and `data`, or CSV with its lists."""
+"""Import of the paper's logs: JSON with `metadata` and `data`, or CSV with the same lists."""
 
 import csv
 import json
@@ -50,15 +50,15 @@ _NEVER_LOGGED: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PaperLog:
-    """A log as its file holds it, every value checked by itself.
+    """A log as in its file, with every value checked by itself.
 
     Attributes:
-        name: Of the run.
+        name: Name of the run.
         source: Layout and name of the file.
-        columns: The lists of `_NUMBERS`, all of one length.
-        states: Phase after each callback, as long.
-        parameters: What is known of the scenario, by dotted key.
-        absent: What this layout could hold and the file does not.
+        columns: Lists named in `_NUMBERS`, all of one length.
+        states: Phase after each callback, of the same length.
+        parameters: Known values of the scenario, by dotted key.
+        absent: Fields of this layout that the file lacks.
         notes: As in `Run`.
     """
 
@@ -75,7 +75,7 @@ def _require_number(place: str, value: object) -> float:
     """Return a finite number.
 
     Raises:
-        LogError: Where it is something else.
+        LogError: If the value is not a finite number.
     """
     if not isinstance(value, int | float) or isinstance(value, bool):
         raise LogError(f"{place}: expected a number, found {_shorten(value)}")
@@ -89,10 +89,10 @@ def _require_number(place: str, value: object) -> float:
 
 
 def _require_state(place: str, value: object) -> int:
-    """Return the number of the phase that a state names.
+    """Return the index of the phase for a state.
 
     Raises:
-        LogError: Where there is no such state.
+        LogError: If there is no such state.
     """
     if not isinstance(value, str) or value not in _STATES:
         raise LogError(f"{place}: expected one of {', '.join(_STATES)}, found {_shorten(value)}")
@@ -102,10 +102,10 @@ def _require_state(place: str, value: object) -> int:
 def _build_columns(
     lists: Mapping[str, Sequence[object]], places: Mapping[str, str]
 ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64]]:
-    """Return the columns of numbers, and the states; `places` says what a list is called.
+    """Return the numeric columns and the states; `places` are the names of lists in messages.
 
     Raises:
-        LogError: Where there is no row, or a value is wrong.
+        LogError: If there is no row, or a value is invalid.
     """
     if not lists["time"]:
         raise LogError(f"{places['time']}: no rows")
@@ -122,10 +122,10 @@ def _build_columns(
 def build_paper_run(log: PaperLog, *, sort: bool) -> Run:
     """Return the run in a log.
 
-    The log does not say why it ended: a run that came to its end has the stop reason `finished`.
+    The log has no stop reason: a complete run gets the stop reason `finished`.
 
     Raises:
-        LogError: Where the times do not increase.
+        LogError: If the times do not increase.
     """
     columns, states = dict(log.columns), log.states
     notes = {**log.notes, "pose_times": _POSE_TIMES}
@@ -185,7 +185,7 @@ def _build_samples(
 def _find_goal(
     parameters: Mapping[str, float], columns: Mapping[str, NDArray[np.float64]]
 ) -> tuple[float, float] | None:
-    """Return the goal as given, or position plus error where every row gives the same."""
+    """Return the given goal, or position plus error if it is the same in every row."""
     if "goal.x_m" in parameters and "goal.y_m" in parameters:
         return parameters["goal.x_m"], parameters["goal.y_m"]
     goal = np.column_stack(
@@ -197,7 +197,7 @@ def _find_goal(
 def _sort_rows(
     columns: dict[str, NDArray[np.float64]], states: NDArray[np.int64]
 ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64], dict[str, str]]:
-    """Drop rows that are there twice, then sort by time; count both."""
+    """Drop duplicate rows, then sort by time; count both."""
     rows = zip(*(columns[name].tolist() for name in _NUMBERS), states.tolist(), strict=True)
     firsts = np.array(sorted({row: i for i, row in reversed(list(enumerate(rows)))}.values()))
     time = columns["time"][firsts]
@@ -261,7 +261,7 @@ def parse_paper_json(text: str, path: Path) -> PaperLog:
     """Return the log in a JSON text.
 
     Raises:
-        LogError: Where it is no JSON, or not of this layout.
+        LogError: If the text is not JSON, or has another layout.
     """
     tables = _require_table("the file", _parse_json(text))
     data = _require_table("data", tables.get("data"))
@@ -350,7 +350,7 @@ def parse_paper_csv(text: str, path: Path) -> PaperLog:
     """Return the log in a CSV text.
 
     Raises:
-        LogError: Where it is no CSV, or not of this layout.
+        LogError: If the text is not CSV, or has another layout.
     """
     rows = _iterate_rows(text)
     heading = next(rows, [])
@@ -390,7 +390,7 @@ def _iterate_rows(text: str) -> Iterator[list[str]]:
 
 
 def _parse(value: str) -> object:
-    """Return a number, or the text where it is none: the check that follows names its place."""
+    """Return a number, or the text if it is not a number; the later check reports its place."""
     try:
         return float(value)
     except ValueError:

@@ -1,4 +1,4 @@
-"""A plain table of a drive, CSV, Parquet or TUM -> Run."""
+"""Import of plain tables: CSV, Parquet or TUM."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -36,16 +36,16 @@ _OTHERS: Final = ("z", "speed", "turn_rate", "command_speed", "command_turn_rate
 def import_plain_table(path: str | Path, columns: Mapping[str, str] | None = None) -> Run:
     """Return the run in a table with a header, or in a TUM trajectory.
 
-    Columns and units are told by their names, or else by `columns`; the note `columns` says which
-    was taken for what. Rows are sorted by time, and rows that are there twice dropped; of several
-    poses of one time the later ones move on by 1 ns each. The notes count all of it.
+    Column names or `columns` determine quantities and units; the note `columns` lists the result.
+    Rows are sorted by time and duplicate rows dropped; if several poses have the same time, the
+    later ones are moved by 1 ns each. The notes give the counts.
 
     Args:
-        path: Text with commas, semicolons, tabs or blanks between cells, or a Parquet file.
-        columns: The columns of what their names do not tell, as `{"heading": "psi [deg]"}`.
+        path: Text file with commas, semicolons, tabs or blanks between cells, or a Parquet file.
+        columns: Columns by quantity, if names are not clear, as in `{"heading": "psi [deg]"}`.
 
     Raises:
-        LogError: One line with the file, the row and the column, where the table is wrong.
+        LogError: If the table is invalid; one line with the file, the row and the column.
     """
     path = make_path(path)
     with name_file(path, expected="a table"):
@@ -129,7 +129,7 @@ def _build_run(path: Path, cells: Cells) -> Run:
 
 
 def _read_rotation(cells: Cells) -> dict[str, Values]:
-    """Return headings, and of quaternions the tilt."""
+    """Return headings, and the tilt if rotations are quaternions."""
     heading = cells.read("heading")
     if heading is not None:
         return {"heading": heading}
@@ -144,7 +144,7 @@ def _read_rotation(cells: Cells) -> dict[str, Values]:
 def _order_rows(
     time_ns: Times, values: Mapping[str, Values]
 ) -> tuple[Times, dict[str, Values], dict[str, str]]:
-    """Return the rows by time, each once, and notes on what that took."""
+    """Return the rows sorted by time without duplicates, and notes on the changes."""
     late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
     if late:
         order = np.argsort(time_ns, kind="stable")
@@ -162,7 +162,7 @@ def _order_rows(
 
 
 def _build_commands(time_ns: Times, values: Mapping[str, Values]) -> CommandColumns:
-    """Return a command for each row that has one; what the table has no column for is 0."""
+    """Return a command for each row that has one; missing columns are 0."""
     zeros = np.zeros(len(time_ns))
     found = [values.get(name, zeros) for name in ("command_speed", "command_turn_rate")]
     has = np.isfinite(found).all(axis=0)
@@ -177,14 +177,14 @@ def _build_commands(time_ns: Times, values: Mapping[str, Values]) -> CommandColu
 
 
 def _keep_whole(values: Values | None) -> Values | None:
-    """Return a column of which every row is known."""
+    """Return a column if every row has a value."""
     return None if values is None or np.isnan(values).any() else values
 
 
 def _describe_gaps(
     values: Mapping[str, Values], has_pose: NDArray[np.bool_], commands: CommandColumns
 ) -> dict[str, str]:
-    """Return notes on rows that lack something."""
+    """Return notes on rows with missing values."""
     notes, rows = {}, len(has_pose)
     if missing := rows - int(has_pose.sum()):
         notes["rows_without_pose"] = f"{missing} of {rows}"
@@ -198,7 +198,7 @@ def _describe_gaps(
 
 
 def _describe_start(start_ns: int) -> dict[str, str]:
-    """Return a note on when a table begins that does not count from 0."""
+    """Return a note on the start time if a table does not start at 0."""
     if not start_ns:
         return {}
     if start_ns < 1e18:

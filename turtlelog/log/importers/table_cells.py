@@ -1,4 +1,4 @@
-"""The cells of a plain table -> numbers in the usual units; which are guessed is said."""
+"""Conversion of table cells to numbers in standard units, with notes on assumed units."""
 
 import math
 import re
@@ -40,11 +40,11 @@ _DATE: Final = re.compile(
 
 
 class Cells:
-    """The chosen columns of a table, as numbers in the usual units.
+    """The chosen columns of a table, as numbers in standard units.
 
     Attributes:
-        table: As its file holds it.
-        chosen: By what they hold.
+        table: Table as in its file.
+        chosen: Chosen columns by quantity.
         time_ns: Times [ns], since 1970 or from wherever they count, shape (n,).
     """
 
@@ -56,7 +56,7 @@ class Cells:
         self.time_ns = self._read_times()
 
     def read(self, field: str) -> Values | None:
-        """Return the numbers of a column, NaN where a cell is empty; None without such a column."""
+        """Return the numbers of a column, NaN if a cell is empty; None without such a column."""
         if field not in self.chosen:
             return None
         choice = self.chosen[field]
@@ -70,7 +70,7 @@ class Cells:
         return values
 
     def describe(self) -> str:
-        """Return which column was taken for what, in which unit, and what is not read."""
+        """Return a description of the columns: quantities, units, and unread columns."""
         told = []
         for field, choice in self.chosen.items():
             unit = self._guesses.get(field, choice.unit)
@@ -90,7 +90,7 @@ class Cells:
         return text
 
     def refuse(self, field: str, row: int, expected: str = "a number") -> NoReturn:
-        """Raise the error of a cell that is wrong."""
+        """Raise an error for an invalid cell."""
         table, choice = self.table, self.chosen[field]
         found = repr(str(self._cells[field][row])[:40])
         place = f"{table.word} {table.columns.lines[row]}, column {choice.name}"
@@ -112,7 +112,7 @@ class Cells:
         return numbers
 
     def _assume_unit(self, choice: Choice, numbers: Values) -> str:
-        """Return the unit of numbers of which neither a name nor the user says it."""
+        """Return the assumed unit of a column without a given unit."""
         usual = next(iter(choice.units))
         if QUANTITIES[choice.field] == "number":
             return usual
@@ -126,7 +126,7 @@ class Cells:
         """Return times [ns], since 1970 or from wherever they count.
 
         Raises:
-            LogError: Where one is no time, or their unit cannot be known.
+            LogError: If a cell is not a time, or the unit cannot be determined.
         """
         choice = self.chosen["t"]
         cells = self._cells[choice.field]
@@ -162,17 +162,17 @@ class Cells:
 
 
 def _steps_by_turns(heading: Values) -> bool:
-    """Return whether headings cannot be radians."""
+    """Return whether the steps of headings show that they are not in radians."""
     step = np.abs(np.diff(heading))
     return bool(((step > _WRAPS_DEG[0]) & (step < _WRAPS_DEG[1])).any())
 
 
 def read_time(cell: Any, power: int) -> int | None:
-    """Return a number of seconds or less as nanoseconds, to the last digit; None of what is none.
+    """Return a time as exact nanoseconds; None if the cell is not a number.
 
     Args:
         cell: A text or a number.
-        power: How many powers of ten of nanoseconds its unit has.
+        power: Power of ten of the unit in nanoseconds.
     """
     try:
         number = Decimal(str(cell))
@@ -185,9 +185,9 @@ def read_time(cell: Any, power: int) -> int | None:
 
 
 def _read_date(cell: str) -> int | None:
-    """Return an ISO 8601 time as nanoseconds since 1970, None of what is none.
+    """Return an ISO 8601 time as nanoseconds since 1970; None for other texts.
 
-    It is UTC unless it says another zone.
+    The default time zone is UTC.
     """
     match = _DATE.match(cell)
     if match is None:

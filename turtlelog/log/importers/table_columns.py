@@ -1,4 +1,4 @@
-"""Which column of a plain table holds what, and in which unit: by its name, or as asked for."""
+"""The quantities and units of table columns, by name or as requested."""
 
 import math
 import re
@@ -110,13 +110,13 @@ a unit in a longer name takes the square of its length."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """A column of a table, and what it holds.
+    """A column of a table and its quantity.
 
     Attributes:
-        field: What it holds, a key of `QUANTITIES`.
-        column: Its place in the table, from 0.
-        name: As the header writes it.
-        unit: A key of `UNITS`; None where neither the name nor the user says it.
+        field: Quantity, a key of `QUANTITIES`.
+        column: Index of the column, from 0.
+        name: Name in the header.
+        unit: Unit, a key of `UNITS`; None if neither the name nor the user gives it.
     """
 
     field: str
@@ -126,22 +126,22 @@ class Choice:
 
     @property
     def units(self) -> Mapping[str, float]:
-        """The units that it may have."""
+        """The possible units."""
         return UNITS[QUANTITIES[self.field]]
 
 
 def assign_columns(
     names: Sequence[str], asked: Mapping[str, str], units: Mapping[str, str]
 ) -> dict[str, Choice]:
-    """Return the columns that hold something known, by what they hold.
+    """Return the columns with known quantities, by quantity.
 
     Args:
-        names: As the header writes them.
-        asked: Columns by what they hold, as the user says: a name, with a unit in brackets or not.
-        units: Of columns whose kind tells it.
+        names: Names in the header.
+        asked: The user's columns by quantity: a name, with or without a unit in brackets.
+        units: Known units of columns, by name.
 
     Raises:
-        LogError: Where a column that is asked for is not there, or several can be meant.
+        LogError: If a requested column does not exist or is ambiguous.
     """
     chosen: dict[str, Choice] = {}
     for field, text in asked.items():
@@ -169,7 +169,7 @@ def _fill_unit(choice: Choice, unit: str | None) -> Choice:
 
 
 def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
-    """Return the column that the user names, with the unit in the user's brackets or its own."""
+    """Return the column named by the user, with the user's unit or that of its name."""
     for name, unit in _list_readings(field, text):
         matches = [place for place, known in enumerate(names) if known.strip() == name]
         if len(matches) > 1:
@@ -182,7 +182,7 @@ def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
 
 
 def _list_readings(field: str, text: str) -> list[tuple[str, str | None]]:
-    """Return name and unit that a user's text may mean: `psi [deg]` is a name, or psi in deg."""
+    """Return the possible names and units in a text: `psi [deg]` is a name, or psi in deg."""
     readings: list[tuple[str, str | None]] = [(text.strip(), None)]
     match = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]", text.strip())
     if match is not None:
@@ -195,10 +195,10 @@ def _list_readings(field: str, text: str) -> list[tuple[str, str | None]]:
 
 
 def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
-    """Return the column whose name says most clearly that it holds this.
+    """Return the column whose name matches a quantity best.
 
     Raises:
-        LogError: Where two say it as clearly.
+        LogError: If two names match equally well.
     """
     ranked: dict[int, list[Choice]] = {}
     for place, name in enumerate(names):
@@ -222,7 +222,7 @@ def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
 
 
 def _find_stamp(names: Sequence[str]) -> tuple[int, ...]:
-    """Return the places of seconds and nanoseconds that are one time, nothing without such."""
+    """Return the columns of seconds and nanoseconds that form one time, if they exist."""
     short = ((place, name) for place, name in enumerate(names) if len(name) <= _LONGEST_NAME)
     places = {_simplify(name): place for place, name in short}
     for base, place in places.items():
@@ -234,7 +234,7 @@ def _find_stamp(names: Sequence[str]) -> tuple[int, ...]:
 
 
 def _rank(field: str, base: str) -> int | None:
-    """Return how clearly a name says what it holds, 0 the most; None where it does not."""
+    """Return how well a name matches a quantity, 0 is best; None if it does not match."""
     words = base.split("_")
     is_command = not _COMMANDS.isdisjoint(words)
     if is_command != field.startswith("command_") or not _WANTED.isdisjoint(words):
@@ -251,7 +251,7 @@ def _rank(field: str, base: str) -> int | None:
 
 
 def _split_name(field: str, name: str, *, is_asked: bool = False) -> tuple[str, str | None]:
-    """Return a name in small letters without its unit, and the unit, if it is one of this field.
+    """Return a lower-case name without its unit, and the unit if it fits this quantity.
 
     Args:
         field: What the column holds, or may hold.
@@ -276,7 +276,7 @@ def _simplify(text: str) -> str:
 
 
 def _read_unit(field: str, text: str) -> str | None:
-    """Return a unit of a field, None where the text is none of its units."""
+    """Return a unit of a field, None if the text is none of its units."""
     plain = text.strip().lower().replace(" ", "").replace("^-1", "").replace("·", "_")
     quantity = QUANTITIES[field]
     if quantity == "speed" and plain == "ms":  # of a speed nobody means milliseconds

@@ -1,4 +1,4 @@
-"""A plain table, text or Parquet -> named columns of cells."""
+"""Reading of text and Parquet tables as named columns of cells."""
 
 import csv
 import re
@@ -41,7 +41,7 @@ _BLANK: Final = " "
 
 
 class TableColumns(Protocol):
-    """What reads columns of a table.
+    """Reader of the columns of a table.
 
     Attributes:
         lines: Number of each row in its file, from 1, once columns were read.
@@ -50,20 +50,20 @@ class TableColumns(Protocol):
     lines: Sequence[int]
 
     def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
-        """Return the cells of the columns at some places."""
+        """Return the cells of the columns with these indices."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlainTable:
-    """A table as its file holds it.
+    """A table as in its file.
 
     Attributes:
-        names: Of the columns, as the header writes them.
-        columns: What reads their cells, from the first row on: texts, or numbers of Parquet.
-        word: What the number of a row counts: `line` or `row`.
+        names: Column names in the header.
+        columns: Reader of the cells, from the first row on: texts, or numbers of Parquet.
+        word: Word for the number of a row: `line` or `row`.
         has_header: Whether the file names its columns; trajectories of TUM and KITTI do not.
-        units: Of columns whose kind tells it: times of Parquet are in ns, those of TUM in s.
+        units: Known units of columns: times of Parquet are in ns, those of TUM in s.
     """
 
     names: tuple[str, ...]
@@ -74,10 +74,10 @@ class PlainTable:
 
 
 def read_plain_table(path: Path) -> PlainTable:
-    """Return the cells of a table of text, or of a Parquet file.
+    """Return the table in a text file or a Parquet file.
 
     Raises:
-        LogError: Where it is no table, has no header and is no trajectory, or has no rows.
+        LogError: If the file is not a table, has neither a header nor a trajectory, or has no rows.
     """
     if path.suffix.lower() == ".parquet":
         return _read_parquet(path)
@@ -92,10 +92,10 @@ def read_plain_table(path: Path) -> PlainTable:
 
 
 def read_header(path: Path) -> tuple[str, ...]:
-    """Return the names of the columns without the rows: of text the cells of its first line.
+    """Return the column names without reading rows; for text files the cells of the first line.
 
     Raises:
-        ValueError: Where a file that is called so is no Parquet file.
+        ValueError: If a file that is called so is no Parquet file.
     """
     if path.suffix.lower() != ".parquet":
         with open_file(path) as stream:
@@ -127,10 +127,10 @@ def _parse_text(text: str, size: int) -> PlainTable:
 
 
 def require_few_columns(columns: int) -> None:
-    """Refuse a table of more columns than are looked through.
+    """Refuse a table with too many columns.
 
     Raises:
-        LogError: In one clause.
+        LogError: If there are too many; one clause.
     """
     if columns > MOST_COLUMNS:
         raise LogError(
@@ -191,7 +191,7 @@ class _TextColumns:
             text: The whole file.
             delimiter: Between cells.
             count: How many columns there are.
-            size: Of the file [bytes].
+            size: Size of the file [bytes].
             is_first: Whether the first row has values, and no names.
         """
         self._text, self._delimiter, self._count = text, delimiter, count
@@ -202,7 +202,7 @@ class _TextColumns:
         """Return the cells of some columns.
 
         Raises:
-            LogError: Where a line is no row, or there are more rows than a file of this size has.
+            LogError: If a line is no row, or there are more rows than a file of this size has.
         """
         found: list[list[str]] = [[] for _ in places]
         lines, most, known = array("q"), count_most_rows(self._size), dict[str, str]()
@@ -310,7 +310,7 @@ class _StoredColumns:
         """Return the cells of some columns.
 
         Raises:
-            LogError: Where one would take too much memory, holds lists, or has a name twice.
+            LogError: If one would take too much memory, holds lists, or has a name twice.
         """
         return [self._read_one(self.names[place]) for place in places]
 

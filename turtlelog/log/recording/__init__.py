@@ -1,6 +1,6 @@
-"""turtlelog's own recordings: what stands in them, how they are written and read.
+"""turtlelog's recordings: contents, writing and reading.
 
-The names stand in `__init__.pyi` and load on first use.
+The names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

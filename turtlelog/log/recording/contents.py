@@ -1,4 +1,4 @@
-"""File -> what a recording of ours consists of, whole or not, and notes on what of it is lost."""
+"""Contents of turtlelog recordings, complete or not, with notes on losses."""
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -56,16 +56,16 @@ _USED: Final = replace(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contents:
-    """What a recording holds.
+    """Contents of a recording.
 
     Attributes:
-        head: What it says of itself.
-        attachments: Bytes by name.
+        head: Metadata of the recording.
+        attachments: Attached bytes by name.
         topics: The columns by name of every topic that there should be, by its declaration and its
             effects; empty ones without messages. Of a whole file without fields that no run needs,
             and with its log times for times of publication.
-        damages: What could not be read; empty if the file is whole.
-        recovered: A note of what was lost before, where the file is one that was recovered.
+        damages: Segments that could not be read; empty if the file is complete.
+        recovered: Note on earlier losses, if the file was recovered.
     """
 
     head: Head
@@ -76,24 +76,24 @@ class Contents:
 
 
 class ForeignFileError(LogError):
-    """A file that turtlelog did not write."""
+    """A third-party file."""
 
 
 class PartialRecordingWarning(UserWarning):
-    """Part of a recording could not be read, and the caller asked for the rest."""
+    """Warning that only a part of a recording could be read, as allowed by the caller."""
 
 
 def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents:
-    """Return what a recording holds; every byte is checked by a checksum, where it has them.
+    """Return the contents of a recording; all available checksums are checked.
 
     Args:
         stream: The file.
-        may_be_foreign: Do not look for damage that may have made it somebody else's.
+        may_be_foreign: Whether the file may be a third-party file, so that damage is not suspected.
 
     Raises:
-        LogError: If the file is no MCAP, or a topic of ours has another type.
-        ForeignFileError: If it is somebody else's.
-        DamageError: If it was never finished, or is damaged.
+        LogError: If the file is not MCAP, or a topic of turtlelog has another type.
+        ForeignFileError: If it is a third-party file.
+        DamageError: If it is unfinished or damaged.
     """
     source = Source(stream)
     try:
@@ -127,10 +127,10 @@ def _keep_notes(records: Iterable[Any]) -> list[Any]:
 
 
 def salvage_contents(stream: BinaryIO) -> Contents:
-    """Return what a damaged or unfinished recording still holds.
+    """Return the readable contents of a damaged or unfinished recording.
 
     Raises:
-        LogError: If the file is no MCAP, or a topic of ours has another type.
+        LogError: If the file is not MCAP, or a topic of turtlelog has another type.
     """
     allowance, damages = Allowance(measure_stored(stream)), list[Loss]()
     catalogue = Catalogue(allowance)

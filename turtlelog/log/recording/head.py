@@ -1,4 +1,4 @@
-"""What a recording says of itself: metadata, declaration, scenario, and what it has lost."""
+"""Metadata of recordings: declaration, scenario and losses."""
 
 import zlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -63,10 +63,10 @@ _OTHER_LAW: Final = Declaration(phases=dict.fromkeys(("rotate", "pause", "transl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Head:
-    """The metadata record.
+    """Contents of the metadata record.
 
     Attributes:
-        format_version: Of the recording.
+        format_version: Format version of the recording.
         source: As in `Run`.
         name: As in `Run`.
         stop_reason: As in `Run`.
@@ -96,7 +96,7 @@ class Head:
 
 
 def describe_run(run: "Run") -> Head:
-    """Return the head of a run's recording."""
+    """Return the metadata for the recording of a run."""
     return Head(
         format_version=_FORMAT_VERSION,
         source=run.source,
@@ -122,7 +122,7 @@ def describe_scenario(
     more_topics: Collection[str] = (),
     notes: Mapping[str, str],
 ) -> Head:
-    """Return the head of a recording of a scenario that runs, or has run."""
+    """Return the metadata for the recording of a scenario that is running or has run."""
     from turtlelog.simulate import find_software  # only what records loads laws
 
     return Head(
@@ -141,10 +141,10 @@ def describe_scenario(
 
 
 def format_head(head: Head) -> dict[str, str]:
-    """Return the metadata record; what is None is left out.
+    """Return the metadata record; entries that are None are omitted.
 
     Raises:
-        LogError: Where the declaration is longer than what is read.
+        LogError: If the declaration is longer than what is read.
     """
     record = {
         "format_version": str(head.format_version),
@@ -179,7 +179,7 @@ def parse_head(record: Mapping[str, str]) -> Head:
     """Return the metadata record of a recording.
 
     Raises:
-        LogError: Where it was written by a newer turtlelog, or an entry is missing or wrong.
+        LogError: If it was written by a newer turtlelog, or an entry is missing or wrong.
     """
     if (size := sum(len(key) + len(value) for key, value in record.items())) > _LONGEST:
         raise LogError(f"metadata {HEAD}: expected up to {_LONGEST} bytes, found {size}")
@@ -216,11 +216,11 @@ _COLUMNS: Final = ("poses", "commands", "samples", "goal_xy_m", "parameters")
 
 
 def add_lost(head: Head, held: Collection[str]) -> tuple[str, ...]:
-    """Return what is absent of a file that is not whole: what its head says, and what is lost.
+    """Return the absent fields of an incomplete file: those in its metadata and lost fields.
 
     Args:
-        head: Of the recording.
-        held: What the file still holds, by the names of `Run`.
+        head: Metadata of the recording.
+        held: Fields that the file still contains, by the names of `Run`.
     """
     has_goal = head.declaration is None or head.declaration.uses_goal
     expected = (name for name in _COLUMNS if has_goal or name != "goal_xy_m")
@@ -229,7 +229,7 @@ def add_lost(head: Head, held: Collection[str]) -> tuple[str, ...]:
 
 
 def format_scenario_file(run: "Run") -> dict[str, bytes]:
-    """Return the attached TOML text by its name; nothing where no parameter is known."""
+    """Return the attached TOML text by its name; nothing if no parameter is known."""
     if not run.parameters and not run.scenario_is_complete:
         return {}
     try:
@@ -244,7 +244,7 @@ def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any
     """Return the attached tables, and whether they are a whole scenario. Loads no law.
 
     Raises:
-        LogError: Where the attachment is no TOML.
+        LogError: If the attachment is no TOML.
     """
     name = SCENARIO_FILE if SCENARIO_FILE in attachments else _PARAMETER_FILE
     text = attachments.get(name, b"")
@@ -394,7 +394,7 @@ def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
     """Return the note `recovered` for a file with these records; none where it was always whole.
 
     Raises:
-        LogError: Where the record is not as it was written.
+        LogError: If the record is not as it was written.
     """
     found = [
         record.metadata

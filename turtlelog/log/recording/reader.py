@@ -1,4 +1,4 @@
-"""File -> Run, once it is finished or while it grows."""
+"""Reading of recordings as runs, finished or still growing."""
 
 import warnings
 from collections.abc import Iterator, Mapping
@@ -74,22 +74,22 @@ NOTHING_LEFT: Final = "no message can be recovered: copy the file again from its
 
 
 def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
-    """Return the run in a recording, checksums checked. A law that it names is not loaded.
+    """Return the run in a recording after checking checksums. Its law is not loaded.
 
     Args:
         path: The recording.
-        allow_partial: Read what an unfinished or damaged recording still holds. A
+        allow_partial: Whether to read the intact part of an unfinished or damaged recording. A
             `PartialRecordingWarning` and the note `partial` of the run say what is lost.
 
     Raises:
-        LogError: One line with the file and the place, where it cannot be read, is no recording,
-            is damaged, or was written by a newer turtlelog.
+        LogError: If the file cannot be read, is no recording, is damaged, or is from a newer
+            turtlelog; one line with the file and the place.
     """
     return _read_file(path, allow_partial=allow_partial, may_be_foreign=False)
 
 
 def read_if_own(path: str | Path, *, allow_partial: bool = False) -> Run | None:
-    """Return the run in a recording as `read_recording` does; None if it is somebody else's."""
+    """Return the run in a recording as `read_recording` does; None for third-party files."""
     try:
         return _read_file(path, allow_partial=allow_partial, may_be_foreign=True)
     except LogError as err:
@@ -158,17 +158,17 @@ def _build_part(contents: Contents) -> Run:
 
 
 class RecordingTail:
-    """An open recording of turtlelog's own that may still grow.
+    """An open turtlelog recording that may still grow.
 
     Attributes:
         is_finished: Whether its end has been read.
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Open it.
+        """Open the recording.
 
         Raises:
-            LogError: If it cannot be read, or is no MCAP file.
+            LogError: If the file cannot be read, or is no MCAP file.
         """
         self.is_finished = False
         self._path, self._place = Path(path), len(MCAP0_MAGIC)
@@ -194,24 +194,24 @@ class RecordingTail:
 
     @property
     def is_live(self) -> bool:
-        """Whether a program still writes to it; False where the system has no locks to tell."""
+        """Whether a program still writes to it; False if the system has no file locks."""
         return is_live(self._path)
 
     def read_run(self) -> Run | None:
-        """Return the run so far, None if nothing came since the last call, or no pose yet.
+        """Return the run so far; None if nothing is new since the last call, or there is no pose.
 
         Raises:
-            LogError: If it is no recording by turtlelog.
+            LogError: If the file is no recording by turtlelog.
         """
         with name_file(self._path, expected="a turtlelog recording"):
             has_grown = [self._take(section) for section in self._read_sections()]
             return self._build() if any(has_grown) and POSE.name in self._parts else None
 
     def read_last_run(self) -> Run:
-        """Return the run so far, however little of it is there.
+        """Return the run so far, even if it is incomplete.
 
         Raises:
-            LogError: If it is no recording by turtlelog, or holds no pose.
+            LogError: If the file is no recording by turtlelog, or contains no pose.
         """
         self.read_run()
         with name_file(self._path, expected="a turtlelog recording"):
@@ -246,10 +246,10 @@ class RecordingTail:
 
 
 def build_run(contents: Contents) -> Run:
-    """Return the run that a recording holds. Takes its topics out of it: run and they stand once.
+    """Return the run in the contents of a recording. Removes the topics to save memory.
 
     Raises:
-        LogError: If it holds no pose, or what it holds is no run.
+        LogError: If there is no pose, or the contents do not form a run.
     """
     head = contents.head
     tables, is_complete = parse_scenario_file(contents.attachments)
@@ -310,7 +310,7 @@ def _build_poses(columns: dict[str, TopicColumns], head: Head) -> PoseColumns:
 def _build_measured(
     columns: dict[str, TopicColumns], pose: TopicColumns, head: Head
 ) -> dict[str, Values | None]:
-    """Return what the robot reported, nothing where it reported nothing."""
+    """Return what the robot reported, nothing if it reported nothing."""
     if MEASURED.name not in columns:
         return {}
     found = columns.pop(MEASURED.name)

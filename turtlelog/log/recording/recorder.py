@@ -1,4 +1,4 @@
-"""Ticks -> file, while the loop runs: readable up to the last second however it ends."""
+"""Live recording of ticks: the file is readable up to about the last second."""
 
 import struct
 import sys
@@ -35,22 +35,22 @@ _NO_NOTES: Final[Mapping[str, str]] = MappingProxyType({})
 
 
 def create_file(path: Path) -> BinaryIO:
-    """Create a file that did not exist and return it, without a buffer."""
+    """Create a new file and return it unbuffered."""
     return path.open("xb", buffering=0)
 
 
 class Recorder:
-    """Records the ticks of a running loop in a new file, under its own name from the first byte.
+    """Recorder of the ticks of a running loop in a new file, visible under its name at once.
 
-    Ticks are kept until 64 KiB are full or a second has passed, and then go to the operating system
-    as one chunk that can be read alone. So a process that is killed loses about the last second; a
-    power failure may take what the system had not written yet. Nothing runs in the background:
-    ticks that came before the loop stood still wait for the next one.
+    Ticks are buffered until 64 KiB are full or a second has passed, and then written to the
+    operating system as one self-contained chunk. A killed process therefore loses about the last
+    second; a power failure may also lose data not yet written to disk. Nothing runs in the
+    background: if the loop blocks, buffered ticks are written with the next tick.
 
-    As a context manager it finishes the file on the way out, also on Ctrl-C and where it is asked
-    to end by SIGTERM, SIGHUP or SIGQUIT. An existing file is refused, and so is one that another
-    recorder is writing. If the file is deleted, moved or replaced, the recording ends with the next
-    chunk: what is written after that would be lost.
+    As a context manager it finishes the file at exit, also after Ctrl-C, SIGTERM, SIGHUP or
+    SIGQUIT. An existing file is refused, also one that another recorder is writing. If the file is
+    deleted, moved or replaced, the recording ends with the next chunk: what is written after that
+    would be lost.
     """
 
     def __init__(
@@ -61,18 +61,18 @@ class Recorder:
         flush_s: float = FLUSH_S,
         create: Callable[[Path], BinaryIO] = create_file,
     ) -> None:
-        """Create the file, and write what it is: a recording of this scenario.
+        """Create the file and write the metadata of the scenario.
 
         Args:
             path: The file, which must not exist.
-            scenario: What runs.
-            flush_s: Longest time that a tick is kept [s].
-            create: Makes the file, as `create_file`; a write must take what it can or raise.
+            scenario: Scenario that runs.
+            flush_s: Longest time that a tick is buffered [s].
+            create: Function that creates the file, like `create_file`.
 
         Raises:
             LogError: If the file exists or cannot be written.
             ScenarioError: If the law cannot be loaded or may not run.
-            LawError: If its declaration is wrong.
+            LawError: If the law's declaration is invalid.
         """
         if isinstance(make_path(path), RemotePath):
             raise LogError(f"{make_path(path)}: expected a local file to record live, found a URL")
@@ -115,7 +115,8 @@ class Recorder:
         """Record a tick.
 
         Raises:
-            LogError: If the file can take no more; it is closed then, readable up to there.
+            LogError: If the file cannot be written; it is then closed and readable up to that
+                point.
         """
         if not self._is_open:
             raise LogError(f"{self._path}: expected a recording in progress, found a closed one")
@@ -128,10 +129,10 @@ class Recorder:
             self.flush()
 
     def flush(self) -> None:
-        """Hand what is kept to the operating system.
+        """Write buffered ticks to the operating system.
 
         Raises:
-            LogError: As `receive`, or if the file has lost its name meanwhile.
+            LogError: As for `receive`, or if the file was moved, deleted or replaced.
         """
         self._write_ticks()
         loss = self._find_loss() if self._is_open else None
@@ -142,13 +143,13 @@ class Recorder:
     def close(self, notes: Mapping[str, str] = _NO_NOTES) -> None:
         """Finish the file; a second call does nothing.
 
-        A recording that is closed on the way out of Ctrl-C or of an exit was `interrupted`.
+        A recording closed by Ctrl-C or an exit gets the stop reason `interrupted`.
 
         Args:
             notes: See `Run`.
 
         Raises:
-            LogError: As `flush`.
+            LogError: As for `flush`.
         """
         with hold_stop():
             self._write_ticks()

@@ -1,4 +1,4 @@
-"""Run -> messages, topic by topic -> file, with /odom, /tf and /path for other programs."""
+"""Writing of runs as recordings, with /odom, /tf and /path for other programs."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -50,16 +50,16 @@ _WARN: Final = 30
 
 
 def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -> None:
-    """Write a run as an MCAP file; the same run gives the same bytes.
+    """Write a run as an MCAP file; equal runs give identical files.
 
     Args:
         run: Run to write.
         path: The file.
-        shares_poses: Whether poses stand also in `/odom`, `/tf` and `/path`, by which other
-            programs know a robot; readers of turtlelog pass over these.
+        shares_poses: Whether to write poses also to `/odom`, `/tf` and `/path` for other programs;
+            turtlelog ignores these topics.
 
     Raises:
-        LogError: If the place cannot be written, or the run holds what a recording cannot.
+        LogError: If the file cannot be written, or a recording cannot store the run.
     """
     try:
         topics = build_messages(run)
@@ -388,7 +388,7 @@ def list_unshared(run: Run) -> list[str]:
 
 
 def _read_rates(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return forward speed [m/s] and turn rate [rad/s] of every pose, NaN where nobody knows them.
+    """Return forward speed [m/s] and turn rate [rad/s] of every pose, NaN if nobody knows them.
 
     As the robot measured them, else as turtlesim applied them. It publishes the magnitude of its
     speed: the sign is that of the motion along the heading.

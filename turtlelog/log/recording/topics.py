@@ -279,7 +279,7 @@ def describe_topics(
     """Return schema and channel of topics, given by name and type, numbered from 1.
 
     Raises:
-        LogError: Where the `ros2msg` text of a type is not among the definitions.
+        LogError: If the `ros2msg` text of a type is not among the definitions.
     """
     schemas: dict[str, Schema] = {}
     pairs = []

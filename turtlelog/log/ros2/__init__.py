@@ -6,7 +6,7 @@ In the order in which a bag is read: `bag_metadata` and `bag` find its files and
 and `bag_clock` time them, `bag_references` adds goal and path, `bag_commands` commands and samples,
 and `bag_reader` builds the run.
 
-The names stand in `__init__.pyi` and load on first use.
+The names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

@@ -62,7 +62,7 @@ def open_bag(path: str | Path) -> Bag:
     """Return a bag of ROS 2: a folder, or a lone file.
 
     Raises:
-        LogError: Where it is no bag, or one of its files cannot be read, is cut or is damaged.
+        LogError: If it is no bag, or one of its files cannot be read, is cut or is damaged.
     """
     path = make_path(path)
     found = _find_bag_files(path)
@@ -94,7 +94,7 @@ class BagFiles:
 
     Attributes:
         files: In order of time, as far as the bag says.
-        duration_ns: First to last message as the bag says [ns]; None where it does not.
+        duration_ns: First to last message as the bag says [ns]; None if it does not.
         notes: `bag_files` where the metadata is missing or broken, or names another file.
     """
 
@@ -116,8 +116,8 @@ def _find_bag_files(path: str | Path) -> BagFiles:
     """Return the files of a bag: those that metadata.yaml names and, without it, those there are.
 
     Raises:
-        LogError: Where a folder holds no files of a bag, lacks one that its metadata names, or
-            mixes kinds.
+        LogError: If a folder holds no files of a bag, lacks one that its metadata names, or mixes
+            kinds.
     """
     path = make_path(path)
     if not path.is_dir():
@@ -144,7 +144,7 @@ def list_present_files(folder: Path) -> tuple[Path, ...]:
     """Return the files of a bag to recover, in its own order if it has one.
 
     Raises:
-        LogError: Where there are none.
+        LogError: If there are none.
     """
     try:
         return _find_bag_files(folder).files
@@ -175,7 +175,7 @@ def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFi
     """Return the files that are there, where nothing that can be read names them.
 
     Raises:
-        LogError: Where there are none.
+        LogError: If there are none.
     """
     if not present:
         if not (folder / METADATA_FILE).exists():
@@ -196,7 +196,7 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
     """Return the files that the metadata names; one that was renamed, where it is the only one.
 
     Raises:
-        LogError: Where one is missing, or named twice.
+        LogError: If one is missing, or named twice.
     """
     files: dict[Path, None] = {}  # in order, and quick to look into
     missing: list[str] = []
@@ -301,7 +301,7 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
     A folder around one of turtlelog's own recordings is described as that recording.
 
     Raises:
-        LogError: Where it is no bag, or one of its files cannot be read.
+        LogError: If it is no bag, or one of its files cannot be read.
     """
     path = make_path(path)
     found = _find_bag_files(path)

@@ -68,7 +68,7 @@ class BagTimes:
     Attributes:
         poses: Those that are kept.
         commands: All of them.
-        clock: What times the poses, None where they have no stamps.
+        clock: What times the poses, None if they have no stamps.
         notes: What was done, in words, for the notes of a run.
     """
 
@@ -89,13 +89,13 @@ def time_rows(
 
     Args:
         poses: Of the pose topic, in order of log time.
-        commands: Of the command topic likewise; None where there is none.
+        commands: Of the command topic likewise; None if there is none.
         time: `auto`: poses by their stamps where these are usable, otherwise by the log.
         noun: What the rows are that stand as poses: commands, of a bag that has nothing else. Of
             these none is left out, however close they are.
 
     Raises:
-        LogError: Where stamps are asked for, and no pose has a usable one.
+        LogError: If stamps are asked for, and no pose has a usable one.
     """
     commands = commands or Stamps(log_ns=np.empty(0, dtype=np.int64))
     if poses.stamp_ns is None:

@@ -33,8 +33,8 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
     `tilt` the angle between the robot's vertical axis and the world's [rad].
 
     Raises:
-        LogError: Where no quaternion is a rotation.
-        KeyError: Where a field is missing.
+        LogError: If no quaternion is a rotation.
+        KeyError: If a field is missing.
     """
     if kind.startswith("turtlesim"):
         return {
@@ -73,7 +73,7 @@ class PoseShape:
     Attributes:
         position: What stands before x and y.
         orientation: What stands before x, y, z and w of a quaternion; where there is no heading.
-        heading: The field of the heading; None where there is a quaternion.
+        heading: The field of the heading; None if there is a quaternion.
         is_degrees: Whether that is in degrees.
     """
 
@@ -118,7 +118,7 @@ def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
 
 
 def _find_turn(fields: Collection[str], place: str) -> PoseShape | None:
-    """Return the pose whose x and y stand behind a name; None where no angle belongs to it."""
+    """Return the pose whose x and y stand behind a name; None if no angle belongs to it."""
     home = place.removesuffix("position.").removesuffix("translation.")
     for turn in ("orientation", "rotation"):
         if home != place and all(f"{home}{turn}.{axis}" in fields for axis in "xyzw"):
@@ -208,7 +208,7 @@ class OrderedRows:
         columns: By name, each of shape (n,).
         late: Rows that stood behind a later one.
         duplicates: Rows that were there twice, to the last bit, and were dropped.
-        stamp_ns: When each was stamped [ns], shape (n,); None where the type has no stamps.
+        stamp_ns: When each was stamped [ns], shape (n,); None if the type has no stamps.
     """
 
     time_ns: NDArray[np.int64]

@@ -52,8 +52,8 @@ def read_commands_alone(
     """Return the run of a bag that holds commands and no poses.
 
     Raises:
-        LogError: Where there are no commands either, poses are needed, or something of poses was
-            asked for.
+        LogError: If there are no commands either, poses are needed, or something of poses was asked
+            for.
     """
     pick, lack = choose_commands(topics, choice, pose_topic="")
     if pick is None:
@@ -124,7 +124,7 @@ def choose_commands(
     Ackermann commands come first where a wheelbase is given, and tell no turn rate without one.
 
     Raises:
-        LogError: Where nothing tells which of several, or what was asked for cannot be read.
+        LogError: If nothing tells which of several, or what was asked for cannot be read.
     """
     asked = choice.command_topic
     if choice.wheelbase is not None:
@@ -211,7 +211,7 @@ def _join(found: list[TopicColumns]) -> tuple[Times, dict[str, Any]]:
     """Return time and columns of the samples of all files, by their numbers.
 
     Raises:
-        LogError: Where they are not as turtlelog writes them.
+        LogError: If they are not as turtlelog writes them.
     """
     try:
         fields = {
@@ -253,7 +253,7 @@ def _require_fit(run: Run, written: int, time_ns: Times, columns: Mapping[str, A
         columns: Of the samples.
 
     Raises:
-        LogError: Where they are not.
+        LogError: If they are not.
     """
     read, poses = columns["pose_sequence"], run.poses
     if written != len(poses):
@@ -272,7 +272,7 @@ def _require_fit(run: Run, written: int, time_ns: Times, columns: Mapping[str, A
 def _read_names(
     phases: list[TopicColumns], time_ns: Times, phase: NDArray[np.int64]
 ) -> dict[int, str] | None:
-    """Return the names of the phases by their numbers, None where they are not told alike."""
+    """Return the names of the phases by their numbers, None if they are not told alike."""
     named: dict[int, str] = {}
     for columns in phases:
         pairs = zip(columns.log_time_ns.tolist(), columns.fields["data"].tolist(), strict=True)

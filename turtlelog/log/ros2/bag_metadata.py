@@ -62,7 +62,7 @@ class BagMetadata:
         compression: How whole files or messages are compressed on top: `file`, `message`, or
             empty.
         files: Their names, in order of time.
-        duration_ns: First to last message [ns], None where it is not said.
+        duration_ns: First to last message [ns], None if it is not said.
     """
 
     storage: str
@@ -95,7 +95,7 @@ def read_bag_metadata(folder: Path) -> BagMetadata:
     """Return what a bag folder says of itself.
 
     Raises:
-        LogError: Where it says nothing that can be read.
+        LogError: If it says nothing that can be read.
     """
     place = folder / METADATA_FILE
     with name_file(place, expected="the description of a bag"):
@@ -115,7 +115,7 @@ def parse_bag_metadata(text: str) -> BagMetadata:
     """Return what the text of a metadata.yaml says of the files.
 
     Raises:
-        LogError: Where it is none, with the line.
+        LogError: If it is none, with the line.
     """
     if text.count("\n") > _MOST_LINES:
         raise LogError(f"expected up to {_MOST_LINES:,} lines, found more")
@@ -161,7 +161,7 @@ def format_bag_metadata(
     readers.
 
     Args:
-        files: In order of time.
+        files: Files in order of time.
         topics: Of all of them.
         compression: `message` where rosbag2 compressed message by message.
     """
@@ -213,7 +213,7 @@ def _read_flow_list(number: int, value: str) -> list[str]:
     """Return the names of a list within brackets, on one line; none of another value.
 
     Raises:
-        LogError: Where an item is neither plain text nor in quotes.
+        LogError: If an item is neither plain text nor in quotes.
     """
     found = _FLOW_LIST.match(value)
     items = found["items"].strip() if found else ""

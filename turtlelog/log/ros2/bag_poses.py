@@ -50,7 +50,7 @@ class PoseSource:
         topic: Its name, and the type of the messages in `found`.
         found: The messages, by file.
         home: A topic or frame whose place among the names is the robot's.
-        frame: In which the poses are; empty where they name none.
+        frame: In which the poses are; empty if they name none.
         tree: Transforms, where they were read.
         notes: Which were chosen, and which could have been meant as well.
     """
@@ -67,7 +67,7 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
     """Return the messages that hold a robot's poses.
 
     Raises:
-        LogError: Where there are none, or nothing tells which of several.
+        LogError: If there are none, or nothing tells which of several.
     """
     frames = {"pose_frame": choice.pose_frame, "world_frame": choice.world_frame}
     asked = [name for name, value in frames.items() if value is not None]
@@ -156,7 +156,7 @@ def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
     """Return all transforms of a bag, those of a robot's own topics (/robot1/tf) where it has them.
 
     Raises:
-        LogError: Where they cannot be read.
+        LogError: If they cannot be read.
     """
     held = [topic.topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     place = home.rpartition("/")[0]
@@ -228,7 +228,7 @@ class _Read(NamedTuple):
 
 
 def _read_moving(bag: Bag, topic: TopicInfo) -> _Read | None:
-    """Return the messages of a topic and whether it moves; None where that cannot be told."""
+    """Return the messages of a topic and whether it moves; None if that cannot be told."""
     if topic.count < _FEWEST_STILL or topic.reason:
         return None
     place, found = POSITIONS[topic.type], [*bag.read({topic.topic})]
@@ -304,7 +304,7 @@ def _note_frames(chosen: FrameChoice, held: Sequence[str], dropped: int) -> dict
 
 
 def _read_frame(found: Found, topic: str) -> str:
-    """Return the frame that the first message names, empty where it names none."""
+    """Return the frame that the first message names, empty if it names none."""
     for of_file in found:
         for name in _FRAMES if topic in of_file and len(of_file[topic]) else ():
             if name in of_file[topic].fields:

@@ -80,7 +80,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             bag does not tell or something else is meant.
 
     Raises:
-        LogError: One line with the file and the place, where it cannot be read, holds no poses, or
+        LogError: One line with the file and the place, if it cannot be read, holds no poses, or
             nothing tells which of several topics is meant.
     """
     choice, bag = ReadChoice(**options), open_bag(path)
@@ -110,7 +110,7 @@ def _note_robots(run: Run, robots: Sequence[BagRobot], choice: ReadChoice) -> Ru
     """Return a run with a note on the robots of its bag, and which of them it is.
 
     Raises:
-        LogError: Where the one that was asked for is not it.
+        LogError: If the one that was asked for is not it.
     """
     picks = (run.notes.get(name, "") for name in ("pose_topic", "command_topic"))
     topic, _, frames = next(filter(None, picks)).partition(" (")
@@ -272,7 +272,7 @@ def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
     """Return the poses that are numbers, and how many are not; speeds that are none go as a whole.
 
     Raises:
-        LogError: Where none is.
+        LogError: If none is.
     """
     speeds = [name for name in rows.columns if name.removeprefix("measured_") in _RATES]
     unknown = [name for name in speeds if not np.isfinite(rows.columns[name]).any()]

@@ -42,8 +42,8 @@ class Track:
     Attributes:
         time_ns: By the recorder's clock [ns], shape (n,), not decreasing.
         xy_m: Position [m], shape (n, 2).
-        frame: The frame of the poses; empty where they do not name one.
-        tree: Transforms between frames; empty where there are none.
+        frame: The frame of the poses; empty if they do not name one.
+        tree: Transforms between frames; empty if there are none.
     """
 
     time_ns: NDArray[np.int64]
@@ -56,7 +56,7 @@ def add_references(run: Run, bag: Bag, source: PoseSource, track: Track, choice:
     """Return a run with the goal and the path that its bag holds, or that were asked for.
 
     Raises:
-        LogError: Where a path topic that was asked for is not there.
+        LogError: If a path topic that was asked for is not there.
     """
     topics = bag.topics
     given = choice.goal
@@ -110,8 +110,8 @@ class FoundGoal:
     """A goal, and what there is to say of it.
 
     Attributes:
-        xy_m: Position in the frame of the poses [m]; None where it cannot be told.
-        heading_rad: Heading [rad]; None where none is asked for.
+        xy_m: Position in the frame of the poses [m]; None if it cannot be told.
+        heading_rad: Heading [rad]; None if none is asked for.
         note: One sentence.
         time_ns: When it was given, by the recorder's clock [ns].
     """
@@ -185,7 +185,7 @@ class FoundPath:
     """A path to follow, and what there is to say of it.
 
     Attributes:
-        points: In the frame of the poses [m]; None where it is no reference.
+        points: In the frame of the poses [m]; None if it is no reference.
         note: One sentence.
     """
 
@@ -202,7 +202,7 @@ def find_path(
 
     Args:
         messages: Of `nav_msgs/msg/Path`, by file.
-        topic: Its name.
+        topic: Name of the topic.
         track: Where the robot was.
         since_ns: When the goal was given, by the recorder's clock [ns].
     """

@@ -96,7 +96,7 @@ def select_robot(
     that has poses. Of a name that no topic has, transforms may have frames.
 
     Raises:
-        LogError: Where nothing tells which robot is meant.
+        LogError: If nothing tells which robot is meant.
     """
     robots = find_robots(topics)
     if not robots:

@@ -95,7 +95,7 @@ def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
         None: The bag has neither, or the run's clock is not known.
 
     Raises:
-        LogError: Where the bag cannot be read.
+        LogError: If the bag cannot be read.
     """
     bag = open_bag(path)
     start_ns = parse_utc(run.notes.get("original_timestamp", ""))

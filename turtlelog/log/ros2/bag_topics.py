@@ -136,7 +136,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     """Return the topic that was asked for, or else the one that is most likely meant.
 
     Raises:
-        LogError: Where there is none, or nothing tells which of several.
+        LogError: If there is none, or nothing tells which of several.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -162,7 +162,7 @@ def choose_joint_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicI
     """Return the topic of joints that was asked for, or that is called so.
 
     Raises:
-        LogError: Where there is none, or nothing tells which of several.
+        LogError: If there is none, or nothing tells which of several.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -193,7 +193,7 @@ def choose_command_topic(
         types: Which of the types of commands are looked for.
 
     Raises:
-        LogError: Where nothing tells which of several.
+        LogError: If nothing tells which of several.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -243,7 +243,7 @@ def choose_path_topics(
 
 
 def choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Pick | None:
-    """Return the topic of goals, the neighbour of the poses first; None where there is none."""
+    """Return the topic of goals, the neighbour of the poses first; None if there is none."""
     present = _drop_unread(topic for topic in topics if topic.count)
     fitting = [
         topic

@@ -101,7 +101,7 @@ def collect_links(
     """Return what messages of TFMessage tell, link by link.
 
     Raises:
-        LogError: Where they are of another shape.
+        LogError: If they are of another shape.
     """
     rows: dict[tuple[str, str], list[tuple[int, dict[str, Any]]]] = defaultdict(list)
     for columns in map(_wrap_foxglove, messages):
@@ -123,7 +123,7 @@ def _wrap_foxglove(columns: TopicColumns) -> TopicColumns:
     """Return messages of `foxglove.FrameTransform` as TFMessages of one, others as they are.
 
     Raises:
-        LogError: Where a field is missing.
+        LogError: If a field is missing.
     """
     if columns.type != FRAME_TRANSFORM:
         return columns
@@ -193,7 +193,7 @@ def choose_frames(
         name: Of the robot, where frames of several begin with their names.
 
     Raises:
-        LogError: Where one is not there, or nothing tells which of several.
+        LogError: If one is not there, or nothing tells which of several.
     """
     frames = {frame for names in tree for frame in names}
     robot, world = (None if one is None else one.lstrip("/") for one in (robot, world))
@@ -238,7 +238,7 @@ def _list_unnamed(found: Sequence[tuple[str, str]], name: str) -> list[tuple[str
     """Return the pairs of frames of a robot whose topics alone have its name.
 
     Raises:
-        LogError: Where frames have the names of others.
+        LogError: If frames have the names of others.
     """
     if any("/" in robot for _, robot in found):
         frames = ", ".join(robot for _, robot in found)
@@ -312,7 +312,7 @@ def _find_world(tree: Tree, robot: str) -> str:
     """Return the highest frame above one that is called a world, otherwise the root.
 
     Raises:
-        LogError: Where nothing is above it.
+        LogError: If nothing is above it.
     """
     above = _climb(tree, robot)
     if not above:
@@ -322,7 +322,7 @@ def _find_world(tree: Tree, robot: str) -> str:
 
 
 def find_carrier(tree: Tree, frame: str) -> str | None:
-    """Return the robot's frame to which another one is fixed; None where no transform has that one.
+    """Return the robot's frame to which another one is fixed; None if no transform has that one.
 
     It is the highest frame above with the name of a robot's, otherwise the first that moves.
     """
@@ -356,7 +356,7 @@ def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]
         that were held.
 
     Raises:
-        LogError: Where no transforms join the two frames.
+        LogError: If no transforms join the two frames.
     """
     steps = _find_way(tree, choice.world, choice.robot)
     moving = [link for link, _ in steps if link.moves] or [
@@ -376,7 +376,7 @@ def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]
 def locate_frame(
     tree: Tree, world: str, frame: str, time_ns: NDArray[np.int64]
 ) -> tuple[Values, Values] | None:
-    """Return where a frame is in another at some times; None where nothing joins the two."""
+    """Return where a frame is in another at some times; None if nothing joins the two."""
     try:
         place_m, turn = compose_way(_find_way(tree, world, frame), time_ns)
     except LogError:
@@ -392,7 +392,7 @@ def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
     """Return the shortest way from one frame to another.
 
     Raises:
-        LogError: Where there is none.
+        LogError: If there is none.
     """
     ways: dict[str, list[_Step]] = {start: []}
     waiting = [start]

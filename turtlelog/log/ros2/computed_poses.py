@@ -25,7 +25,7 @@ class JoinedMessages:
         type: Their type.
         log_ns: When each was recorded [ns], shape (n,).
         publish_ns: When each was published [ns], shape (n,).
-        sequence: Number that the publisher gave each, shape (n,).
+        sequence: Sequence number set by the publisher, shape (n,).
         stamp_ns: When each was stamped [ns], shape (n,); zeros where the type has no stamps.
         frame: In which they are, as the first one names it.
         fields: Those that were asked for, each of n rows.
@@ -75,7 +75,7 @@ def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> Joine
         names: Of the fields that are wanted.
 
     Raises:
-        LogError: Where a field is missing.
+        LogError: If a field is missing.
     """
     for columns in found:
         for name in names:
@@ -140,7 +140,7 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
         found: Messages of NavSatFix, by file.
 
     Raises:
-        LogError: Where there is no fix, or the receiver never moves.
+        LogError: If there is no fix, or the receiver never moves.
     """
     messages = _join_messages(found, _FIX_FIELDS)
     latitude_deg, longitude_deg, altitude_m, status = (
@@ -279,7 +279,7 @@ def integrate_wheels(
         wheels_m: Radius of the wheels, and the track between them [m].
 
     Raises:
-        LogError: Where no message holds both joints, or one has neither position nor velocity.
+        LogError: If no message holds both joints, or one has neither position nor velocity.
     """
     messages = _join_messages(found, _JOINT_FIELDS)
     places = _find_joints(messages, joints)
@@ -350,7 +350,7 @@ def _find_joints(messages: JoinedMessages, joints: tuple[str, str]) -> NDArray[n
 def _pick(
     column: NDArray[np.object_], places: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> Values:
-    """Return two numbers of each message; NaN where it has none of a joint."""
+    """Return two numbers of each message; NaN if it has none of a joint."""
     picked = np.full((len(rows), 2), np.nan)
     for number, row in enumerate(rows.tolist()):
         values = column[row]

@@ -101,7 +101,7 @@ def measure_paths(
 
 
 def _integrate(step_ns: _TimesNs, columns: Mapping[str, Values]) -> Values | None:
-    """Return the way that is reported from pose to pose [m], None where no speed is."""
+    """Return the way that is reported from pose to pose [m], None if no speed is."""
     speed = columns.get(SPEED)
     if speed is None:
         return None

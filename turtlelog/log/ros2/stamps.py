@@ -77,8 +77,8 @@ class Stamps:
 
     Attributes:
         log_ns: When each was received, by the recorder's clock [ns], shape (n,).
-        stamp_ns: When each was stamped, by the clock of who did [ns], shape (n,); None where the
-            type has no stamps.
+        stamp_ns: When each was stamped, by the clock of who did [ns], shape (n,); None if the type
+            has no stamps.
     """
 
     log_ns: TimesNs
@@ -90,11 +90,11 @@ class StampClock:
     """What stamps tell.
 
     Attributes:
-        reason: Why they are not usable; empty where they are.
+        reason: Why they are not usable; empty if they are.
         time_ns: When each message was stamped, on the timeline of the recorder's clock or, at
             another pace, on one of the stamps' seconds from the first log time [ns], shape (n,).
             Log times where nothing better is known.
-        pace: Seconds of the stamps per second of the recorder; None where they tell nothing.
+        pace: Seconds of the stamps per second of the recorder; None if they tell nothing.
         is_other_pace: Whether that is beyond what clocks of computers drift.
         offset_ns: The recorder's time less the first stamp, by the fastest message [ns].
         jitter_ns: Median of the transport less the least [ns]; None at another pace.
@@ -121,7 +121,7 @@ class StampClock:
 
 
 def read_stamps(columns: TopicColumns) -> TimesNs | None:
-    """Return the stamps in the headers of messages [ns]; None where their type has none."""
+    """Return the stamps in the headers of messages [ns]; None if their type has none."""
     fields = columns.fields
     for seconds, rest in _FIELDS:
         if seconds in fields and rest in fields:
@@ -153,7 +153,7 @@ def _take(values: TimesNs, rows: Rows) -> TimesNs:
 
 
 def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
-    """Return why stamps are not usable, empty where they are."""
+    """Return why stamps are not usable, empty if they are."""
     count, zeros = len(stamp_ns), int((stamp_ns <= 0).sum())
     if zeros == count:
         return "all stamps are 0 or before 1970" if stamp_ns.any() else "all stamps are 0"
