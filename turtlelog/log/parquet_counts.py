@@ -46,10 +46,10 @@ _WHOLES: Final = (4, 5, 6)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChunkClaim:
-    """What the footer says about the values of one column in one group of rows.
+    """The footer's entry for one column in one row group.
 
     Attributes:
-        values: How many there are.
+        values: Number of values.
         start: Place of its first page in the file.
         size: Bytes of its pages, with their headers.
     """
@@ -61,13 +61,13 @@ class ChunkClaim:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FooterClaims:
-    """What the footer says.
+    """Contents of the footer.
 
     Attributes:
         row_count: Rows of all groups.
-        depth: How deep the columns lie within structs and lists, 1 for a flat table.
+        depth: Nesting depth of columns in structs and lists, 1 for a flat table.
         group_rows: Rows of each group.
-        chunks: By group, then by column.
+        chunks: Entries by group, then by column.
     """
 
     row_count: int
@@ -78,12 +78,12 @@ class FooterClaims:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageClaim:
-    """What the header of a page says.
+    """Contents of a page header.
 
     Attributes:
         unpacked: Bytes of the page after decompression.
-        values: How many it has.
-        encoding: By Parquet's number.
+        values: Number of values.
+        encoding: Parquet's number of the encoding.
     """
 
     unpacked: int

@@ -214,7 +214,7 @@ class ParquetFile:
 
 
 class _PageCounts:
-    """What pages may still ask for."""
+    """Remaining limits for pages."""
 
     def __init__(self, pages: int, text_bytes: int, advice: str) -> None:
         self._advice = advice

@@ -61,11 +61,11 @@ class ChannelRecords:
     """The message records of one channel, in order of log time.
 
     Attributes:
-        schema: Of the channel.
-        channel: Which its records name.
-        log_time_ns: Of each [ns], shape (n,), not decreasing.
+        schema: Schema of the channel.
+        channel: Channel of the records.
+        log_time_ns: Log time of each record [ns], shape (n,), not decreasing.
         data: The records one after the other, shape (bytes,).
-        sizes: Of each [bytes], shape (n,).
+        sizes: Size of each record [bytes], shape (n,).
     """
 
     schema: Schema
@@ -80,7 +80,7 @@ class ChunkRows:
     """The messages of one chunk.
 
     Attributes:
-        channels: Their channels, each with its schema, if it has one.
+        channels: Channels of the messages, with their schemas if they have any.
         records: Message records, one after the other.
         index: By channel number: log time [ns] and place in `records` of each of its messages,
             shape (n, 2).
@@ -121,9 +121,9 @@ def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> C
     """Return the messages of a topic as records in order of log time.
 
     Args:
-        columns: In any order of time; a field left out is 0 or empty.
-        schema: Of their type, as `ros2msg`.
-        channel: Of the topic.
+        columns: Columns in any order of time; missing fields are 0 or empty.
+        schema: Schema of the type, as `ros2msg`.
+        channel: Channel of the topic.
 
     Raises:
         LogError: If a column is not one of the type, has another length, or does not fit.
@@ -259,7 +259,7 @@ def encode_message(
 
     Args:
         fields: Fields of the message type.
-        values: By dotted name, as a row of `TopicColumns`; one left out is 0 or empty.
+        values: Values by dotted name, as a row of `TopicColumns`; missing values are 0 or empty.
         channel: The number that the record carries.
         stamp: Sequence, log time and publish time [ns].
 
@@ -324,7 +324,7 @@ def cut_chunks(
 
     Args:
         channels: With their records in order of log time.
-        chunk_bytes: What a chunk may hold; one larger record makes a chunk of its own.
+        chunk_bytes: Largest size of a chunk [bytes]; a larger record gets its own chunk.
     """
     filled = [content for content in channels if len(content.sizes)]
     if not filled:

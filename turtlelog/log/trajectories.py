@@ -1,4 +1,4 @@
-"""Any file -> Trajectory: poses in space where the file has them, at the times of the file."""
+"""Reading of any file as a trajectory, in 3D if the file has heights and rotations."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -49,15 +49,14 @@ _LONGEST_TIMES: Final = 64 * 2**20
 def read_trajectory(
     path: str | Path, choice: ReadChoice | None = None, *, times: Path | None = None
 ) -> Trajectory:
-    """Return the poses of a file with their heights and rotations, where it has these.
+    """Return the poses of a file, with heights and rotations if it has them.
 
-    Rows with nan are left out, rows are sorted by time, and of several of one time the first is
-    kept; the notes count all of it. Poses of bags are timed by the stamps in their headers where
-    these are usable.
+    Rows with nan are dropped, rows are sorted by time, and only the first of rows with equal times
+    is kept; the notes give the counts. Poses of bags are timed by usable stamps in their headers.
 
     Args:
-        path: A trajectory of TUM, KITTI or EuRoC, or anything that `read_run` takes; FILE:TOPIC for
-            one topic of a bag.
+        path: A trajectory in TUM, KITTI or EuRoC format, or any file that `read_run` reads;
+            FILE:TOPIC for one topic of a bag.
         choice: Selection as for `read_run`.
         times: File with the time of each pose [s] for a KITTI trajectory, which has none.
 
@@ -164,7 +163,7 @@ def _read_times(path: Path, count: int) -> Times:
     """Return the times of poses, one a line [s] -> [ns].
 
     Raises:
-        LogError: If they are not as many, or a line is no time.
+        LogError: If the number of times differs, or a line is not a time.
     """
     found: list[int] = []
     with name_file(path, expected="a file of times"), open_file(path) as stream:

@@ -98,8 +98,8 @@ class Field:
     Attributes:
         name: Without the names of the messages around it.
         kind: A type code of numpy without byte order, `TEXT`, or the fields of a nested message.
-        length: Of a fixed array; None for one value and for a sequence.
-        is_sequence: Whether any number of values may stand here.
+        length: Length of a fixed array; None for single values and sequences.
+        is_sequence: Whether the field is a sequence of any length.
     """
 
     name: str
@@ -114,8 +114,8 @@ class Layout:
 
     Attributes:
         little: Record from the opcode to the last field, little-endian.
-        big: The same with big-endian fields.
-        size: Of the message, encapsulation included [bytes].
+        big: The same record with big-endian fields.
+        size: Size of the message including the encapsulation header [bytes].
         kinds: The type code of every field, by dotted name in order.
     """
 
@@ -130,7 +130,7 @@ class MessageType:
     """A type of messages.
 
     Attributes:
-        fields: Of the type, nested ones within theirs.
+        fields: Fields of the type, nested fields within their messages.
         layout: None where its messages differ in size.
         size: Total size of the fields, counted in numbers, texts and sequences.
         sequence: Dotted name of a sequence of texts or messages in it, None without one.
@@ -171,7 +171,7 @@ def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
 
     Args:
         name: `package/msg/Type` or `package/Type`.
-        text: Its definition; those of nested types follow after lines of equals signs.
+        text: Definition of the type; those of nested types follow after lines of equals signs.
 
     Raises:
         LogError: If the text is no `ros2msg`, or a nested type is missing or holds itself.

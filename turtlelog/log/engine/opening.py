@@ -82,7 +82,7 @@ class _Unpacked(io.BufferedReader):
     """A file that was unpacked.
 
     Attributes:
-        stored_size: What it took before [bytes]: so much it may ask for.
+        stored_size: Packed size [bytes], which sets the limits.
     """
 
     def __init__(self, place: Path, stored_size: int) -> None:
@@ -95,10 +95,10 @@ class Damaged:
     """A file to recover.
 
     Attributes:
-        place: Where it is, unpacked.
-        bag: Its tables, where it is in SQLite.
-        fault: What is wrong with its compression.
-        stored_size: What it takes, before it is unpacked [bytes].
+        place: Path of the unpacked file.
+        bag: Tables of the bag, if the file is in SQLite.
+        fault: Error of its compression.
+        stored_size: Packed size [bytes].
     """
 
     place: Path

@@ -1,4 +1,4 @@
-"""The bytes of MCAP records -> where the messages among them stand, and the others as values."""
+"""Parsing of MCAP records: offsets of messages, and other records as values."""
 
 import struct
 import zlib
@@ -113,9 +113,9 @@ def iterate_places(data: bytes | memoryview, start: int, end: int, byte: int) ->
 
     Args:
         data: The buffer.
-        start: Where the first one starts.
-        end: Where the last one must end.
-        byte: Of the file, for the error: where the stretch of records starts, or its chunk.
+        start: Start of the first record.
+        end: Required end of the last record.
+        byte: Offset in the file of the records or of their chunk, for error messages.
 
     Raises:
         DamageError: If one goes over the end.
@@ -144,7 +144,7 @@ def parse_record(place: Place, body: bytes, byte: int) -> Any:
     """Return a record of a rare kind from its bytes, checksums checked; None for another kind.
 
     Raises:
-        DamageError: If they are no such record; `byte` is where it stands in the file.
+        DamageError: If the bytes are no such record; `byte` is its offset in the file.
     """
     kind = _RARE.get(place.opcode)
     if kind is None:
@@ -227,7 +227,7 @@ def _read_entries(table: bytes, most: int) -> dict[str, str]:
 
 
 def _take_field(body: bytes, place: int) -> tuple[bytes, int]:
-    """Return the bytes that stand behind their length, and the place behind them."""
+    """Return length-prefixed bytes, and the offset after them."""
     start = end = place + 4
     if end <= len(body):
         end += _LENGTH.unpack_from(body, place)[0]
@@ -245,7 +245,7 @@ _FREQUENT: Final[dict[Any, Any]] = {
 
 
 def read_record(stream: BinaryIO, place: Place) -> Any:
-    """Return a record of a rare kind that stands alone in a file."""
+    """Return a record of a rare kind outside chunks."""
     stream.seek(place.start)
     return parse_record(place, stream.read(place.length), place.start - RECORD.size)
 
@@ -260,14 +260,14 @@ def _check_attachment(body: bytes, byte: int) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordStretch:
-    """Records that stand one after the other, taken apart as far as they make sense.
+    """Consecutive records, parsed as far as they are valid.
 
     Attributes:
         data: Bytes of the records.
-        starts: Where each message record starts, shape (n,), increasing, of 4 bytes each.
+        starts: Start of each message record, shape (n,), increasing, 4 bytes each.
         others: The other records that carry something, in their order: place, opcode, end.
         fault: One clause, where a length makes no sense; everything before it has come.
-        records: How many there are of any kind.
+        records: Number of records of any kind.
     """
 
     data: bytes
@@ -287,12 +287,12 @@ class RecordStretch:
 
 
 def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStretch:
-    """Return where the messages stand in bytes that a checksum vouches for, or nobody.
+    """Return the offsets of the messages in bytes, with or without a checksum.
 
     Args:
         data: The bytes.
         is_chunk: Whether they are a chunk's, which carries messages, schemas and channels only.
-        most_records: What there may be before the rest is given up.
+        most_records: Largest number of records; the rest is ignored.
     """
     starts, others = array("I"), list[tuple[int, int, int]]()
     known, size, place, left = OF_CHUNKS if is_chunk else _KNOWN, len(data), 0, most_records
@@ -367,6 +367,6 @@ def gather_heads(data: bytes, starts: NDArray[np.int64]) -> NDArray[Any]:
     """Return the `HEADING` of the messages that start at some places.
 
     Raises:
-        LogError: As `gather_bytes`.
+        LogError: As for `gather_bytes`.
     """
     return gather_bytes(data, starts, MESSAGE_HEAD).view(HEADING)

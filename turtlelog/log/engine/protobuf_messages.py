@@ -80,8 +80,8 @@ class ProtobufType:
     """A type of messages: its fields by number. One that may hold itself is left out.
 
     Attributes:
-        fields: By number.
-        zeros: What a message has of which nothing was written.
+        fields: Fields by number.
+        zeros: Values of an empty message.
     """
 
     fields: dict[int, ProtobufField] = field(default_factory=dict)

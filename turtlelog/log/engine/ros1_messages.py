@@ -46,7 +46,7 @@ def read_ros1_type(name: str, text: str) -> MessageType:
     """Return a type by its definition in `ros1msg`.
 
     Raises:
-        LogError: As `read_type`, and where there is no text.
+        LogError: As for `read_type`, and if there is no text.
     """
     if not text.strip():
         raise LogError(f"schema {name}: the file holds no definition of it")
@@ -58,9 +58,9 @@ def convert_ros1(fields: tuple[Field, ...], data: bytes, starts: Places) -> tupl
     """Return messages of ROS 1 as records of CDR messages.
 
     Args:
-        fields: Of their type.
-        data: Where they stand.
-        starts: Of their records.
+        fields: Fields of the message type.
+        data: Bytes that contain the records.
+        starts: Start of each record.
 
     Raises:
         LogError: If one is not of that type.
@@ -92,9 +92,9 @@ class _Message:
     """A message while it is rewritten.
 
     Attributes:
-        data: As ROS 1 wrote it.
-        place: How much of that is done [bytes].
-        body: In CDR, behind the encapsulation.
+        data: Message in the ROS 1 format.
+        place: Number of bytes read so far.
+        body: Message in CDR, without the encapsulation header.
     """
 
     __slots__ = ("body", "data", "place")

@@ -1,4 +1,4 @@
-"""A file -> the messages asked for, piece by piece: through its index, else record by record."""
+"""Reading of requested messages piece by piece, by the index or record by record."""
 
 import os
 from collections import Counter, deque
@@ -65,10 +65,10 @@ class Source:
 
     Attributes:
         catalogue: Channels and schemas; without an index it fills as blocks are read.
-        is_indexed: Whether the summary tells where all is.
+        is_indexed: Whether the summary indexes the complete file.
         statistics: None where there are none.
-        ends: Where its parts are.
-        allowance: What may be asked for.
+        ends: Offsets of its parts.
+        allowance: Remaining limits of the file.
         size: Size of the file [bytes].
     """
 
@@ -176,12 +176,12 @@ class Source:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """Some messages that stand together.
+    """Some neighbouring messages.
 
     Attributes:
-        rows: By topic, as far as they are asked for.
-        size: Bytes that they were read from.
-        counts: Messages by channel, asked for or not.
+        rows: Rows of requested topics.
+        size: Size of the bytes that were read.
+        counts: Number of messages by channel, requested or not.
         rest: The other records among them, at the first piece of a block.
     """
 
@@ -193,12 +193,12 @@ class Piece:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """Which messages are asked for.
+    """The requested messages.
 
     Attributes:
         topics: Names of the topics to read; None for every topic that can be decoded.
-        start_ns: Least log time.
-        end_ns: Log time before which messages must lie.
+        start_ns: Earliest log time [ns], inclusive.
+        end_ns: End of the log time [ns], exclusive.
         is_lenient: Whether named topics may be missing or undecodable; all chunks are read and
             checked then.
         is_flat: Whether only numbers and texts are allowed as fields. Sequences of texts or
@@ -222,10 +222,10 @@ class Selection:
         return self.start_ns <= 0 and self.end_ns >= EVER
 
     def choose_plans(self, catalogue: Catalogue) -> dict[str, TopicPlan]:
-        """Return the plans of the topics asked for, as far as they are known so far.
+        """Return the plans of the requested topics that are known so far.
 
         Raises:
-            LogError: If one that is asked for by name cannot be understood.
+            LogError: If a topic requested by name cannot be decoded.
         """
         plans = {}
         known = catalogue.topics
@@ -236,10 +236,10 @@ class Selection:
         return plans
 
     def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
-        """Return the plan of a topic, None if it is not asked for.
+        """Return the plan of a topic, None if it is not requested.
 
         Raises:
-            LogError: If it is asked for by name and cannot be understood.
+            LogError: If it is requested by name and cannot be decoded.
         """
         if self.topics is not None and topic not in self.topics:
             return None
@@ -256,10 +256,10 @@ class Selection:
         return None if plan.reason else plan
 
     def require_topics(self, catalogue: Catalogue) -> None:
-        """Check that every topic asked for by name is there; where none is, that one can be read.
+        """Check that every topic requested by name exists, or else that any topic can be read.
 
         Raises:
-            LogError: If one is not, or no topic of the file can be understood.
+            LogError: If a topic is missing, or no topic of the file can be decoded.
         """
         if self.topics is None and not self.is_lenient:
             plans = [catalogue.find_plan(topic) for topic in sorted(catalogue.topics)]
@@ -276,13 +276,13 @@ def iterate_pieces(
     most_rows: int | None = None,
     wholes: Mapping[str, FixedColumns] = MappingProxyType({}),
 ) -> Iterator[Piece]:
-    """Yield the messages asked for, in the order of the file; of a topic up to so many at once.
+    """Yield the requested messages in file order, up to a number per topic at once.
 
-    Those of topics in `wholes` go there, and not into pieces, as long as there is room.
+    Messages of topics in `wholes` are stored there instead of in pieces while there is room.
 
     Raises:
-        LogError: If a topic asked for is not there or not understood.
-        DamageError: If something read is damaged, or more or less than the statistics say.
+        LogError: If a requested topic is missing or cannot be decoded.
+        DamageError: If the file is damaged, or counts differ from the statistics.
     """
     catalogue, channels = source.catalogue, None
     if source.is_indexed:
@@ -330,7 +330,7 @@ def read_piece(
     offsets: Mapping[int, Offsets],
     wholes: Mapping[str, FixedColumns] = MappingProxyType({}),
 ) -> Piece:
-    """Return those of the messages at some places of a block that are asked for.
+    """Return the requested messages among those at some offsets of a block.
 
     Raises:
         LogError: If a message does not have its topic's type.

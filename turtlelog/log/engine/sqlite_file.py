@@ -246,9 +246,9 @@ def read_channels(
 
     Args:
         execute: Runs a query.
-        tables: As `list_tables` returns them.
+        tables: Tables from `list_tables`.
         catalogue: Takes channels, and the types as schemas.
-        allowance: Of which each topic is spent.
+        allowance: Limits that topics are counted against.
 
     Raises:
         LogError: If a row of `topics` or `message_definitions` is wrong, or there are too many.

@@ -56,12 +56,12 @@ def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
 
     Args:
         path: The file, with nothing beside it that changes it.
-        page_size: Of a page [bytes].
+        page_size: Size of a page [bytes].
         is_damaged: Pass over pages that are none, and some rows that claim too much; the
             definitions of tables must be sound in any case.
 
     Raises:
-        LogError: If pages stand in two trees, or rows claim more bytes than there are.
+        LogError: If pages belong to two trees, or rows claim more bytes than exist.
     """
     with path.open("rb") as stream:
         usable = page_size - stream.read(_FILE_HEAD)[_RESERVED]
@@ -123,8 +123,8 @@ class _Pages:
     """The pages of a file.
 
     Attributes:
-        most_bytes: What all rows together may claim.
-        is_damaged: Whether pages that stand twice are passed over.
+        most_bytes: Largest total size of all rows [bytes].
+        is_damaged: Whether duplicate pages are skipped.
     """
 
     def __init__(self, stream: BinaryIO, page_size: int, usable: int) -> None:

@@ -1,4 +1,4 @@
-"""A bag in SQLite -> the messages asked for, block by block, as if they stood in an MCAP file.
+"""Reading of requested messages from a SQLite bag, block by block as from an MCAP file.
 
 The blobs of a batch are joined with room before each for the head of an MCAP message record, and
 the heads are scattered into it at once: from there on the decoding is that of MCAP files.
@@ -85,7 +85,7 @@ class SqliteSource:
     """An open bag in SQLite, its tables checked.
 
     Attributes:
-        catalogue: Its topics as channels, their types as schemas.
+        catalogue: Topics as channels, their types as schemas.
         is_indexed: Always: the catalogue is complete before the first message is read.
         statistics: None; `count_messages` counts.
         size: Size of the file [bytes].
@@ -267,7 +267,7 @@ def open_sqlite(
 
     Args:
         path: The file.
-        stored_size: What it takes, or took before it was unpacked [bytes].
+        stored_size: Size of the file, packed if it was compressed [bytes].
         is_damaged: Read one that is cut as far as it goes.
 
     Raises:

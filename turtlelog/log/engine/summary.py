@@ -48,13 +48,13 @@ _KINDS: Final[Mapping[int, str]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ends:
-    """Where the parts of a whole file are.
+    """Offsets of the parts of a complete file.
 
     Attributes:
         data_end: Byte of the record that ends the data section.
         data_crc: Checksum of all bytes before it, 0 if there is none.
         summary_start: Byte of the summary section; where it is empty, that of the footer.
-        summary: Its records, summary offsets included.
+        summary: Records of the summary, summary offsets included.
     """
 
     data_end: int
@@ -65,12 +65,12 @@ class Ends:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileSummary:
-    """What stands in the summary section.
+    """Contents of the summary section.
 
     Attributes:
-        schemas: In its order.
-        channels: In its order.
-        chunks: In the order of the file.
+        schemas: Schemas in order.
+        channels: Channels in order.
+        chunks: Chunks in the order of the file.
         statistics: None where there are none.
         named: Opcode and name of each metadata record and attachment, by its byte in the file.
         described: Schemas and channels by their bytes, the opcode first: chunks repeat them.

@@ -1,4 +1,4 @@
-"""Bags that ROS 2 or another recorder wrote -> Run, and what makes a folder a bag.
+"""Reading of third-party bags as runs; detection of bag folders.
 
 In the order in which a bag is read: `bag_metadata` and `bag` find its files and open them,
 `bag_topics` chooses topics, `bag_poses`, `bag_transforms` and `computed_poses` find the poses,

@@ -1,4 +1,4 @@
-"""A bag: which files it has, what is in them, and the messages of its topics."""
+"""Bags: their files, the contents of the files, and the messages of topics."""
 
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -26,11 +26,11 @@ from turtlelog.log.ros2.bag_metadata import METADATA_FILE, BagMetadata, read_bag
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bag:
-    """The files of a bag and what is in each, whatever their storage.
+    """The files of a bag and their contents, for any storage.
 
     Attributes:
-        path: The folder, or the lone file.
-        infos: What each file holds, in order of time.
+        path: The folder, or the single file.
+        infos: Contents of each file, in order of time.
     """
 
     path: Path
@@ -38,18 +38,18 @@ class Bag:
 
     @property
     def topics(self) -> Sequence[TopicInfo]:
-        """The topics of all files, each name and type once."""
+        """The topics of all files, without duplicates."""
         first, *others = (info.topics for info in self.infos.values())
         return merge_topics(chain(first, *others)) if others else first
 
     def read(
         self, names: Collection[str], *, is_flat: bool = True
     ) -> tuple[Mapping[str, TopicColumns], ...]:
-        """Return the messages of some topics, by topic, for each file; those without any left out.
+        """Return the messages of some topics, by topic, for each file; empty topics are omitted.
 
         Args:
-            names: Of the topics.
-            is_flat: Whether their types have no sequences of texts or messages.
+            names: Names of the topics.
+            is_flat: Whether to refuse types with sequences of texts or messages.
         """
         held = (
             (file, {*names} & {topic.topic for topic in info.topics if topic.count})
@@ -59,10 +59,10 @@ class Bag:
 
 
 def open_bag(path: str | Path) -> Bag:
-    """Return a bag of ROS 2: a folder, or a lone file.
+    """Return a ROS 2 bag: a folder, or a single file.
 
     Raises:
-        LogError: If it is no bag, or one of its files cannot be read, is cut or is damaged.
+        LogError: If it is no bag, or one of its files cannot be read, is truncated or is damaged.
     """
     path = make_path(path)
     found = _find_bag_files(path)
@@ -93,8 +93,8 @@ class BagFiles:
     """The files of a bag.
 
     Attributes:
-        files: In order of time, as far as the bag says.
-        duration_ns: First to last message as the bag says [ns]; None if it does not.
+        files: Files in order of time, if the metadata give one.
+        duration_ns: Time from first to last message in the metadata [ns]; None if missing.
         notes: `bag_files` where the metadata is missing or broken, or names another file.
     """
 
@@ -104,10 +104,10 @@ class BagFiles:
 
 
 def list_bag_files(path: str | Path) -> tuple[Path, ...]:
-    """Return the files of a bag in its own order: those of a folder, or a lone file.
+    """Return the files of a bag in its own order: those of a folder, or a single file.
 
     Raises:
-        LogError: As `_find_bag_files`.
+        LogError: As for `_find_bag_files`.
     """
     return _find_bag_files(path).files
 
@@ -141,10 +141,10 @@ def _find_bag_files(path: str | Path) -> BagFiles:
 
 
 def list_present_files(folder: Path) -> tuple[Path, ...]:
-    """Return the files of a bag to recover, in its own order if it has one.
+    """Return the files of a bag to recover, in the bag's order if known.
 
     Raises:
-        LogError: If there are none.
+        LogError: If there are no files.
     """
     try:
         return _find_bag_files(folder).files
@@ -159,7 +159,7 @@ def _list_present(folder: Path) -> tuple[Path, ...]:
 
 
 def read_compression(folder: Path) -> str:
-    """Return `message` where a bag says that its messages are compressed one by one."""
+    """Return `message` if a bag's metadata say that messages are compressed one by one."""
     try:
         found = read_bag_metadata(folder).compression
     except LogError:
@@ -175,7 +175,7 @@ def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFi
     """Return the files that are there, where nothing that can be read names them.
 
     Raises:
-        LogError: If there are none.
+        LogError: If there are no files.
     """
     if not present:
         if not (folder / METADATA_FILE).exists():
@@ -241,7 +241,7 @@ def _find_file(folder: Path, name: str, base: str) -> Path | None:
 
 
 def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
-    """Refuse several files that are no parts of one bag: rosbag2 numbers them (drive_0.db3)."""
+    """Refuse several files that are not parts of one bag, which rosbag2 numbers (drive_0.db3)."""
     if len(files) < 2:
         return
     stems = {_PART.sub("", file.name) for file in files}
@@ -256,7 +256,7 @@ def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
 
 
 def _follow_each_other(files: tuple[Path, ...]) -> bool:
-    """Return whether one file begins about when the one before ends, as parts of a bag do.
+    """Return whether a file begins at about the end of the previous file, as parts of a bag do.
 
     Neighbours may overlap by messages that waited when the bag was split. Recordings by turtlelog
     begin at 0 each, and none has parts.
@@ -278,7 +278,7 @@ def _follow_each_other(files: tuple[Path, ...]) -> bool:
 
 
 def _require_one_kind(files: tuple[Path, ...]) -> None:
-    """Refuse files of SQLite beside files of MCAP: no recorder writes both into one bag."""
+    """Refuse a mixture of SQLite and MCAP files, which no recorder writes into one bag."""
     kinds = {".db3" in file.suffixes for file in files}
     if len(kinds) > 1:
         names = ", ".join(file.name for file in files)
@@ -286,7 +286,7 @@ def _require_one_kind(files: tuple[Path, ...]) -> None:
 
 
 def _require_distinct(files: tuple[Path, ...]) -> None:
-    """Refuse a file that stands in the folder under two names: its messages would come twice."""
+    """Refuse a file with two names in the folder: its messages would be duplicated."""
     places: dict[tuple[int, int], Path] = {}
     for file in files if len(files) > 1 else ():
         found = file.stat()
@@ -296,9 +296,9 @@ def _require_distinct(files: tuple[Path, ...]) -> None:
 
 
 def read_bag_info(path: str | Path) -> RecordingInfo:
-    """Return what is in a bag folder: its files' topics together.
+    """Return the contents of a bag folder, with the topics of all files merged.
 
-    A folder around one of turtlelog's own recordings is described as that recording.
+    A folder with one turtlelog recording is described as that recording.
 
     Raises:
         LogError: If it is no bag, or one of its files cannot be read.

@@ -1,10 +1,10 @@
-"""When the poses and commands of a bag happened: their stamps, held against the recorder's clock.
+"""Times of the poses and commands of a bag: stamps compared with the recorder's clock.
 
-A message has two times: when its publisher stamped it, and when the recorder received it, its log
-time. Between them lie the offset of two clocks, and the transport of the message. Stamps are
-steadier, and the recorder's clock is the one that commands without stamps have: so poses are timed
-by their stamps, mapped to the recorder's clock by the messages that were transported fastest. How
-long those took stays unknown; all times of poses are late by it.
+A message has two times: its stamp, set by the publisher, and its log time, when the recorder
+received it. They differ by the offset of two clocks and the transport delay. Stamps have less
+jitter, but commands without stamps have only the recorder's clock. Poses are therefore timed by
+their stamps, mapped to the recorder's clock by the messages with the shortest transport delay. That
+delay is unknown; all pose times are late by it.
 """
 
 from collections.abc import Mapping
@@ -50,11 +50,11 @@ _SHOWN_DRIFT_NS: Final = 1_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TimedRows:
-    """The rows of a topic in order of the times that are used.
+    """The rows of a topic in order of the times used.
 
     Attributes:
-        rows: Of the rows that were given, shape (m,).
-        time_ns: As of the recorder's clock [ns], shape (m,), not decreasing.
+        rows: Indices of the given rows, shape (m,).
+        time_ns: Time on the recorder's clock [ns], shape (m,), not decreasing.
     """
 
     rows: NDArray[np.int64]
@@ -63,13 +63,13 @@ class TimedRows:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BagTimes:
-    """When the poses and commands of a bag happened.
+    """Times of the poses and commands of a bag.
 
     Attributes:
-        poses: Those that are kept.
+        poses: Poses that are kept.
         commands: All of them.
-        clock: What times the poses, None if they have no stamps.
-        notes: What was done, in words, for the notes of a run.
+        clock: Clock that times the poses; None if they have no stamps.
+        notes: Description of the timing, for the notes of a run.
     """
 
     poses: TimedRows
@@ -81,21 +81,21 @@ class BagTimes:
 def time_rows(
     poses: Stamps, commands: Stamps | None, time: TimeSource, *, noun: str = "poses"
 ) -> BagTimes:
-    """Return when poses and commands happened, on one timeline.
+    """Return the times of poses and commands on one timeline.
 
-    That is the recorder's clock. Where the stamps' seconds are others than its own, as in
-    simulation, they are those of the motion: the timeline has the stamps' seconds, and commands
-    are mapped to it. Commands with usable stamps of their own are timed by these, as poses are.
+    This is the recorder's clock. If stamps run at another rate, as in simulation, the motion
+    follows the stamps: the timeline has the rate of the stamps, and commands are mapped to it.
+    Commands with usable stamps are timed by these, as poses are.
 
     Args:
-        poses: Of the pose topic, in order of log time.
-        commands: Of the command topic likewise; None if there is none.
-        time: `auto`: poses by their stamps where these are usable, otherwise by the log.
+        poses: Stamps of the pose topic, in order of log time.
+        commands: Stamps of the command topic, likewise; None without commands.
+        time: `auto`: by the stamps of poses if these are usable, otherwise by log times.
         noun: What the rows are that stand as poses: commands, of a bag that has nothing else. Of
             these none is left out, however close they are.
 
     Raises:
-        LogError: If stamps are asked for, and no pose has a usable one.
+        LogError: If stamps are requested and no pose has a usable stamp.
     """
     commands = commands or Stamps(log_ns=np.empty(0, dtype=np.int64))
     if poses.stamp_ns is None:

@@ -1,4 +1,4 @@
-"""The rows of a run in the messages of third-party types, put in order."""
+"""Extraction of a run's rows from third-party messages, in order of time."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,14 +26,14 @@ Values = NDArray[np.float64]
 
 
 def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
-    """Return x, y [m] and heading [rad], and speeds, height and tilt where the messages have them.
+    """Return x, y [m] and heading [rad], and speeds, height and tilt if the messages have them.
 
-    turtlesim publishes what it applied (`speed`, `turn_rate`), a robot's odometry what it measured
+    turtlesim publishes the applied velocities (`speed`, `turn_rate`), odometry the measured ones
     (`measured_speed`, `measured_lateral_speed`, `measured_turn_rate`). `z` is the height [m],
     `tilt` the angle between the robot's vertical axis and the world's [rad].
 
     Raises:
-        LogError: If no quaternion is a rotation.
+        LogError: If no quaternion is a valid rotation.
         KeyError: If a field is missing.
     """
     if kind.startswith("turtlesim"):
@@ -68,13 +68,13 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseShape:
-    """Where a pose stands in the fields of a message.
+    """The fields of a pose in a message.
 
     Attributes:
-        position: What stands before x and y.
-        orientation: What stands before x, y, z and w of a quaternion; where there is no heading.
-        heading: The field of the heading; None if there is a quaternion.
-        is_degrees: Whether that is in degrees.
+        position: Prefix of x and y.
+        orientation: Prefix of x, y, z and w of a quaternion, if there is no heading.
+        heading: Field of the heading; None if there is a quaternion.
+        is_degrees: Whether the heading is in degrees.
     """
 
     position: str
@@ -107,7 +107,7 @@ _ANGLES: Final = ("theta", "heading", "yaw", "orientation.yaw", "rotation.yaw")
 
 
 def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
-    """Return where the names of fields suggest a pose, in a type that is not known; None: nowhere.
+    """Return the fields of a pose in an unknown type, judged by their names; None if there is none.
 
     Known are position and orientation, translation and rotation, and x, y beside theta, heading or
     yaw, a rotation being a quaternion; an angle in degrees ends in `_deg`.
@@ -136,9 +136,9 @@ def extract_commands(
 
     Args:
         kind: Type of the messages.
-        fields: Their fields.
-        wheelbase_m: Distance of the axles [m], which Ackermann commands need: a car turns with
-            speed * tan(steering angle) / wheelbase. The turn rate is nan from 90 deg on.
+        fields: Fields of the messages.
+        wheelbase_m: Distance between the axles [m], required for Ackermann commands: a car turns
+            with speed * tan(steering angle) / wheelbase. The turn rate is nan from 90 deg on.
     """
     if kind in ACKERMANN_TYPES and wheelbase_m is not None:
         drive = "drive." if kind.endswith("Stamped") else ""
@@ -204,11 +204,11 @@ class OrderedRows:
     """The rows of a topic in order of time.
 
     Attributes:
-        time_ns: As in the file [ns], shape (n,), not decreasing.
-        columns: By name, each of shape (n,).
-        late: Rows that stood behind a later one.
-        duplicates: Rows that were there twice, to the last bit, and were dropped.
-        stamp_ns: When each was stamped [ns], shape (n,); None if the type has no stamps.
+        time_ns: Time in the file [ns], shape (n,), not decreasing.
+        columns: Columns by name, shape (n,) each.
+        late: Number of rows that followed a later row.
+        duplicates: Number of exact duplicate rows, which were dropped.
+        stamp_ns: Stamp of each row [ns], shape (n,); None if the type has no stamps.
     """
 
     time_ns: NDArray[np.int64]
@@ -336,10 +336,10 @@ _LEAP_ROWS: Final = 4
 
 
 def describe_leaps(xy_m: Values) -> str | None:
-    """Return one sentence on poses that go to and fro between two places, None of those that don't.
+    """Return a sentence on poses that alternate between two places; None if they do not.
 
     Args:
-        xy_m: Positions in the order in which they were received [m], shape (n, 2).
+        xy_m: Positions in the order of reception [m], shape (n, 2).
     """
     rows = len(xy_m) - _LEAP_ROWS
     if rows < _LEAP_ROWS:
@@ -359,9 +359,9 @@ def describe_leaps(xy_m: Values) -> str | None:
 
 
 def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-    """Return strictly increasing times, and how many had to move: by 1 ns behind the one before.
+    """Return strictly increasing times, and the number of times moved to 1 ns after the previous.
 
-    Rows of one time are as many ticks; to drop one would lose a step of the motion.
+    Rows with equal times are different ticks; dropping one would lose a step of the motion.
     """
     rows = np.arange(len(time_ns))
     moved = np.maximum.accumulate(time_ns - rows) + rows

@@ -49,7 +49,7 @@ NEVER_IN_BAGS: Final = (
 def read_commands_alone(
     bag: Bag, topics: Sequence[TopicInfo], choice: ReadChoice, err: NoPosesError
 ) -> Run:
-    """Return the run of a bag that holds commands and no poses.
+    """Return the run of a bag that contains commands but no poses.
 
     Raises:
         LogError: If there are no commands either, poses are needed, or something of poses was asked
@@ -124,7 +124,7 @@ def choose_commands(
     Ackermann commands come first where a wheelbase is given, and tell no turn rate without one.
 
     Raises:
-        LogError: If nothing tells which of several, or what was asked for cannot be read.
+        LogError: If several topics are equally likely, or the requested topic cannot be read.
     """
     asked = choice.command_topic
     if choice.wheelbase is not None:
@@ -177,8 +177,8 @@ def add_samples(run: Run, bag: Bag, start_ns: int) -> Run:
     """Return a run with the samples of its bag, where they fit its poses; a note says so.
 
     Args:
-        run: Of the bag, with the poses of `/turtle1/pose`.
-        bag: What it was read from.
+        run: Run of the bag, with the poses of `/turtle1/pose`.
+        bag: Bag of the run.
         start_ns: The recorder's time at which the run's times are 0 [ns].
     """
     kinds = {(topic.topic, topic.type) for topic in bag.topics if topic.count}
@@ -249,8 +249,8 @@ def _require_fit(run: Run, written: int, time_ns: Times, columns: Mapping[str, A
     Args:
         run: With its poses.
         written: Poses in the file.
-        time_ns: When each sample was answered, by the run's clock [ns].
-        columns: Of the samples.
+        time_ns: Time at which each sample was answered, on the run's clock [ns].
+        columns: Columns of the samples.
 
     Raises:
         LogError: If they are not.

@@ -1,4 +1,4 @@
-"""What metadata.yaml says of a bag's files: read, and written.
+"""Reading and writing of the metadata.yaml of bags.
 
 A reader needs four entries of it and a writer always writes the same few lines, so both go by lines
 here: a YAML library would be a dependency for that alone, and takes 50 times as long (4 s for 2,000
@@ -55,14 +55,14 @@ _PLAIN: Final = re.compile(r"[\w/.][\w/.-]*", re.ASCII)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagMetadata:
-    """What a bag says of its files.
+    """Contents of a bag's metadata.yaml.
 
     Attributes:
-        storage: Kind of the files: `mcap`, `sqlite3`.
+        storage: Storage of the files: `mcap` or `sqlite3`.
         compression: How whole files or messages are compressed on top: `file`, `message`, or
             empty.
-        files: Their names, in order of time.
-        duration_ns: First to last message [ns], None if it is not said.
+        files: Names of the files, in order of time.
+        duration_ns: Time from first to last message [ns]; None if missing.
     """
 
     storage: str
@@ -162,7 +162,7 @@ def format_bag_metadata(
 
     Args:
         files: Files in order of time.
-        topics: Of all of them.
+        topics: Topics of all files.
         compression: `message` where rosbag2 compressed message by message.
     """
     start_ns = min(part.start_ns for part in files)

@@ -1,4 +1,4 @@
-"""Where the poses of a bag come from: a topic, the transforms between two frames, or its fields."""
+"""The source of a bag's poses: a topic, or the transforms between two frames."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -44,15 +44,15 @@ _FRAMES: Final = ("header.frame_id", "frame_id")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseSource:
-    """The messages that hold poses.
+    """The messages that contain poses.
 
     Attributes:
-        topic: Its name, and the type of the messages in `found`.
+        topic: Name of the topic, and the type of the messages in `found`.
         found: The messages, by file.
         home: A topic or frame whose place among the names is the robot's.
-        frame: In which the poses are; empty if they name none.
+        frame: Frame of the poses; empty if unknown.
         tree: Transforms, where they were read.
-        notes: Which were chosen, and which could have been meant as well.
+        notes: Chosen topics or frames, and the alternatives.
     """
 
     topic: TopicInfo

@@ -1,4 +1,4 @@
-"""Bag -> Run: which of its topics, and what they hold."""
+"""Reading of a bag as a run: choice of topics, and their contents."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -66,22 +66,22 @@ _RATES: Final = frozenset({"speed", "turn_rate", "lateral_speed"})
 
 
 def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
-    """Return the run in a bag of ROS 2, or in an MCAP file by another recorder.
+    """Return the run in a ROS 2 bag, or in an MCAP file by another recorder.
 
-    Poses with stamps are timed by these, mapped to the recorder's clock, and those of nearly one
-    time left out (`time_rows`). Times count from the first pose or command. Rows are sorted by time
-    and exact duplicates dropped; of several poses without stamps of one time the later ones move on
-    by 1 ns each. The run's notes count all of it, and say which topics were chosen, among which
-    others.
+    Poses with stamps are timed by these, mapped to the recorder's clock, and poses at nearly equal
+    times are dropped (`time_rows`). Times count from the first pose or command. Rows are sorted by
+    time and exact duplicates dropped; if several poses without stamps have the same time, the later
+    ones are moved by 1 ns each. The run's notes give the counts, and the chosen topics with the
+    alternatives.
 
     Args:
-        path: A folder, with `metadata.yaml` or without, or a lone file of MCAP or SQLite.
-        options: Fields of a `ReadChoice`: which topics and frames to read, and the goal, where the
-            bag does not tell or something else is meant.
+        path: A folder, with or without `metadata.yaml`, or a single MCAP or SQLite file.
+        options: Fields of a `ReadChoice`: topics, frames and goal, to add to or override those
+            found in the bag.
 
     Raises:
-        LogError: One line with the file and the place, if it cannot be read, holds no poses, or
-            nothing tells which of several topics is meant.
+        LogError: If the bag cannot be read, contains no poses, or several topics are possible; one
+            line with the file and the place.
     """
     choice, bag = ReadChoice(**options), open_bag(path)
     with _name_once(bag):
@@ -110,7 +110,7 @@ def _note_robots(run: Run, robots: Sequence[BagRobot], choice: ReadChoice) -> Ru
     """Return a run with a note on the robots of its bag, and which of them it is.
 
     Raises:
-        LogError: If the one that was asked for is not it.
+        LogError: If another robot was requested.
     """
     picks = (run.notes.get(name, "") for name in ("pose_topic", "command_topic"))
     topic, _, frames = next(filter(None, picks)).partition(" (")

@@ -1,4 +1,4 @@
-"""What a robot was to do, as a bag tells it: its goal, and the path that it was to follow."""
+"""The goal of a robot and the path to follow, as recorded in a bag."""
 
 import math
 from collections.abc import Sequence
@@ -37,10 +37,10 @@ _MOST_LOOKED_AT: Final = 50
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Track:
-    """Where the robot was, in the frame of its poses.
+    """Positions of the robot, in the frame of its poses.
 
     Attributes:
-        time_ns: By the recorder's clock [ns], shape (n,), not decreasing.
+        time_ns: Time on the recorder's clock [ns], shape (n,), not decreasing.
         xy_m: Position [m], shape (n, 2).
         frame: The frame of the poses; empty if they do not name one.
         tree: Transforms between frames; empty if there are none.
@@ -53,10 +53,10 @@ class Track:
 
 
 def add_references(run: Run, bag: Bag, source: PoseSource, track: Track, choice: ReadChoice) -> Run:
-    """Return a run with the goal and the path that its bag holds, or that were asked for.
+    """Return a run with the goal and the path in its bag, or the requested ones.
 
     Raises:
-        LogError: If a path topic that was asked for is not there.
+        LogError: If a requested path topic does not exist.
     """
     topics = bag.topics
     given = choice.goal
@@ -111,9 +111,9 @@ class FoundGoal:
 
     Attributes:
         xy_m: Position in the frame of the poses [m]; None if it cannot be told.
-        heading_rad: Heading [rad]; None if none is asked for.
+        heading_rad: Heading [rad]; None if the goal has no heading.
         note: One sentence.
-        time_ns: When it was given, by the recorder's clock [ns].
+        time_ns: Time when the goal was set, on the recorder's clock [ns].
     """
 
     xy_m: tuple[float, float] | None
@@ -185,7 +185,7 @@ class FoundPath:
     """A path to follow, and what there is to say of it.
 
     Attributes:
-        points: In the frame of the poses [m]; None if it is no reference.
+        points: Points in the frame of the poses [m]; None if the path is no reference.
         note: One sentence.
     """
 
@@ -201,10 +201,10 @@ def find_path(
     A topic on which the robot's own way is published is no reference.
 
     Args:
-        messages: Of `nav_msgs/msg/Path`, by file.
+        messages: Messages of `nav_msgs/msg/Path`, by file.
         topic: Name of the topic.
-        track: Where the robot was.
-        since_ns: When the goal was given, by the recorder's clock [ns].
+        track: Positions of the robot.
+        since_ns: Time when the goal was set, on the recorder's clock [ns].
     """
     rows = sorted(
         ((time_ns, k, row) for k, columns in enumerate(messages)

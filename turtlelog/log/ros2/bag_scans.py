@@ -1,4 +1,4 @@
-"""What a robot saw: laser scans as points of the plane, and the map that it had."""
+"""Laser scans as points in the plane, and the map of a robot."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -62,15 +62,15 @@ _LONGEST_GAP_NS: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
-    """What is around a robot, in the frame of its poses.
+    """The surroundings of a robot, in the frame of its poses.
 
     Attributes:
-        time_ns: Of each scan on the run's clock [ns], shape (n,), not decreasing.
-        scans_xy_m: The points of each scan [m], shape (k, 2) each.
-        walls_xy_m: Middles of the cells in which scans ended [m], shape (m, 2).
-        map_xy_m: Middles of the occupied cells of the map [m], shape (c, 2).
-        map_cell_m: Their size [m]; 0 without a map.
-        notes: Where all this comes from and what is left out, in sentences.
+        time_ns: Time of each scan on the run's clock [ns], shape (n,), not decreasing.
+        scans_xy_m: Points of each scan [m], shape (k, 2) each.
+        walls_xy_m: Centers of the cells that contain scan points [m], shape (m, 2).
+        map_xy_m: Centers of the occupied cells of the map [m], shape (c, 2).
+        map_cell_m: Cell size of the map [m]; 0 without a map.
+        notes: Sources and omissions, in sentences.
     """
 
     time_ns: Times
@@ -82,17 +82,17 @@ class Surroundings:
 
 
 def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
-    """Return the laser scans and the map of a bag, around a run that was read from it.
+    """Return the laser scans and the map in the bag of a run.
 
-    A scan is where the robot was when it was taken: the pose is interpolated linearly, and the
-    scanner sits on the robot as /tf says, or in its middle. Scans and rays are thinned.
+    A scan is placed at the robot's linearly interpolated pose. /tf gives the place of the scanner
+    on the robot; otherwise it is the robot's origin. Scans and rays are thinned.
 
     Args:
         path: The bag of the run.
-        run: As read from it.
+        run: Run read from this bag.
 
     Returns:
-        None: The bag has neither, or the run's clock is not known.
+        None: If the bag has neither, or the run's clock is unknown.
 
     Raises:
         LogError: If the bag cannot be read.

@@ -1,4 +1,4 @@
-"""Which topics of a bag hold poses and commands: told by their types and names, or as asked."""
+"""The topics of a bag with poses and commands, by type and name or as requested."""
 
 import re
 from collections import Counter
@@ -133,10 +133,10 @@ class Pick:
 
 
 def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
-    """Return the topic that was asked for, or else the one that is most likely meant.
+    """Return the requested topic, or otherwise the most likely one.
 
     Raises:
-        LogError: If there is none, or nothing tells which of several.
+        LogError: If there is no such topic, or several are equally likely.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -159,10 +159,10 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
 
 
 def choose_joint_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicInfo:
-    """Return the topic of joints that was asked for, or that is called so.
+    """Return the requested topic of joint states, or the one with the usual name.
 
     Raises:
-        LogError: If there is none, or nothing tells which of several.
+        LogError: If there is no such topic, or several are equally likely.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -181,19 +181,20 @@ def choose_command_topic(
     pose_topic: str,
     types: Collection[str] = COMMAND_TYPES,
 ) -> Pick | None:
-    """Return the topic that was asked for, or the one that is most likely meant; None without any.
+    """Return the requested topic, or the most likely one; None if there is none.
 
-    The neighbour of the poses (/turtle2/cmd_vel of /turtle2/pose) comes before all others, then the
-    name by which a base listens (cmd_vel before cmd_vel_nav). Another robot's are never taken.
+    The topic next to the poses (/turtle2/cmd_vel for /turtle2/pose) has the highest priority, then
+    the usual name for a robot base (cmd_vel before cmd_vel_nav). Topics of other robots are never
+    chosen.
 
     Args:
-        topics: Of the bag.
-        asked: Name of the one that was asked for.
-        pose_topic: That of the poses; empty without poses.
-        types: Which of the types of commands are looked for.
+        topics: Topics of the bag.
+        asked: Name of the requested topic.
+        pose_topic: Topic of the poses; empty without poses.
+        types: Accepted types of commands.
 
     Raises:
-        LogError: If nothing tells which of several.
+        LogError: If several topics are equally likely.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -218,9 +219,9 @@ def choose_command_topic(
 def choose_path_topics(
     topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
 ) -> list[TopicInfo]:
-    """Return the topic of paths that was asked for, or those that may be plans, in order.
+    """Return the requested path topic, or all topics that may contain plans, in order.
 
-    A controller's own, of the next few metres (local_plan), and one that is called a trace are no
+    A controller's short local plan (local_plan) and topics with the name of a trace are no
     reference.
 
     Raises:
@@ -243,7 +244,7 @@ def choose_path_topics(
 
 
 def choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Pick | None:
-    """Return the topic of goals, the neighbour of the poses first; None if there is none."""
+    """Return the topic of goals, preferably next to the poses; None if there is none."""
     present = _drop_unread(topic for topic in topics if topic.count)
     fitting = [
         topic

@@ -1,4 +1,4 @@
-"""Transforms between frames -> where one frame is in another, at every message that moved it."""
+"""Transforms between frames: the pose of one frame in another over time."""
 
 import re
 from collections import defaultdict
@@ -35,16 +35,16 @@ _TURNS: Final = ("rotation.x", "rotation.y", "rotation.z", "rotation.w")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Link:
-    """One frame in another, message by message.
+    """The transform from one frame to another, message by message.
 
     Attributes:
         parent: The frame in which the other is given.
         child: The other frame.
-        time_ns: When each message was recorded [ns], shape (n,), not decreasing.
-        stamp_ns: Its stamp [ns], shape (n,).
-        place_m: Position of the child's origin [m], shape (n, 3).
-        turn: Its rotation as quaternions x, y, z, w, shape (n, 4).
-        is_static: Whether it holds for all time: its last message counts.
+        time_ns: Log time of each message [ns], shape (n,), not decreasing.
+        stamp_ns: Stamp of each message [ns], shape (n,).
+        place_m: Position of the child's origin in the parent frame [m], shape (n, 3).
+        turn: Rotation of the child as quaternions x, y, z, w, shape (n, 4).
+        is_static: Whether the transform is static, so that its last message is used.
     """
 
     parent: str
@@ -82,12 +82,12 @@ Tree = Mapping[tuple[str, str], Link]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameChoice:
-    """Two frames that tell where a robot is.
+    """The two frames of a robot's poses.
 
     Attributes:
-        world: The frame in which it is given.
-        robot: Its own.
-        others: Pairs that could have been meant as well.
+        world: Reference frame of the poses.
+        robot: Frame of the robot.
+        others: Other possible pairs.
     """
 
     world: str
@@ -181,7 +181,7 @@ def choose_frames(
     world: str | None = None,
     name: str | None = None,
 ) -> FrameChoice:
-    """Return the frames that were asked for, completed by those that are most likely meant.
+    """Return the requested frames, completed by the most likely ones.
 
     Frames of a robot and of the world have well-known names; where none has one, the one link that
     moves is taken. A link below a robot's frame is a joint, and never taken.
@@ -189,7 +189,7 @@ def choose_frames(
     Args:
         tree: The transforms.
         robot: The robot's frame.
-        world: That in which it is given.
+        world: Reference frame.
         name: Of the robot, where frames of several begin with their names.
 
     Raises:

@@ -21,12 +21,12 @@ class JoinedMessages:
     """Messages in order of log time.
 
     Attributes:
-        topic: Their topic.
-        type: Their type.
-        log_ns: When each was recorded [ns], shape (n,).
-        publish_ns: When each was published [ns], shape (n,).
+        topic: Topic of the messages.
+        type: Type of the messages.
+        log_ns: Log time of each message [ns], shape (n,).
+        publish_ns: Publish time of each message [ns], shape (n,).
         sequence: Sequence number set by the publisher, shape (n,).
-        stamp_ns: When each was stamped [ns], shape (n,); zeros where the type has no stamps.
+        stamp_ns: Stamp of each message [ns], shape (n,); zeros if the type has no stamps.
         frame: In which they are, as the first one names it.
         fields: Those that were asked for, each of n rows.
     """

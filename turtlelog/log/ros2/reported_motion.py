@@ -1,4 +1,4 @@
-"""What odometry reports as its path and its rates, held against the way that its poses tell."""
+"""Comparison of the path lengths and rates reported by odometry with those of its poses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -44,15 +44,15 @@ _NEARER: Final = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paths:
-    """Lengths of one drive [m].
+    """Path lengths of one drive [m].
 
     Attributes:
         is_still: Whether the poses never move.
-        by_poses: From pose to pose.
-        by_strides: From pose to pose a fifth of a second apart.
-        by_speed: The integral of the magnitude of the reported velocity; None: none is reported.
-        in_jumps: What single steps have beyond that velocity.
-        by_commands: The integral of the magnitude of the commands; None without any.
+        by_poses: Sum of distances from pose to pose.
+        by_strides: Sum of distances between poses 0.2 s apart.
+        by_speed: Integral of the magnitude of the reported velocity; None if it is not reported.
+        in_jumps: Sum of the excess of single steps over that velocity.
+        by_commands: Integral of the magnitude of the commands; None without commands.
     """
 
     is_still: bool
@@ -68,7 +68,7 @@ def measure_paths(
     columns: Mapping[str, Values],
     commands: tuple[_TimesNs, Values] | None = None,
 ) -> Paths:
-    """Return the lengths of a path.
+    """Return the path lengths of a drive by poses, speeds and commands.
 
     Args:
         time_ns: When each pose was [ns], shape (n,), not decreasing.
@@ -196,7 +196,7 @@ def describe_small_leaps(xy_m: Values) -> str | None:
     """Return one sentence on poses of two programs that lie a few centimetres apart; None of one.
 
     Args:
-        xy_m: Positions in the order in which they were received [m], shape (n, 2).
+        xy_m: Positions in the order of reception [m], shape (n, 2).
     """
     if len(xy_m) <= 4 * _ROWS:
         return None

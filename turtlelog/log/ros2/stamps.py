@@ -87,22 +87,23 @@ class Stamps:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StampClock:
-    """What stamps tell.
+    """Properties of the stamps of a topic.
 
     Attributes:
-        reason: Why they are not usable; empty if they are.
+        reason: Why the stamps are not usable; empty if they are.
         time_ns: When each message was stamped, on the timeline of the recorder's clock or, at
             another pace, on one of the stamps' seconds from the first log time [ns], shape (n,).
             Log times where nothing better is known.
-        pace: Seconds of the stamps per second of the recorder; None if they tell nothing.
-        is_other_pace: Whether that is beyond what clocks of computers drift.
-        offset_ns: The recorder's time less the first stamp, by the fastest message [ns].
-        jitter_ns: Median of the transport less the least [ns]; None at another pace.
+        pace: Stamp seconds per second of the recorder's clock; None if unknown.
+        is_other_pace: Whether the rate differs by more than the drift of computer clocks.
+        offset_ns: Recorder's time minus stamp at the first stamp, for the shortest transport delay
+            [ns].
+        jitter_ns: Median transport delay minus the shortest [ns]; None at another pace.
         stamps_span_ns: From first to last stamp, jumps aside [ns].
         log_span_ns: Of the same messages by the recorder's clock [ns].
-        jumps: How often the stamps' clock was set.
-        odd: Messages whose stamp is 0, or far off those of their neighbours.
-        disordered: Messages whose stamp is before one that arrived earlier.
+        jumps: Number of jumps of the stamps' clock.
+        odd: Number of messages whose stamp is 0 or far from those of their neighbours.
+        disordered: Number of messages whose stamp is before that of an earlier message.
         known: Rows of the messages that are timed by their stamps.
     """
 
