@@ -97,6 +97,7 @@ def digest_run(number: int, simulate: Simulate = simulate_run) -> tuple[list[int
         return [_digest(type(err).__name__)] * len(PARTS), [math.nan] * len(_ENDS)
     values = {key: value for key, value in list_values(run).items() if key not in _IN_SPACE}
     values["parameters"] = sorted(values["parameters"].items())  # their order says nothing
+    values.pop("simulated_by")  # versions and the platform say nothing of the run
     values["declaration"] = _Written(_UNITS.sub("", repr(values["declaration"])))
     columns: dict[str, dict[str, Any]] = {name: {} for name in PARTS}
     for key, value in values.items():

@@ -344,13 +344,25 @@ def test_the_page_says_which_metrics_are_compiled() -> None:
     assert [name for name in (*CURVES, *COURSES) if f"`{name}`" not in told] == []
 
 
-def test_numbers_of_a_robot_vary_in_the_batch() -> None:
-    base = override_scenario(get_preset("textbook"), {**EFFECTS["lagged"], "max_duration_s": 8.0})
-    columns = {
+ROBOTS = {
+    "dynamics": {
         "plant.turn_lag_s": [0.0, 0.1, 0.1, 0.6],
         "plant.speed_gain": [1.0, 0.9, 0.9, 0.9],
         "plant.period_s": [0.05, 0.05, 0.1, 0.1],
-    }
+    },
+    "limits": {
+        "plant.turn_acceleration": [0.5, 2.0, 2.0, math.inf],
+        "plant.turn_deadband": [0.0, 0.0, 0.05, 0.05],
+        "plant.turn_reverse_gain": [0.5, 1.1, 0.9, 0.9],
+        "plant.speed_bound": [0.4, 0.4, 1.0, 0.4],
+    },
+}
+
+
+@pytest.mark.parametrize("numbers", ROBOTS)
+def test_numbers_of_a_robot_vary_in_the_batch(numbers: str) -> None:
+    base = override_scenario(get_preset("textbook"), {**EFFECTS["lagged"], "max_duration_s": 8.0})
+    columns = ROBOTS[numbers]
     rows = measure_rows(base, columns, METRICS, threads=2)
     assert (rows.compiled, rows.interpreted) == (4, 0)
     for row in range(4):
