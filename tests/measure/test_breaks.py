@@ -248,3 +248,33 @@ def test_clean_robots_have_neither() -> None:
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
 def test_few_poses_do_not_break(count: int) -> None:
     assert describe_breaks(make_robot(0.2, count=count)) == {}
+
+
+def stray(run: Run, rows: Any, aside_m: float) -> Run:
+    """Return the run with single poses off to the side, back at the next one."""
+    xy_m = run.poses.xy_m.copy()
+    xy_m[rows, 1] += aside_m
+    return replace(run, poses=replace(run.poses, xy_m=xy_m))
+
+
+def test_a_pose_that_strays_is_two_jumps() -> None:
+    run = stray(make_robot(turn_rate=0.0), [100], 1.0)
+    assert list_rows(run) == [100, 101]
+    assert describe_breaks(run)["jumps"].startswith("2 jumps, the largest ")
+
+
+@pytest.mark.parametrize(("every", "are_found"), [(45, True), (35, False)])
+def test_poses_that_stray_all_the_time_are_noise(every: int, *, are_found: bool) -> None:
+    """Two steps of 45 are 4.4 % of all, two of 35 are 5.7 %."""
+    run = stray(make_robot(turn_rate=0.0, count=900), slice(20, 880, every), 1.0)
+    assert bool(list_rows(run)) is are_found
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.2])
+@pytest.mark.parametrize("hz", [10.0, 50.0])
+def test_noise_of_poses_strays_nowhere(speed: float, hz: float) -> None:
+    for seed in range(20):
+        run = make_robot(speed, 0.0, count=2000, hz=hz)
+        noise_m = np.random.default_rng(seed).normal(0.0, 0.02, run.poses.xy_m.shape)
+        run = replace(run, poses=replace(run.poses, xy_m=run.poses.xy_m + noise_m))
+        assert list_rows(run) == []

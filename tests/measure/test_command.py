@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
-from turtlelog.measure.response import compute_hold_times
-from turtlelog.measure.table.commands import (
+from turtlelog.measure.metrics.commands import (
     compute_effort,
     compute_total_variation,
     count_reversals,
@@ -12,6 +11,7 @@ from turtlelog.measure.table.commands import (
     find_largest_slew_rate,
     find_longest_held,
 )
+from turtlelog.measure.response import compute_hold_times
 
 BURST_S = np.array([0.0, 0.0, 0.0, 1.0, 3.0])
 VALUES = np.array([9.0, -9.0, 1.0, 2.0, -1.0])

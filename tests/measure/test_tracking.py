@@ -7,7 +7,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.measure import Status
-from turtlelog.measure.table.tracking import find_shift
+from turtlelog.measure.metrics.tracking import find_shift
 from turtlelog.scenario import build_scenario
 
 SQUARE: dict[str, Any] = {

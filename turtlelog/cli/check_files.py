@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
     from turtlelog import Run, Spec
     from turtlelog.check import ArtifactWriter, CheckResult
+    from turtlelog.check.junit import CheckedFile
     from turtlelog.check.named_values import TrajectoryJudge
     from turtlelog.check.reference import MetricsFile
-    from turtlelog.check.verdict_rows import CheckedFile
     from turtlelog.log import ReadChoice
     from turtlelog.sweep import FoundRecording
 
@@ -119,7 +119,7 @@ def _check_files(
     *,
     place: "int | Executor",
 ) -> "Iterator[CheckResult]":
-    from turtlelog.check.verdict_rows import CheckedFile, format_junit
+    from turtlelog.check.junit import CheckedFile, format_junit
 
     jobs = 1 if reports.report is not None else place
     keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
@@ -204,7 +204,7 @@ class _Judge:
 
     def __call__(self, path: Path) -> _Judged:
         from turtlelog.check.judge_run import fail_recording, judge_run
-        from turtlelog.check.verdict_rows import CheckedFile
+        from turtlelog.check.junit import CheckedFile
 
         file, started, clock = str(path), datetime.now(UTC), _Clock()
         try:

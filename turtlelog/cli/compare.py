@@ -68,7 +68,7 @@ class ReferenceOptions(WhyOptions):
             the transformation that is fitted: se3, se2, sim3, sim2 (with scale), origin, none.
         jobs: Number of processes. Default: one per core if that is faster; 1 with --rrd or with a
             robot's scenario.
-        details: With --reference: also show the signals of several runs.
+        details: With --reference: show the signals also if several runs are compared.
     """
 
     reference: Place | None = None
@@ -88,7 +88,8 @@ class ChoiceOptions:
         metric: Columns, separated by commas: metrics, patterns (translate.*), parameters.
         sort: Metric, parameter or column (name, Kp) to sort by. A minus sign sorts in falling
             order. Example: -run.duration. Default: rising gain.
-        where: Condition for the runs. Example: "law.kp_linear >= 2 and run.duration < 20".
+        where: Use only the runs that meet this condition. Example: "law.kp_linear >= 2 and
+            run.duration < 20".
         varied: Keys that were varied on purpose, separated by commas: limits.speed_m_s, or a group
             such as goal, path, start, plant or limits. If another group differs, no run is called
             the best. Gains may always differ.
@@ -146,8 +147,9 @@ def compare(
 
     If one file is the scenario of a robot (its plant is lagged), each recorded robot is compared
     with the simulated robot, which gets the recorded commands. The answer is the error of the
-    simulated pose 1 s and 5 s after both poses were equal. It also counts how many errors lie
-    within the central 95 % of the errors that 39 seeds of the robot's noise give.
+    simulated pose 1 s and 5 s after both poses were equal. The noise of the robot is simulated with
+    39 seeds: the answer also counts how many errors lie within the central 95 % of the simulated
+    errors.
 
     With --ate or --rpe, files are trajectories: in TUM, KITTI or EuRoC format, or any recording or
     bag (FILE:TOPIC for one topic of a bag). The answer is the absolute trajectory error of each

@@ -78,9 +78,9 @@ def explain(
     come from the implementation, such as queue, delay, jitter, loss, noise or pause. Design
     parameters, such as saturation, sampling or tolerance, are removed one at a time.
 
-    Parameters are identified for sequential-p. The recording of another law is explained by the
-    scenario that it contains, if that reproduces every sample. That runs the code that the
-    recording names, and needs --trust-law unless the law is built in.
+    Parameters are identified only for the law sequential-p. For another law, the recorded scenario
+    is used, if it reproduces every sample. If that law is not built in, this runs the code that the
+    recording names, and needs --trust-law.
 
     Most third-party bags contain no samples. For these bags the answer shows rates, jumps, gaps,
     the largest commands, and for turtlesim the dead time of its commands.

@@ -110,10 +110,11 @@ class AskedOptions:
     """What the figures attribution, gains, luck, strips and violation show.
 
     Attributes:
-        metric: The metric that attribution and luck are of, by its id (turtlelog list metrics); or
-            those that gains and strips show: ids, patterns, or names of metrics of any loop
-            (overshoot), separated by commas. For a table the metrics to show. Default: up to four.
-        expect: The formula whose signal violation shows, as in "always(abs(cross_track) <= 0.05)".
+        metric: Metric of the figures attribution and luck, by its id (turtlelog list metrics). For
+            gains, strips and tables: ids, patterns or names without loop (overshoot), separated by
+            commas. Default: up to four.
+        expect: Formula whose signal the figure violation shows. Example: "always(abs(cross_track)
+            <= 0.05)".
     """
 
     metric: Annotated[str | None, Parameter(metavar="ID", completer=complete_metrics)] = None

@@ -69,8 +69,8 @@ def identify(
     recommends gains, `compare` compares it with a bag. Comments in the file give the source of each
     number. The file is not written if an axis has commands but cannot be identified.
 
-    Delays are between the times of commands and those of poses. If poses are timed by their stamps,
-    the transport of the fastest message remains in the delays.
+    Delays are measured from the time of a command to the time of the pose that shows its effect. If
+    poses are timed by their stamps, the transport of the fastest message remains in the delays.
 
     Args:
         files: Bags, recordings or logs of one robot.

@@ -115,7 +115,8 @@ class TopicOptions:
         wheel_joints: Compute poses from these two joints of sensor_msgs/JointState, the wheels of a
             differential drive. Example: wheel_left_joint,wheel_right_joint.
         wheels: Radius of these wheels and distance between them [m]. Example: 0.033,0.16.
-        wheelbase: Distance between the axles [m]. It turns Ackermann commands into turn rates.
+        wheelbase: Distance between the axles [m], needed to convert Ackermann commands to turn
+            rates.
         column: Column of a table that contains the quantity NAME: t, x, y, heading or another one.
             Example: "heading=yaw [deg]". Can be repeated.
         partial: Read what an unfinished or damaged recording still contains.

@@ -64,9 +64,9 @@ def replay(
     first pose without samples. The commands of a bag without poses drive turtlesim, or the robot
     model of --scenario.
 
-    A law of your own is code. The code of --law FILE:Class, --set law.kind=FILE:Class and of a
-    scenario file given by name runs. The code of a law that only the recording names runs only with
-    --trust-law.
+    A law of your own is code. This command executes the code of --law FILE:Class, of --set
+    law.kind=FILE:Class, and of a law in a scenario file that you name. The code of a law that only
+    the recording names runs only with --trust-law.
 
     Example: turtlelog replay kp10.mcap --set loop.queue_policy=newest
 

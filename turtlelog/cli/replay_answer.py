@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any, Final
 import turtlelog as tl
 from turtlelog.cli.check_answers import ResultAnswer
 from turtlelog.cli.output import fill_lines, fit_table
+from turtlelog.cli.replay_metrics import MetricChange, build_changes, format_changes
 from turtlelog.display import describe_count, format_pair, show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
-    from turtlelog import Metric, Run
+    from turtlelog import Run
     from turtlelog.compare import Table
     from turtlelog.replay import Difference, LawReplay, LoopReplay, PoseError, SignalDifference
     from turtlelog.run import SoftwareChange
 
-    Measured = Mapping[str, Metric]
 
 _ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
 """Signals that are printed even where they are equal."""
@@ -61,19 +61,6 @@ class CountAnswer:
 
     recorded: Any
     replayed: Any
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MetricChange:
-    """A metric of the recording and of the replay; null where a status says why."""
-
-    id: str
-    unit: str
-    recorded: float | None
-    recorded_status: str
-    replayed: float | None
-    replayed_status: str
-    difference: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -246,7 +233,7 @@ def build_loop(
         declaration=build_difference(run, found.declaration),
         not_compared=tuple(found.absent),
         output=None if output is None else str(output),
-        metrics=_build_changes(run, found.run),
+        metrics=build_changes(run, found.run),
         software=_compare_software(run, found),
     )
 
@@ -450,78 +437,3 @@ def _format_difference(
 def tell_time(run: "Run", time_ns: int) -> float:
     """Return a time of a run from its first sample [s]."""
     return (time_ns - run.start_ns) / 1e9
-
-
-_OF_LOOP: Final = frozenset({"overshoot", "settling_time", "rms_error"})
-_OF_RUN: Final = frozenset(
-    {
-        *("final.heading_error", "final.position_error", "run.duration"),
-        *("run.speed_effort", "run.turn_rate_effort"),  # essential where there is no goal
-    }
-)
-
-
-def _measure_both(recorded: "Run", replayed: "Run") -> "tuple[Measured, Measured]":
-    """Return the essential metrics of both runs, in one order; what one does not have says so."""
-    essential = tl.measure.list_essential_metrics(recorded.declaration, replayed.declaration)
-    parts = ((name, name.rpartition(".")[2]) for name in essential)
-    of_loops = [name for name, plain in parts if plain in _OF_LOOP]
-    names = [*(name for name in essential if name in _OF_RUN), *of_loops]
-    return tl.measure_run(recorded, only=names), tl.measure_run(replayed, only=names)
-
-
-def _build_changes(recorded: "Run", replayed: "Run") -> list[MetricChange]:
-    """Return the metrics of both."""
-    was, now = _measure_both(recorded, replayed)
-    return [
-        MetricChange(
-            id=name,
-            unit=was[name].unit,
-            recorded=was[name].value,
-            recorded_status=was[name].status.value,
-            replayed=now[name].value,
-            replayed_status=now[name].status.value,
-            difference=_subtract(was, now, name),
-        )
-        for name in _list_ids(was, now)
-    ]
-
-
-def format_changes(recorded: "Run", replayed: "Run") -> str:
-    """Return the essential metrics of both, and the difference."""
-    was, now = _measure_both(recorded, replayed)
-    return fit_table(
-        tl.compare.Table(
-            title="Metrics of the recording and of the replay",
-            columns=tuple(
-                tl.compare.Column(title=title)
-                for title in ("metric", "unit", "recorded", "replayed", "difference")
-            ),
-            rows=tuple(
-                (
-                    name,
-                    was[name].unit,
-                    _get_cell(was[name]),
-                    _get_cell(now[name]),
-                    _subtract(was, now, name),
-                )
-                for name in _list_ids(was, now)
-            ),
-        )
-    )
-
-
-def _get_cell(metric: "Metric") -> float | str:
-    return metric.status.value if metric.value is None else metric.value
-
-
-def _subtract(was: "Measured", now: "Measured", name: str) -> float | None:
-    recorded, replayed = was[name].value, now[name].value
-    return None if recorded is None or replayed is None else replayed - recorded
-
-
-def _list_ids(was: "Measured", now: "Measured") -> list[str]:
-    """Return the ids of both: the end, then loop by loop, then the whole run."""
-    names = dict.fromkeys([*was, *now])
-    ranks = {"final": 0, "run": 2}
-    return sorted(names, key=lambda name: ranks.get(name.partition(".")[0], 1))

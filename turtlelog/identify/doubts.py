@@ -126,9 +126,10 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
             said.append(pair)
     if not (said or is_curve) or not _matters(covered):
         return covered
-    what = f" Commands differ: {join_words(said)}." if said else ""
+    told = ", and between ".join(said)
+    what = f" The response differs between {told}." if said else ""
     doubt = (
-        f"No model explains the {NAMES[found.axis]} whole.{what} The intervals are wider for that,"
+        f"No model explains all of the {NAMES[found.axis]}.{what} The intervals are wider for that,"
         " and advice uses the longer delay."
     )
     return replace(covered, doubts=(*found.doubts, doubt))
@@ -181,12 +182,12 @@ def _split_steps(axis: Axis, fit: AxisFit) -> Iterator[tuple[str, NDArray[np.boo
         beside.append(0.0 * end_s if other is None else other.value[other.place(end_s).held])
     value, earlier = np.concatenate(acting), np.concatenate(before)
     change = np.abs(value - earlier)
-    yield "small from large ones", change <= float(np.median(change))
-    yield "positive from negative ones", value + earlier > 0.0
-    yield "rising from falling ones", np.abs(value) > np.abs(earlier)
-    yield "earlier from later ones", np.arange(len(value)) < len(value) // 2
+    yield "small and large commands", change <= float(np.median(change))
+    yield "positive and negative commands", value + earlier > 0.0
+    yield "rising and falling commands", np.abs(value) > np.abs(earlier)
+    yield "earlier and later commands", np.arange(len(value)) < len(value) // 2
     other_name = NAMES["turn_rate" if axis == "speed" else "speed"]
-    yield f"those with a {other_name} from those without one", np.concatenate(beside) != 0.0
+    yield f"commands with and without a {other_name}", np.concatenate(beside) != 0.0
 
 
 def _compare_parts(

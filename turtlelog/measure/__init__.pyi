@@ -24,7 +24,10 @@ from .metric import (
     Numeric as Numeric,
     Status as Status,
 )
-from .metric_registry import (
+from .metric_kinds import (
+    MetricKind as MetricKind,
+)
+from .metric_list import (
     ANY_LOOP as ANY_LOOP,
     METRICS as METRICS,
     choose_metrics as choose_metrics,
@@ -49,9 +52,6 @@ from .path import (
 )
 from .references import (
     read_reference as read_reference,
-)
-from .registry import (
-    MetricKind as MetricKind,
 )
 from .response import (
     find_first_stretch as find_first_stretch,

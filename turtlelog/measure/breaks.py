@@ -37,6 +37,10 @@ _FAST: Final = 3.0
 """A step is a jump from this many times the greatest rate that lasts: a robot on the brink of that
 rate, and a pose that is late by a whole step, make 2 together."""
 
+_STRAYS: Final = 0.05
+"""Share of steps up to which those that lead out and back at once are stray poses, and no rate that
+lasts. Noise and a second program lead out and back all the time."""
+
 _TOLD: Final = 0.1
 """Share of a jump from which on the way that was driven meanwhile is said."""
 
@@ -110,9 +114,10 @@ def find_gaps(run: Run) -> tuple[PoseGap, ...]:
 def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     """Return the steps from pose to pose that the robot cannot have driven.
 
-    A step is a jump if it is far beyond the greatest rate of the robot; if it is single and neither
-    neighbour is similar, as in `find_outliers`; if it is single and opposite to the five steps on
-    either side; or if it is single and exceeds the motion of these five (`_find_excess_steps`).
+    A step is a jump if it is far beyond the greatest rate of the robot (two steps if a pose
+    strays); if it is single and neither neighbour is similar, as in `find_outliers`; if it is
+    single and opposite to the five steps on either side; or if it is single and exceeds the motion
+    of these five (`_find_excess_steps`).
     """
     poses = run.poses
     if _has_courses(run):  # a course turns as positions do, and tells nothing of its own
@@ -130,10 +135,10 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     excess = _find_excess_steps(poses)
     if poses.speed_m_s is None:
         is_jump |= excess.is_jump
-    for way, seen, acceleration in zip((moved, turned), applied, _ACCELERATION, strict=True):
-        rate = _find_lasting_rate(way / usual_ns * 1e9, seen)
-        reached = np.maximum(rate, acceleration * usual_ns / 1e9)
-        is_jump |= way > _FAST * reached * usual_ns / 1e9 + _ROUNDING
+    together = np.hypot(*(poses.xy_m[2:] - poses.xy_m[:-2]).T), np.abs(steps[2][1:] + steps[2][:-1])
+    ways = zip((moved, turned), together, applied, _ACCELERATION, strict=True)
+    for way, net, seen, acceleration in ways:
+        is_jump |= _find_far_steps(way, net, usual_ns, seen=seen, acceleration=acceleration)
     for name, way in zip(("ahead", "aside", "turned"), steps, strict=True):
         rate = way / usual_ns * 1e9
         # Aside a robot on wheels has next to no way, whose sign says nothing.
@@ -252,10 +257,28 @@ def _smooth(way: Values) -> Values:
     return np.asarray(np.median(sliding_window_view(padded, 3), axis=1))
 
 
-def _find_lasting_rate(rate: Values, applied: Values | None) -> float:
-    """Return the greatest rate of two steps in a row, or the rate that the plant applied."""
-    lasting = float(np.minimum(rate[1:], rate[:-1]).max())
-    return lasting if applied is None else max(lasting, float(np.abs(applied).max()))
+def _find_far_steps(
+    way: Values, net: Values, usual_ns: Values, *, seen: Values | None, acceleration: float
+) -> NDArray[np.bool_]:
+    """Return which steps are far beyond the greatest rate that lasts for two of them.
+
+    Args:
+        way: Magnitude of each step [m or rad], shape (n,).
+        net: Magnitude of each two steps together, shape (n - 1,).
+        usual_ns: Time that each step takes, or more [ns], shape (n,).
+        seen: Rates applied by the plant [m/s or rad/s]; None if unknown.
+        acceleration: Rate that the robot reaches from rest in 1 s [m/s^2 or rad/s^2].
+    """
+    both = np.minimum(way[1:], way[:-1])
+    # A pose that strays is two steps, out and back: together they lead no further.
+    for lasting in (np.minimum(both, net), both):
+        rate = float((lasting / usual_ns[1:]).max()) * 1e9
+        rate = rate if seen is None else max(rate, float(np.abs(seen).max()))
+        reached = np.maximum(rate, acceleration * usual_ns / 1e9)
+        is_far = np.asarray(way > _FAST * reached * usual_ns / 1e9 + _ROUNDING)
+        if is_far.mean() <= _STRAYS:
+            break
+    return is_far
 
 
 _ACCELERATION: Final = (2.0, 10.0)

@@ -10,10 +10,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-import turtlelog.measure.metric_registry  # noqa: F401  (enters every metric in the registry)
+import turtlelog.measure.metric_list  # noqa: F401  (enters every metric in the registry)
 from turtlelog.arithmetic import called
 from turtlelog.measure.metric import REASONS, Status
-from turtlelog.measure.registry import CUT, LOOP_METRICS, NO_STEP, RUN_METRICS, SMALLEST_STEP
+from turtlelog.measure.metric_kinds import CUT, LOOP_METRICS, NO_STEP, RUN_METRICS, SMALLEST_STEP
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.simulate.assemble import Function, compile_text
 from turtlelog.simulate.compiled_loop import SAMPLE, TICK, compile_entry

@@ -361,6 +361,15 @@ def test_noise_of_a_filter_is_no_second_program(
     assert ("leaps" in read_run(write_robot(tmp_path, rows)).notes) is is_said
 
 
+@pytest.mark.parametrize(("share", "is_said"), [(0.2, True), (0.12, False)])
+def test_a_fifth_of_the_poses_must_leap(share: float, *, is_said: bool) -> None:
+    """One pose in so many is elsewhere, at random: 0.24 and 0.14 of all leap and come back."""
+    generator = np.random.default_rng(3)
+    xy_m = np.zeros((4000, 2))
+    xy_m[generator.random(4000) < share, 0] = 3.0
+    assert (describe_leaps(xy_m) is not None) is is_said
+
+
 def test_large_noise_is_no_second_program() -> None:
     noise_m = np.random.default_rng(1).normal(scale=5.0, size=(4000, 2))
     assert describe_leaps(noise_m) is None

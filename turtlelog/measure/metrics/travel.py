@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
+from turtlelog.measure.metric_kinds import run_metric
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import Axis, Rates, Values, thin_poses
 from turtlelog.measure.reductions import sum_products
-from turtlelog.measure.registry import run_metric
 
 
 @run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)

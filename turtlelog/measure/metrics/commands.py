@@ -24,8 +24,8 @@ from turtlelog.measure.metric import (
     Status,
     add_reason,
 )
+from turtlelog.measure.metric_kinds import curve_metric, loop_metric
 from turtlelog.measure.reductions import count_beyond, sum_products
-from turtlelog.measure.registry import curve_metric, loop_metric
 from turtlelog.measure.response import CommandStretch, Response
 
 Values = NDArray[np.float64]

@@ -23,8 +23,16 @@ from turtlelog.measure.metric import (
     add_reason,
     read_outcome,
 )
+from turtlelog.measure.metric_kinds import course_metric, loop_metric, run_metric
+from turtlelog.measure.metrics.commands import (
+    measure_effort,
+    measure_largest_jump,
+    measure_largest_slew_rate,
+    measure_reversals,
+    measure_total_variation,
+)
+from turtlelog.measure.metrics.loop_metrics import LEFT_SOON, find_needed_hold
 from turtlelog.measure.reductions import PIECES, find_largest, integrate, measure_way
-from turtlelog.measure.registry import course_metric, loop_metric, run_metric
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
 from turtlelog.measure.step_response import (
     compute_rms,
@@ -32,14 +40,6 @@ from turtlelog.measure.step_response import (
     integrate_square,
     integrate_time_weighted,
 )
-from turtlelog.measure.table.commands import (
-    measure_effort,
-    measure_largest_jump,
-    measure_largest_slew_rate,
-    measure_reversals,
-    measure_total_variation,
-)
-from turtlelog.measure.table.loop_metrics import LEFT_SOON, find_needed_hold
 from turtlelog.run.loops import ControlLoop
 
 Values = NDArray[np.float64]

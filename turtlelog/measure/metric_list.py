@@ -9,13 +9,13 @@ from typing import Final
 
 import numpy as np
 
-import turtlelog.measure.table  # noqa: F401  (enters every metric in the registry)
+import turtlelog.measure.metrics  # noqa: F401  (enters every metric in the registry)
 from turtlelog.display import NamedValues
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import NO_POSES, Metric, Metrics, Missing, Result, Status
-from turtlelog.measure.registry import LOOP_METRICS, RUN_METRICS, MetricKind
+from turtlelog.measure.metric_kinds import LOOP_METRICS, RUN_METRICS, MetricKind
 from turtlelog.run import Run
 from turtlelog.run.loops import ControlLoop, Declaration, is_loop_name
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import NO_COMMANDS, ONE_POSE, Found, Missing, Result, Status
+from turtlelog.measure.metric_kinds import run_metric
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates, Values
 from turtlelog.measure.reductions import sum_products
-from turtlelog.measure.registry import run_metric
 
 EARLIEST_S: Final = -0.5
 LATEST_S: Final = 2.0

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.measure_settings import MOST_TICKS
 from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.metric_kinds import loop_metric
 from turtlelog.measure.reductions import find_largest
-from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import Response
 from turtlelog.measure.step_response import compute_rms
 from turtlelog.run.loops import ControlLoop

@@ -5,6 +5,7 @@ from typing import Final
 
 from turtlelog.arithmetic import compiled_as
 from turtlelog.measure.metric import FOUND, Outcome, Status, add_reason
+from turtlelog.measure.metric_kinds import curve_metric, has_sides, has_step
 from turtlelog.measure.reductions import (
     Values,
     find_crossing_rows,
@@ -12,7 +13,6 @@ from turtlelog.measure.reductions import (
     fold_at_zero,
     integrate,
 )
-from turtlelog.measure.registry import curve_metric, has_sides, has_step
 from turtlelog.measure.response import Response
 from turtlelog.measure.step_response import (
     PASSING,

@@ -26,9 +26,9 @@ from turtlelog.measure.metric import (
     Status,
     add_reason,
 )
+from turtlelog.measure.metric_kinds import course_metric, run_metric
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.reductions import PIECES, find_furthest_row
-from turtlelog.measure.registry import course_metric, run_metric
 
 Values = NDArray[np.float64]
 Rows = Literal["sample", "pose"]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import NO_COMMANDS, ONE_POSE, Found, Missing, Result, Status
+from turtlelog.measure.metric_kinds import run_metric
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates
-from turtlelog.measure.registry import run_metric
 from turtlelog.measure.step_response import find_overshoot, find_rise, find_settling_time
 
 Values = NDArray[np.float64]

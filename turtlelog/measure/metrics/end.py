@@ -21,7 +21,7 @@ from turtlelog.measure.metric import (
     Status,
     add_reason,
 )
-from turtlelog.measure.registry import course_metric, run_metric
+from turtlelog.measure.metric_kinds import course_metric, run_metric
 from turtlelog.run.angles import subtract_headings, wrap_angle
 
 PAPER_WINDOW_S: Final = 15.0

@@ -7,8 +7,8 @@ import numpy as np
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.metric_kinds import loop_metric
 from turtlelog.measure.references import read_reference
-from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import Response, Values
 from turtlelog.run.loops import ControlLoop
 from turtlelog.run.paths import Corner, Path
